@@ -1,0 +1,32 @@
+"""Arrays as callers hand them over: NumPy, lists or torch tensors, without importing torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dgc_pose.errors import InputError
+
+
+def is_tensor(value: Any) -> bool:
+    """Whether `value` behaves as a torch tensor (told by its methods: torch is not imported)."""
+    return all(hasattr(value, method) for method in ("detach", "cpu", "numpy"))
+
+
+def as_numpy(value: Any, name: str) -> np.ndarray:
+    """`value` as a NumPy array of booleans, integers or floats; shares memory where it can.
+
+    Raises InputError, naming the argument `name`, where `value` is no array of real numbers.
+    """
+    try:
+        if is_tensor(value):
+            value = value.detach().cpu()
+            # NumPy has no bfloat16.
+            value = (value.float() if "bfloat16" in str(value.dtype) else value).numpy()
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} is not an array of numbers") from error
+    if array.dtype.kind not in "buif":
+        raise InputError(f"{name} is not an array of real numbers but {type(value).__name__}")
+    return array

@@ -1,0 +1,222 @@
+"""A camera: its intrinsic matrix K, the image size K refers to, and its lens distortion.
+
+Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) there.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgc_pose import colmap_camera
+from dgc_pose.arrays import as_numpy
+from dgc_pose.colmap_camera import Distortion
+from dgc_pose.errors import InputError
+
+# How far a principal point may lie from the middle of the image, as a share of its side, before K
+# is suspected of belonging to an image of another size.
+_USUAL_OFFSET = 0.2
+_MAX_FILE_BYTES = 4096  # of a file that holds nine numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A calibrated camera. Raises InputError where K is no intrinsic matrix, see `as_camera`."""
+
+    K: np.ndarray  # (3, 3) float64, pixels
+    size: tuple[int, int] | None = None  # (width, height) of the image K refers to, where known
+    distortion: Distortion | None = None  # of the lens; None for a pinhole
+    warnings: tuple[str, ...] = ()  # what the user should know about where K comes from
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
+        if self.size is not None and not (self.size[0] > 0 and self.size[1] > 0):
+            raise InputError(f"size must be positive, not {self.size[0]} x {self.size[1]}")
+
+    @property
+    def focal(self) -> float:
+        """Mean of the focal lengths along x and y, pixels."""
+        return float(self.K[0, 0] + self.K[1, 1]) / 2
+
+    def normalise(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) to K^-1 of them, (N, 2) float64, with the distortion undone.
+
+        NaN where the distortion cannot be undone. Raises InputError for another shape.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise InputError(f"points must have shape (N, 2), not {points.shape}")
+        y = (points[:, 1] - self.K[1, 2]) / self.K[1, 1]
+        x = (points[:, 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
+        normalised = np.column_stack([x, y])
+        return normalised if self.distortion is None else self.distortion.undo(normalised)
+
+    def undistort(self, points: np.ndarray) -> np.ndarray:
+        """Pixels (N, 2) of this camera to pixels of the ideal pinhole camera of the same K.
+
+        NaN where the distortion cannot be undone. Raises InputError for another shape.
+        """
+        if self.distortion is None:
+            return np.array(points, dtype=np.float64)
+        return self.normalise(points) @ self.K[:2, :2].T + self.K[:2, 2]
+
+    def resized(self, size: tuple[int, int]) -> Camera:
+        """This camera after its image is resized to (width, height), sides scaled independently.
+
+        x' = (x + 0.5) s - 0.5, for the principal point too. Raises InputError where the present
+        size is not known.
+        """
+        if self.size is None:
+            raise InputError("a camera without a size cannot be resized")
+        scale = np.array([size[0] / self.size[0], size[1] / self.size[1], 1.0])
+        K = self.K * scale[:, None]
+        K[:2, 2] = (self.K[:2, 2] + 0.5) * scale[:2] - 0.5
+        return replace(self, K=K, size=(int(size[0]), int(size[1])))
+
+
+def as_camera(value: Camera | Any, name: str = "K") -> Camera:
+    """A camera from what a caller may hand over: a Camera, an array (3, 3) or a text or path.
+
+    Raises InputError, naming the argument `name`, where the matrix has another shape, is not
+    finite, is singular, or is not upper triangular with positive focal lengths and a last row of
+    0 0 1; and where the text cannot be read (see `parse_camera`).
+    """
+    if isinstance(value, Camera):
+        return value
+    if isinstance(value, (str, Path)):
+        return parse_camera(str(value), name)
+    return Camera(_checked_matrix(value, name))
+
+
+def parse_camera(text: str, name: str = "K") -> Camera:
+    """A camera from one text, as on the command line.
+
+    One of: 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; the path of a text or
+    .npy file with a 3x3 matrix; a COLMAP camera 'MODEL,width,height,parameters...', whose principal
+    point is COLMAP's, half a pixel more than ours. Raises InputError of one line, naming `name`.
+    """
+    try:
+        is_file = Path(text).is_file()
+    except (OSError, ValueError):  # too long for a path, for one
+        is_file = False
+    if is_file:
+        return as_camera(_read_matrix(Path(text), name), name)
+    words = re.split(r"\s*,\s*", text.strip())
+    if len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
+        return _parse_colmap(words, name)
+    numbers = _floats(words)
+    if numbers is None or len(numbers) != 4:
+        raise InputError(
+            f"{name}: {text!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters nor a file"
+        )
+    return as_camera(_matrix(numbers[:2], numbers[2:]), name)
+
+
+def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, ...]:
+    """Refuses the K of an image of another size. `size`: (width, height) of the image in hand.
+
+    Raises InputError, naming the argument `name`, where the camera's declared size is another, or
+    the principal point lies outside the image. Returns warnings: one where it lies so far from the
+    middle that K may belong to an image of another size.
+    """
+    width, height = size
+    if camera.size is not None and tuple(camera.size) != (width, height):
+        raise InputError(
+            f"{name} is for an image of {camera.size[0]} x {camera.size[1]} pixels, "
+            f"the image has {width} x {height}"
+        )
+    x, y = float(camera.K[0, 2]), float(camera.K[1, 2])
+    where = f"{name} has its principal point at ({x:g}, {y:g})"
+    if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
+        raise InputError(
+            f"{where}, outside the image of {width} x {height}: it is for another image size"
+        )
+    offset = max(abs((x + 0.5) / width - 0.5), abs((y + 0.5) / height - 0.5))
+    if offset > _USUAL_OFFSET:
+        return (
+            f"{where}, far from the middle of the image of {width} x {height}: "
+            f"is it for another image size?",
+        )
+    return ()
+
+
+def guess_camera(path: str | Path) -> Camera:
+    """A camera guessed from an image file alone, with a warning, for a pose it is a poor ground.
+
+    The focal length is that of the file's EXIF data, else 1.2 times the longer side; the principal
+    point is the middle. Raises ImageError where the image cannot be read.
+    """
+    focal, size, from_exif = colmap_camera.guess(Path(path))
+    source = "its EXIF data" if from_exif else "nothing but its size (1.2 times the longer side)"
+    warning = (
+        f"{path}: the focal length of {focal:.0f} pixels is a guess from {source}; "
+        f"expect the pose to be much less accurate than with a calibration"
+    )
+    middle = [size[0] / 2 - 0.5, size[1] / 2 - 0.5]
+    return Camera(_matrix([focal, focal], middle), size, warnings=(warning,))
+
+
+def _checked_matrix(value: Any, name: str) -> np.ndarray:
+    """An intrinsic matrix as (3, 3) float64, its own copy, not to be written to."""
+    K = np.array(as_numpy(value, name), dtype=np.float64)
+    if K.shape != (3, 3):
+        raise InputError(f"{name} must have shape (3, 3), not {K.shape}")
+    if not np.isfinite(K).all():
+        raise InputError(f"{name} has values that are not finite")
+    if np.abs(K[2] - (0, 0, 1)).max() > 1e-9:
+        raise InputError(f"{name} must have the last row 0 0 1, not {_listed(K[2])}")
+    if not (K[0, 0] > 0 and K[1, 1] > 0):
+        raise InputError(f"{name} must have positive focal lengths, not {_listed(np.diag(K)[:2])}")
+    if abs(K[1, 0]) > 1e-9 * K[1, 1]:
+        raise InputError(f"{name} must be upper triangular, but its second row is {_listed(K[1])}")
+    if np.linalg.matrix_rank(K) < 3:
+        raise InputError(f"{name} is singular")
+    K[1, 0], K[2] = 0, (0, 0, 1)
+    K.setflags(write=False)
+    return K
+
+
+def _listed(numbers: np.ndarray) -> str:
+    return " ".join(f"{number:g}" for number in numbers)
+
+
+def _matrix(focal: list[float], principal_point: list[float]) -> np.ndarray:
+    return np.array(
+        [[focal[0], 0, principal_point[0]], [0, focal[1], principal_point[1]], [0, 0, 1]]
+    )
+
+
+def _read_matrix(path: Path, name: str) -> np.ndarray:
+    try:
+        data = path.read_bytes() if path.stat().st_size <= _MAX_FILE_BYTES else b""
+        if not data.strip():
+            raise ValueError
+        if path.suffix == ".npy":
+            return np.load(io.BytesIO(data), allow_pickle=False)
+        return np.loadtxt(io.StringIO(data.decode().replace(",", " ")), ndmin=2)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{name}: {path} is not a file with a 3x3 matrix") from error
+
+
+def _parse_colmap(words: list[str], name: str) -> Camera:
+    size, parameters = _floats(words[1:3]), _floats(words[3:])
+    if size is None or parameters is None or any(not side.is_integer() for side in size):
+        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {','.join(words)!r}")
+    try:
+        found = colmap_camera.split_parameters(words[0].upper(), parameters)
+        K = _matrix([*found.focal], [*found.principal_point])
+        return Camera(K, (int(size[0]), int(size[1])), found.distortion)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+
+
+def _floats(words: list[str]) -> list[float] | None:
+    try:
+        return [float(word) for word in words]
+    except ValueError:
+        return None

@@ -1,0 +1,119 @@
+"""COLMAP's camera models, through pycolmap: their parameters, their distortion, and its guess."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from dgc_pose.errors import ImageError, InputError
+
+if TYPE_CHECKING:
+    import pycolmap
+
+# A point whose undistortion, distorted again, misses it by more was not undone (unit: the focal
+# length, so a hundredth of a pixel at a focal length of 1000).
+_MAX_ROUND_TRIP = 1e-5
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Lens distortion by one of COLMAP's models, in units of the focal length, so free of K.
+
+    Raises InputError where COLMAP has no such model, or it takes other coefficients.
+    """
+
+    model: str  # COLMAP's name, such as "OPENCV" or "SIMPLE_RADIAL"
+    coefficients: tuple[float, ...] = ()  # the parameters after focal length and principal point
+
+    def __post_init__(self) -> None:
+        camera = _model(self.model)
+        expected = len(camera.extra_params_idxs())
+        if len(self.coefficients) != expected:
+            raise InputError(
+                f"{self.model} takes {expected} coefficients ({camera.params_info}), "
+                f"not {len(self.coefficients)}"
+            )
+        if not np.isfinite(self.coefficients).all():
+            raise InputError(f"{self.model} has coefficients that are not finite")
+
+    def undo(self, points: np.ndarray) -> np.ndarray:
+        """Where an ideal pinhole of focal length 1 sees what this lens sees at `points`.
+
+        points and result: (N, 2) float64, x / z and y / z. NaN where the model has no answer: a ray
+        at 90 degrees or more from the axis, or a point beyond the distortion's turning point.
+        """
+        camera = _model(self.model)
+        parameters = np.zeros(len(camera.params))
+        parameters[camera.focal_length_idxs()] = 1
+        parameters[camera.extra_params_idxs()] = self.coefficients
+        camera.params = parameters.tolist()
+        ideal = np.asarray(camera.cam_from_img(np.ascontiguousarray(points)))
+        again = np.asarray(camera.img_from_cam(np.column_stack([ideal, np.ones(len(ideal))])))
+        undone = np.abs(again - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP
+        return np.where(undone[:, None], ideal, np.nan)
+
+
+class Intrinsics(NamedTuple):
+    """A COLMAP camera's parameters, told apart."""
+
+    focal: tuple[float, float]  # pixels, along x and y
+    principal_point: tuple[float, float]  # pixels; (0, 0) is the centre of the top-left pixel
+    distortion: Distortion | None  # None for the pinhole models
+
+
+def split_parameters(model: str, parameters: list[float]) -> Intrinsics:
+    """COLMAP's parameter list told apart, its principal point moved by half a pixel to ours.
+
+    Raises InputError where COLMAP has no such model, or it takes another number of parameters.
+    """
+    camera = _model(model)
+    if len(parameters) != len(camera.params):
+        raise InputError(
+            f"{model} takes {len(camera.params)} parameters ({camera.params_info}), "
+            f"not {len(parameters)}"
+        )
+    values = np.asarray(parameters, dtype=np.float64)
+    focal = values[camera.focal_length_idxs()]
+    principal_point = values[camera.principal_point_idxs()] - 0.5
+    distortion = None
+    if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+        distortion = Distortion(model, tuple(values[camera.extra_params_idxs()].tolist()))
+    return Intrinsics(
+        (float(focal[0]), float(focal[-1])),
+        (float(principal_point[0]), float(principal_point[1])),
+        distortion,
+    )
+
+
+class Guess(NamedTuple):
+    """What COLMAP makes of an image without a calibration."""
+
+    focal: float  # pixels
+    size: tuple[int, int]  # (width, height)
+    from_exif: bool  # else 1.2 times the longer side
+
+
+def guess(path: Path) -> Guess:
+    """COLMAP's guess of the focal length. Raises ImageError where the image cannot be read."""
+    import pycolmap
+
+    try:
+        camera = pycolmap.infer_camera_from_image(path)
+    except ValueError as error:
+        raise ImageError(f"{path} does not exist or is not an image that can be read") from error
+    size = (int(camera.width), int(camera.height))
+    return Guess(float(camera.mean_focal_length()), size, bool(camera.has_prior_focal_length))
+
+
+def _model(name: str) -> pycolmap.Camera:
+    """A camera of this model with some parameters, to be replaced."""
+    import pycolmap  # here and not above: only cameras that come from COLMAP need it
+
+    known = [known for known in pycolmap.CameraModelId.__members__ if known != "INVALID"]
+    camera = pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1) if name in known else None
+    if camera is None or len(camera.focal_length_idxs()) == 0:
+        raise InputError(f"{name!r} is not a COLMAP model with a focal length, such as OPENCV")
+    return camera

@@ -1,0 +1,205 @@
+"""Reading an image, from a file or from memory, as 8-bit RGB with the pixels as stored."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import PIL.Image
+
+from dgc_pose.arrays import as_numpy, is_tensor
+from dgc_pose.errors import ImageError, InputError
+
+if TYPE_CHECKING:
+    import torch
+
+MAX_PIXELS = 400_000_000  # width times height; more is refused, before decoding where possible
+MAX_BYTES = 2**31 - 1  # of a file; OpenCV counts an encoded image's bytes in a signed 32-bit number
+
+_EXIF_ORIENTATION = 0x0112
+# The formats whose header Pillow reads and whose pixels OpenCV decodes.
+_HEADER_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """An image as the rest of the library takes it. Raises InputError where `pixels` is not so."""
+
+    pixels: np.ndarray  # (H, W, 3) uint8, RGB, contiguous
+    name: str = "image"  # the path, or the argument's name
+    warnings: tuple[str, ...] = ()  # what the user should know about how it was read
+
+    def __post_init__(self) -> None:
+        pixels = self.pixels
+        if not isinstance(pixels, np.ndarray) or pixels.dtype != np.uint8:
+            raise InputError(f"{self.name}: pixels must be a uint8 array")
+        if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
+            raise InputError(f"{self.name}: pixels must have shape (H, W, 3), not {pixels.shape}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+
+def load_image(
+    source: str | Path | np.ndarray | torch.Tensor | Image, name: str = "image"
+) -> Image:
+    """Any image as 8-bit RGB.
+
+    `source` is a path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) in RGB(A) order, or a
+    torch tensor of such a shape, of (1, H, W), (3, H, W) or (4, H, W), or of a batch of one image.
+    An `Image` is returned as it is. `name` is the argument's name in errors about arrays.
+
+    Grey is repeated, alpha is dropped. 8-bit values are kept, floats within [0, 1] are multiplied
+    by 255, and everything else (16 bit, 12 bit in 16, other floats) is stretched from the image's
+    own minimum and maximum, over all colours together, to 0 and 255.
+
+    Files give their pixels as stored, for that is what K refers to: an EXIF orientation is not
+    applied, and a warning says so.
+
+    Raises ImageError, with the path, where a file is missing, empty, corrupt or too large;
+    InputError, with `name`, where an array has the wrong shape, is empty or is not finite.
+    """
+    if isinstance(source, Image):
+        return source
+    if isinstance(source, (str, Path)):
+        return _read_file(Path(source))
+    array = as_numpy(source, name)
+    if is_tensor(source):
+        array = _channels_last(array)
+    return Image(_to_rgb8(array, name), name)
+
+
+def _read_file(path: Path) -> Image:
+    data = _read_bytes(path)
+    notes = _check_header(data, path)
+    try:
+        # Not IMREAD_COLOR: it turns the image by its EXIF tag and cuts 16 bits to the upper 8.
+        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        array = None
+    if array is None:
+        raise ImageError(f"{path} is corrupt, or not an image that can be read")
+    _check_pixel_count(array.shape[1], array.shape[0], path)
+    if array.ndim == 3 and array.shape[2] >= 3:
+        array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
+    try:
+        return Image(_to_rgb8(array, str(path)), str(path), notes)
+    except InputError as error:
+        raise ImageError(str(error)) from error
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        if not path.exists():
+            raise ImageError(f"{path} does not exist")
+        if not path.is_file():
+            raise ImageError(f"{path} is not a file")
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ImageError(f"{path} is too large: {size} bytes, at most {MAX_BYTES} are read")
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ImageError(f"{path} cannot be read: {reason}") from error
+    if not data:
+        raise ImageError(f"{path} is empty")
+    return data
+
+
+def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
+    """Refuses what need not be decoded to be refused; returns warnings."""
+    header = _open_header(data)
+    if header is None:
+        return ()
+    _check_pixel_count(*header.size, path)
+    orientation = _orientation(header)
+    try:
+        header.verify()  # the checksums of a PNG; libpng would print to stderr
+    except Exception as error:  # whatever a format's reader trips over
+        raise ImageError(f"{path} is corrupt: {error}") from error
+    if orientation not in range(2, 9):
+        return ()
+    if header.format == "TIFF":
+        # OpenCV's TIFF reader turns some of these and not others.
+        raise ImageError(f"{path} is a TIFF with orientation tag {orientation}: save it upright")
+    return (
+        f"{path}: EXIF orientation {orientation} is not applied, "
+        f"so K must refer to the pixels as stored",
+    )
+
+
+def _open_header(data: bytes) -> PIL.Image.Image | None:
+    """An encoded image, not decoded; None where Pillow cannot read its header.
+
+    Not through PIL.Image.open, which refuses from 179 million pixels on: telephones take more.
+    """
+    PIL.Image.init()
+    for name in _HEADER_FORMATS:
+        factory, accept = PIL.Image.OPEN.get(name, (None, None))
+        if factory is None or accept is None or accept(data[:16]) is not True:
+            continue
+        try:
+            return factory(io.BytesIO(data), "")
+        except Exception:  # corrupt headers raise almost anything; decoding has the last word
+            return None
+    return None
+
+
+def _orientation(header: PIL.Image.Image) -> int:
+    if header.format != "TIFF" and "exif" not in header.info:
+        return 1  # asking a PNG that has none for its EXIF would decode all of it
+    try:
+        return int(header.getexif().get(_EXIF_ORIENTATION, 1))
+    except Exception:  # a broken EXIF block raises almost anything, and harms no pixel
+        return 1
+
+
+def _check_pixel_count(width: int, height: int, path: Path) -> None:
+    if width * height > MAX_PIXELS:
+        raise ImageError(
+            f"{path} is too large: {width} x {height}, at most {MAX_PIXELS} pixels are read"
+        )
+
+
+def _channels_last(array: np.ndarray) -> np.ndarray:
+    """A tensor's (1, C, H, W) or (C, H, W) as (H, W, C); every other shape as it is."""
+    if array.ndim == 4 and array.shape[0] == 1:
+        array = array[0]
+    if array.ndim == 3 and array.shape[0] in (1, 3, 4):
+        array = np.moveaxis(array, 0, 2)
+    return array
+
+
+def _to_rgb8(array: np.ndarray, name: str) -> np.ndarray:
+    if array.ndim == 2:
+        array = array[:, :, None]
+    if array.ndim != 3 or array.shape[2] not in (1, 3, 4):
+        raise InputError(
+            f"{name} must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
+        )
+    if array.size == 0:
+        raise InputError(f"{name} has no pixels: shape {array.shape}")
+    array = _to_8_bit(array[:, :, :3], name)  # alpha goes first: it has a range of its own
+    if array.shape[2] == 1:
+        array = np.repeat(array, 3, axis=2)
+    return np.ascontiguousarray(array)
+
+
+def _to_8_bit(array: np.ndarray, name: str) -> np.ndarray:
+    if array.dtype == np.uint8:
+        return array
+    low, high = float(array.min()), float(array.max())
+    if not np.isfinite(high - low):
+        raise InputError(f"{name} has values that are not finite")
+    if array.dtype.kind in "bf" and low >= 0 and high <= 1:
+        low, high = 0.0, 1.0
+    scale = 255 / (high - low) if high > low else 0.0
+    # 16 bits fit into float32, which halves the memory that a large image takes.
+    values: np.ndarray = array.astype(np.float32 if array.dtype.itemsize <= 2 else np.float64)
+    return np.rint((values - low) * scale).astype(np.uint8)

@@ -1,0 +1,43 @@
+"""Matches: what every matcher hands out and every estimator takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.errors import InputError
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Point matches between two images, in pixels of the original images.
+
+    Raises InputError where the shapes do not agree or `error_px` is not positive. Non-finite
+    coordinates are let through: the estimator drops and counts them.
+    """
+
+    points1: np.ndarray  # (N, 2) float64, pixels of the original image 1
+    points2: np.ndarray  # (N, 2) float64, pixels of the original image 2
+    confidence: np.ndarray  # (N,) float64 in [0, 1]
+    error_px: float  # expected error of a good match, pixels of the original images
+
+    def __post_init__(self) -> None:
+        for name in ("points1", "points2"):
+            points = np.asarray(getattr(self, name), dtype=np.float64)
+            if points.ndim != 2 or points.shape[1] != 2:
+                raise InputError(f"{name} must have shape (N, 2), not {points.shape}")
+            object.__setattr__(self, name, points)
+        confidence = np.asarray(self.confidence, dtype=np.float64)
+        object.__setattr__(self, "confidence", confidence)
+        counts = (len(self.points1), len(self.points2))
+        if counts[0] != counts[1] or confidence.shape != (counts[0],):
+            raise InputError(
+                f"points1, points2 and confidence must have the same length, "
+                f"not {counts[0]}, {counts[1]} and {confidence.shape}"
+            )
+        if not self.error_px > 0:
+            raise InputError(f"error_px must be positive, not {self.error_px}")
+
+    def __len__(self) -> int:
+        return len(self.points1)

@@ -1,0 +1,87 @@
+"""Errors of a relative pose, and the area under their recall curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dgc_pose.errors import InputError
+
+
+def rotation_error_deg(R: ArrayLike, R_gt: ArrayLike) -> float:
+    """Angle of the rotation R_gt^T R between two rotation matrices (3, 3), degrees in [0, 180].
+
+    It is acos((trace - 1) / 2), taken as an arctangent, which keeps its digits near 0 and 180.
+    Raises InputError where a shape is not (3, 3) or a value is not finite.
+    """
+    relative = _checked(R_gt, "R_gt", (3, 3)).T @ _checked(R, "R", (3, 3))
+    axis = (
+        relative[2, 1] - relative[1, 2],
+        relative[0, 2] - relative[2, 0],
+        relative[1, 0] - relative[0, 1],
+    )
+    # The axis has length 2 sin(angle), and trace - 1 is 2 cos(angle).
+    return float(np.degrees(np.arctan2(np.linalg.norm(axis), np.trace(relative) - 1)))
+
+
+def translation_error_deg(t: ArrayLike, t_gt: ArrayLike) -> float:
+    """Angle between two directions (3,) of any length, degrees in [0, 180].
+
+    Raises InputError where a shape is not (3,), a value is not finite or a vector is zero.
+    """
+    a, b = _checked(t, "t", (3,)), _checked(t_gt, "t_gt", (3,))
+    for vector, name in ((a, "t"), (b, "t_gt")):
+        if not vector.any():
+            raise InputError(f"{name} is zero and has no direction")
+    a, b = a / np.abs(a).max(), b / np.abs(b).max()
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def folded(error_deg: float) -> float:
+    """min(e, 180 - e): the translation error of the matching literature, blind to the sign of t.
+
+    error_deg: degrees in [0, 180], or infinite for a failure, which stays infinite.
+    """
+    return min(error_deg, abs(180.0 - error_deg))
+
+
+def pose_auc(errors: ArrayLike, thresholds: Sequence[float] = (5, 10, 20)) -> tuple[float, ...]:
+    """Area under the recall curve of pose errors up to each threshold, percent of the full area.
+
+    The curve of the matching literature: from (0, 0) it joins the points (e_i, i/N), errors in
+    ascending order, by straight lines, and stays level from the last error below the threshold. The
+    area under it is exact. Failures are infinite errors: they count among the N.
+
+    errors: (N,), in the unit of the thresholds, for one pair max(rotation, folded translation).
+    Raises InputError where errors is empty, holds NaN or negative numbers, or a threshold is not
+    positive.
+    """
+    values = np.asarray(errors, dtype=np.float64)
+    if values.ndim != 1 or len(values) == 0:
+        raise InputError(f"errors must have shape (N,) with N > 0, not {values.shape}")
+    if not (values >= 0).all():
+        raise InputError("errors must not be negative or NaN: a failure is infinite")
+    values = np.sort(values)
+    recalls = np.arange(1, len(values) + 1) / len(values)
+    return tuple(_auc_percent(values, recalls, threshold) for threshold in thresholds)
+
+
+def _auc_percent(errors: np.ndarray, recalls: np.ndarray, threshold: float) -> float:
+    if not 0 < threshold < np.inf:
+        raise InputError(f"a threshold must be positive, not {threshold}")
+    below = np.searchsorted(errors, threshold)
+    x = np.concatenate(([0.0], errors[:below], [threshold]))
+    y = np.concatenate(([0.0], recalls[:below]))
+    y = np.append(y, y[-1])
+    return float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold)
+
+
+def _checked(value: ArrayLike, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape:
+        raise InputError(f"{name} must have shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} has values that are not finite")
+    return array

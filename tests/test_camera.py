@@ -1,0 +1,403 @@
+"""Cameras: parsing, checks, resizing, distortion; against OpenCV, pycolmap and resized images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+import pycolmap
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dgc_pose.camera import Camera, as_camera, check_size, guess_camera, parse_camera
+from dgc_pose.colmap_camera import Distortion
+from dgc_pose.errors import ImageError, InputError
+
+K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])
+SIZE = (640, 480)
+
+
+def points(count: int = 200, size: tuple[int, int] = SIZE) -> np.ndarray:
+    return np.random.default_rng(5).uniform((-0.5, -0.5), np.array(size) - 0.5, (count, 2))
+
+
+def colmap_camera(model: str, coefficients: list[float], focals: int) -> pycolmap.Camera:
+    """An independent camera in COLMAP's own pixels."""
+    focal = [700.0, 720.0][:focals]
+    parameters = [*focal, 330.0, 250.0, *coefficients]
+    return pycolmap.Camera(model=model, width=640, height=480, params=parameters)
+
+
+def text_of(camera: pycolmap.Camera) -> str:
+    return f"{camera.model_name},640,480," + ",".join(map(str, camera.params))
+
+
+# --- the matrix -----------------------------------------------------------------------------------
+
+
+def test_normalise_inverts_K_with_its_skew() -> None:
+    pixels = points()
+    homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
+    expected = np.linalg.solve(K, homogeneous.T).T[:, :2]
+    np.testing.assert_allclose(Camera(K).normalise(pixels), expected, atol=1e-13)
+    np.testing.assert_array_equal(Camera(K).undistort(pixels), pixels)
+
+
+def test_no_points_are_no_error() -> None:
+    distorted = parse_camera(text_of(colmap_camera("OPENCV", [-0.2, 0.05, 0.001, 0], 2)))
+    for camera in (Camera(K), distorted):
+        assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
+        assert camera.undistort(np.empty((0, 2))).shape == (0, 2)
+
+
+@pytest.mark.parametrize("shape", [(2,), (4, 3), (2, 2, 2)])
+def test_points_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="points"):
+        Camera(K).normalise(np.zeros(shape))
+
+
+def test_focal_is_the_mean() -> None:
+    assert Camera(K).focal == 800
+
+
+def test_a_camera_keeps_its_own_matrix() -> None:
+    mine = K.copy()
+    camera = as_camera(mine)
+    mine[0, 0] = 1
+    assert camera.K[0, 0] == 810
+    with pytest.raises(ValueError, match="read-only"):
+        camera.K[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    "value", [K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K)], ids=type
+)
+def test_as_camera_takes_what_callers_have(value: object) -> None:
+    np.testing.assert_array_equal(as_camera(value).K, K)
+
+
+def test_as_camera_keeps_a_camera() -> None:
+    camera = Camera(K, SIZE, warnings=("guessed",))
+    assert as_camera(camera, "K1") is camera
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.eye(4), "shape"),
+        (K[:2], "shape"),
+        (K.ravel(), "shape"),
+        (None, "not an array"),
+        ([["a"] * 3] * 3, "not an array"),
+        ([[1, 2, 3], [4]], "not an array"),
+        (K * np.nan, "not finite"),
+        (np.where(K == 810, np.inf, K), "not finite"),
+        (np.zeros((3, 3)), "last row"),
+        (K.T, "last row"),
+        (2 * K, "last row"),
+        (np.diag([0.0, 500, 1]), "positive focal"),
+        (np.diag([500.0, 0, 1]), "positive focal"),
+        (np.diag([-500.0, 500, 1]), "positive focal"),
+        (np.diag([1e-30, 500, 1]), "singular"),
+        (K + [[0, 0, 0], [5, 0, 0], [0, 0, 0]], "upper triangular"),
+    ],
+)
+def test_a_matrix_that_is_no_K_names_the_argument(value: object, message: str) -> None:
+    with pytest.raises(InputError, match=f"^K2 .*{message}"):
+        as_camera(value, "K2")
+
+
+# --- size -----------------------------------------------------------------------------------------
+
+
+def resize_by_areas(image: np.ndarray, factor: int) -> np.ndarray:
+    height, width = image.shape
+    return image.reshape(height // factor, factor, width // factor, factor).mean((1, 3))
+
+
+def centre_of_mass(image: np.ndarray) -> np.ndarray:
+    rows, columns = np.indices(image.shape)
+    return np.array([(columns * image).sum(), (rows * image).sum()]) / image.sum()
+
+
+def test_resized_follows_a_spot_in_a_resized_image() -> None:
+    """A spot at the principal point is still there in the image averaged over blocks of pixels."""
+    camera = Camera(np.array([[100.0, 0, 41], [0, 100, 26], [0, 0, 1]]), (80, 64))
+    spot = np.zeros((64, 80))
+    spot[26, 41] = 1
+    blurred = cv2.GaussianBlur(spot, (0, 0), 4)
+    small = camera.resized((20, 16))
+    found = centre_of_mass(resize_by_areas(blurred, 4))
+    np.testing.assert_allclose(small.K[:2, 2], found, atol=1e-3)
+    assert (small.K[0, 0], small.size) == (25, (20, 16))
+    naive = camera.K[:2, 2] / 4
+    assert np.abs(naive - small.K[:2, 2]).min() > 0.3
+
+
+@given(st.integers(1, 4000), st.integers(1, 4000))
+def test_resized_keeps_every_ray(width: int, height: int) -> None:
+    camera = Camera(K, SIZE)
+    pixels = points(20)
+    scale = np.array([width / SIZE[0], height / SIZE[1]])
+    moved = (pixels + 0.5) * scale - 0.5
+    resized = camera.resized((width, height))
+    np.testing.assert_allclose(resized.normalise(moved), camera.normalise(pixels), atol=1e-9)
+    np.testing.assert_allclose(resized.resized(SIZE).K, camera.K, atol=1e-9)
+
+
+def test_resized_keeps_the_distortion_and_the_warnings() -> None:
+    camera = parse_camera(text_of(colmap_camera("SIMPLE_RADIAL", [-0.1], 1)))
+    pixels = points()
+    resized = camera.resized((320, 960))
+    moved = (pixels + 0.5) * (0.5, 2) - 0.5
+    np.testing.assert_allclose(resized.normalise(moved), camera.normalise(pixels), atol=1e-10)
+    assert Camera(K, SIZE, warnings=("guessed",)).resized((64, 48)).warnings == ("guessed",)
+
+
+def test_a_camera_without_a_size_cannot_be_resized() -> None:
+    with pytest.raises(InputError, match="size"):
+        Camera(K).resized((10, 10))
+
+
+@pytest.mark.parametrize("size", [(0, 480), (640, -1)])
+def test_a_size_must_be_positive(size: tuple[int, int]) -> None:
+    with pytest.raises(InputError, match="size"):
+        Camera(K, size)
+
+
+def test_the_K_of_another_image_size_is_refused() -> None:
+    assert check_size(Camera(K, SIZE), SIZE, "K1") == ()
+    assert check_size(Camera(K), SIZE, "K1") == ()
+    with pytest.raises(InputError, match="^K1 is for an image of 640 x 480 .* 480 x 640"):
+        check_size(Camera(K, SIZE), (480, 640), "K1")
+    for size in ((320, 240), (640, 200), (300, 480)):
+        with pytest.raises(InputError, match="^K2 .*outside the image"):
+            check_size(Camera(K), size, "K2")
+    with pytest.raises(InputError, match="^K1 .*outside"):
+        check_size(as_camera("500,500,-10,240"), SIZE, "K1")
+
+
+@pytest.mark.parametrize("text", ["800,800,320,240", "1.2,1.2,0.5,0.5"])
+def test_a_principal_point_far_from_the_middle_is_a_warning(text: str) -> None:
+    (warning,) = check_size(parse_camera(text), (1600, 1200), "K1")
+    assert warning.startswith("K1 has its principal point")
+
+
+# --- text -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("text", ["810,790,321.25,238.5", " 810 , 790, 321.25,2.385e2 "])
+def test_four_numbers(text: str) -> None:
+    camera = parse_camera(text)
+    expected = [[810, 0, 321.25], [0, 790, 238.5], [0, 0, 1]]
+    np.testing.assert_array_equal(camera.K, expected)
+    assert camera.size is None and camera.distortion is None and camera.warnings == ()
+
+
+@pytest.mark.parametrize("delimiter", [" ", ",", "\t", ", "])
+def test_text_file(tmp_path: Path, delimiter: str) -> None:
+    path = tmp_path / "K.txt"
+    np.savetxt(path, K, delimiter=delimiter, header="intrinsics")
+    np.testing.assert_array_equal(parse_camera(str(path)).K, K)
+    np.testing.assert_array_equal(as_camera(path).K, K)
+
+
+def test_npy_file(tmp_path: Path) -> None:
+    path = tmp_path / "a, comma K.npy"
+    np.save(path, K)
+    np.testing.assert_array_equal(parse_camera(str(path)).K, K)
+
+
+def test_colmap_cameras_differ_from_ours_by_half_a_pixel() -> None:
+    pinhole = parse_camera("PINHOLE,640,480,700,720,330,250")
+    expected = [[700, 0, 329.5], [0, 720, 249.5], [0, 0, 1]]
+    np.testing.assert_array_equal(pinhole.K, expected)
+    assert pinhole.size == SIZE and pinhole.distortion is None
+    simple = parse_camera("simple_pinhole, 640, 480, 700, 330, 250")
+    assert simple.K[0, 0] == simple.K[1, 1] == 700
+    theirs = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[700, 720, 330, 250])
+    np.testing.assert_allclose(
+        pinhole.normalise(points()), theirs.cam_from_img(points() + 0.5), atol=1e-13
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "gone.txt",
+        "500",
+        "1,2,3",
+        "1,2,3,4,5",
+        "500,500,a,240",
+        "500,500,nan,240",
+        "500,-500,320,240",
+        "PINHOLE,640,480,700,720,330",
+        "PINHOLE,640,480",
+        "PINHOLE,640.5,480,700,720,330,250",
+        "PINHOLE,inf,480,700,720,330,250",
+        "PINHOLE,0,480,700,720,330,250",
+        "PINHOLE,640,480,700,x,330,250",
+        "PINHOLE,640,480,-700,720,330,250",
+        "OPENCV,640,480,700,720,330,250",
+        "OPENCV,640,480,700,720,330,250,nan,0,0,0",
+        "PINEHOLE,640,480,700,720,330,250",
+        "INVALID,640,480,700,720,330,250",
+        "EQUIRECTANGULAR,640,480,640,480",
+        "x" * 5000,
+        "a\nb",
+        "a\0b",
+    ],
+)
+def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) -> None:
+    with pytest.raises(InputError, match="^K1") as caught:
+        parse_camera(text, "K1")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("K.txt", b""),
+        ("K.txt", b"  \n"),
+        ("K.txt", b"1 2 3\n4 5\n"),
+        ("K.txt", b"1 2 3\n4 5 6\n"),
+        ("K.txt", b"one two three"),
+        ("K.txt", bytes(range(256))),
+        ("K.txt", b"1 " * 9000),
+        ("K.npy", b"\x93NUMPY\x01\x00"),
+        ("K.npy", b"1 0 0\n0 1 0\n0 0 1\n"),
+    ],
+)
+def test_files_that_hold_no_matrix_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="^K1"):
+        parse_camera(str(path), "K1")
+
+
+def test_a_pickled_array_is_not_unpickled(tmp_path: Path) -> None:
+    path = tmp_path / "K.npy"
+    np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="3x3"):
+        parse_camera(str(path))
+
+
+# --- distortion -----------------------------------------------------------------------------------
+
+LENSES = [
+    ("SIMPLE_RADIAL", [-0.12], 1),
+    ("RADIAL", [-0.15, 0.03], 1),
+    ("OPENCV", [-0.2, 0.05, 0.002, -0.001], 2),
+    ("FULL_OPENCV", [-0.2, 0.05, 0.002, -0.001, 0.01, 0.02, 0.01, 0.0], 2),
+    ("OPENCV_FISHEYE", [-0.03, 0.005, -0.001, 0.0002], 2),
+    ("SIMPLE_FISHEYE", [], 1),
+    ("FOV", [0.8], 2),
+    ("THIN_PRISM_FISHEYE", [0.01, -0.01, 0.001, 0.002, 0.001, 0, 0.001, 0.002], 2),
+]
+
+
+@pytest.mark.parametrize(("model", "coefficients", "focals"), LENSES)
+def test_distortion_is_undone_as_pycolmap_does(
+    model: str, coefficients: list[float], focals: int
+) -> None:
+    theirs = colmap_camera(model, coefficients, focals)
+    ours = parse_camera(text_of(theirs))
+    pixels = points()
+    rays = theirs.cam_from_img(pixels + 0.5)
+    np.testing.assert_allclose(ours.normalise(pixels), rays, atol=1e-8)
+    pinhole = pycolmap.Camera(
+        model="PINHOLE",
+        width=640,
+        height=480,
+        params=[theirs.focal_length_x, theirs.focal_length_y, 330, 250],
+    )
+    ideal = pinhole.img_from_cam(np.column_stack([rays, np.ones(len(rays))])) - 0.5
+    np.testing.assert_allclose(ours.undistort(pixels), ideal, atol=1e-5)
+    assert np.abs(ideal - pixels).max() > 3, "the lens must bend something, or nothing is tested"
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("OPENCV", (-0.2, 0.05, 0.002, -0.001)),
+        ("FULL_OPENCV", (-0.2, 0.05, 0.002, -0.001, 0.01, 0.02, 0.01, 0.005)),
+    ],
+)
+def test_what_opencv_distorts_is_undone(model: str, coefficients: tuple[float, ...]) -> None:
+    camera = Camera(K, SIZE, Distortion(model, coefficients))
+    ideal = np.random.default_rng(2).uniform(-0.35, 0.35, (100, 2))
+    rays = np.column_stack([ideal, np.ones(100)])
+    none = np.zeros(3)
+    distorted = cv2.projectPoints(rays, none, none, np.eye(3), np.array(coefficients))[0][:, 0]
+    pixels = distorted @ K[:2, :2].T + K[:2, 2]
+    np.testing.assert_allclose(camera.normalise(pixels), ideal, atol=1e-9)
+    np.testing.assert_allclose(camera.undistort(pixels), ideal @ K[:2, :2].T + K[:2, 2], atol=1e-6)
+
+
+def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
+    fisheye = parse_camera("SIMPLE_FISHEYE,640,480,100,320,240")
+    beyond = np.array([[319.5 + 100 * np.pi / 2 + 1, 239.5], [319.5 + 100, 239.5]])
+    found = fisheye.normalise(beyond)
+    assert np.isnan(found[0]).all()
+    np.testing.assert_allclose(found[1], [np.tan(1), 0], atol=1e-9)
+    assert np.isnan(fisheye.undistort(beyond)[0]).all()
+    # x (1 - 0.4 x^2) never exceeds 0.61.
+    barrel = Camera(np.eye(3), None, Distortion("SIMPLE_RADIAL", (-0.4,)))
+    found = barrel.normalise(np.array([[0.7, 0.0], [0.3, 0.0]]))
+    assert np.isnan(found[0]).all()
+    assert found[1, 0] * (1 - 0.4 * found[1, 0] ** 2) == pytest.approx(0.3, abs=1e-9)
+
+
+def test_points_that_are_not_finite_stay_so() -> None:
+    camera = parse_camera(text_of(colmap_camera("OPENCV", [-0.2, 0.05, 0.002, -0.001], 2)))
+    found = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
+    assert not np.isfinite(found[:2]).all(axis=1).any()
+    assert np.isfinite(found[2]).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"), [("OPENCV", (0.1,)), ("NOPE", ()), ("OPENCV", (0.1, np.inf, 0, 0))]
+)
+def test_a_distortion_checks_itself(model: str, coefficients: tuple[float, ...]) -> None:
+    with pytest.raises(InputError, match=model):
+        Distortion(model, coefficients)
+
+
+# --- guessing -------------------------------------------------------------------------------------
+
+
+def test_a_guess_without_exif_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "plain.png"
+    PIL.Image.new("RGB", (300, 200)).save(path)
+    camera = guess_camera(path)
+    np.testing.assert_allclose(camera.K, [[360, 0, 149.5], [0, 360, 99.5], [0, 0, 1]])
+    assert camera.size == (300, 200)
+    (warning,) = camera.warnings
+    assert "guess" in warning and "1.2 times" in warning and "plain.png" in warning
+
+
+def test_a_guess_from_exif_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "exif.jpg"
+    image = PIL.Image.new("RGB", (360, 240))
+    exif = image.getexif()
+    exif.get_ifd(0x8769)[0xA405] = 50  # FocalLengthIn35mmFilm
+    image.save(path, exif=exif)
+    camera = guess_camera(str(path))
+    diagonal_35mm = np.hypot(36, 24)
+    expected = 50 / diagonal_35mm * np.hypot(360, 240)
+    assert camera.focal == pytest.approx(expected, rel=0.01)
+    assert "EXIF" in camera.warnings[0]
+
+
+@pytest.mark.parametrize("content", [None, b"", b"junk"])
+def test_a_guess_needs_an_image(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "none.jpg"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ImageError, match=r"none\.jpg"):
+        guess_camera(path)

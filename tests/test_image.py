@@ -1,0 +1,346 @@
+"""Reading images: every kind of file and array, and every way in which one can be unusable."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_numpy
+
+from dgc_pose.errors import DgcPoseError, ImageError, InputError
+from dgc_pose.image import Image, load_image
+
+FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
+
+
+@pytest.fixture
+def rgb() -> np.ndarray:
+    """Smooth enough to survive JPEG, and unlike itself under any flip or change of channels."""
+    rng = np.random.default_rng(1)
+    return cv2.resize(rng.integers(0, 256, (5, 7, 3), np.uint8), (70, 50))
+
+
+def save(path: Path, pixels: np.ndarray, orientation: int | None = None) -> Path:
+    """Saves with Pillow, an independent writer."""
+    image = PIL.Image.fromarray(pixels)
+    exif = image.getexif()
+    if orientation is not None:
+        exif[0x0112] = orientation
+    lossless = {"lossless": True} if path.suffix == ".webp" else {"quality": 95}
+    image.save(path, exif=exif, **lossless)
+    return path
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_file_gives_its_pixels_in_rgb(tmp_path: Path, rgb: np.ndarray, suffix: str) -> None:
+    path = save(tmp_path / f"picture.{suffix}", rgb)
+    image = load_image(path)
+    assert image.size == (70, 50)
+    assert image.name == str(path)
+    assert image.warnings == ()
+    assert image.pixels.dtype == np.uint8 and image.pixels.flags.c_contiguous
+    difference = np.abs(image.pixels.astype(int) - rgb)
+    assert difference.max() == 0 if suffix != "jpg" else difference.mean() < 3
+    np.testing.assert_array_equal(load_image(str(path)).pixels, image.pixels)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])
+@pytest.mark.parametrize("orientation", range(2, 9))
+def test_exif_orientation_is_not_applied_and_said(
+    tmp_path: Path, rgb: np.ndarray, suffix: str, orientation: int
+) -> None:
+    upright = load_image(save(tmp_path / f"upright.{suffix}", rgb, 1))
+    turned = load_image(save(tmp_path / f"turned.{suffix}", rgb, orientation))
+    np.testing.assert_array_equal(turned.pixels, upright.pixels)
+    assert upright.warnings == ()
+    (warning,) = turned.warnings
+    assert f"orientation {orientation}" in warning and "turned" in warning
+
+
+def test_a_tiff_that_a_reader_may_turn_is_refused(tmp_path: Path, rgb: np.ndarray) -> None:
+    assert load_image(save(tmp_path / "upright.tiff", rgb, 1)).size == (70, 50)
+    with pytest.raises(ImageError, match=r"turned\.tiff is a TIFF with orientation tag 6"):
+        load_image(save(tmp_path / "turned.tiff", rgb, 6))
+
+
+@pytest.mark.parametrize("suffix", ["png", "tiff"])
+@pytest.mark.parametrize("top", [65535, 4095])
+def test_16_bits_are_stretched_from_their_own_range(
+    tmp_path: Path, rgb: np.ndarray, suffix: str, top: int
+) -> None:
+    deep = rgb.astype(np.uint16) * (top // 255) // 2 + 100
+    path = tmp_path / f"deep.{suffix}"
+    assert cv2.imwrite(str(path), deep[:, :, ::-1])
+    low, high = int(deep.min()), int(deep.max())
+    expected = np.round((deep.astype(float) - low) / (high - low) * 255)
+    pixels = load_image(path).pixels
+    assert np.abs(pixels - expected).max() <= 1
+    assert pixels.min() == 0 and pixels.max() == 255
+
+
+def test_12_bits_in_16_in_a_pgm_are_not_dark(tmp_path: Path) -> None:
+    values = np.arange(0, 4096, 64, dtype=">u2").reshape(8, 8)
+    path = tmp_path / "twelve.pgm"
+    path.write_bytes(b"P5\n8 8\n4095\n" + values.tobytes())
+    pixels = load_image(path).pixels
+    assert pixels.min() == 0 and pixels.max() == 255
+    assert np.all(np.diff(pixels[:, :, 0].ravel().astype(int)) >= 3)
+
+
+def test_alpha_has_no_say_in_the_range(tmp_path: Path, rgb: np.ndarray) -> None:
+    deep = rgb.astype(np.uint16) * 16
+    alpha = np.full((*rgb.shape[:2], 1), 65535, np.uint16)
+    path = tmp_path / "alpha.png"
+    assert cv2.imwrite(str(path), np.concatenate([deep[:, :, ::-1], alpha], axis=2))
+    np.testing.assert_array_equal(load_image(path).pixels, load_image(deep).pixels)
+    assert load_image(path).pixels.max() == 255
+    array = np.concatenate([deep, alpha], axis=2)
+    np.testing.assert_array_equal(load_image(array).pixels, load_image(deep).pixels)
+
+
+@pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])
+def test_grey_alpha_and_palette_files_become_rgb(
+    tmp_path: Path, rgb: np.ndarray, mode: str
+) -> None:
+    converted = PIL.Image.fromarray(rgb).convert(mode)
+    if mode in ("LA", "RGBA"):
+        converted.putalpha(77)
+    path = tmp_path / f"{mode}.png"
+    converted.save(path)
+    expected = np.asarray(converted.convert("RGBA"))[:, :, :3]
+    np.testing.assert_array_equal(load_image(path).pixels, expected)
+
+
+def test_the_path_may_hold_any_character(tmp_path: Path, rgb: np.ndarray) -> None:
+    path = save(tmp_path / "été 图 50%.png", rgb)
+    np.testing.assert_array_equal(load_image(path).pixels, rgb)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("share", [0.02, 0.5, 0.95])
+def test_a_truncated_file_is_refused(
+    tmp_path: Path, rgb: np.ndarray, suffix: str, share: float
+) -> None:
+    path = save(tmp_path / f"short.{suffix}", rgb)
+    data = path.read_bytes()
+    path.write_bytes(data[: max(2, int(len(data) * share))])
+    with pytest.raises(ImageError, match=r"short\."):
+        load_image(path)
+
+
+def test_a_damaged_png_is_refused_and_nothing_is_printed(
+    tmp_path: Path, rgb: np.ndarray, capfd: pytest.CaptureFixture
+) -> None:
+    path = save(tmp_path / "damaged.png", rgb)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"damaged\.png"):
+        load_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("content", [b"hello", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"\0" * 999])
+def test_a_file_that_is_no_image_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "text.jpg"
+    path.write_bytes(content)
+    with pytest.raises(ImageError, match=r"text\.jpg"):
+        load_image(path)
+
+
+MAGIC = (b"", b"\xff\xd8\xff\xe1", b"P5 3 ", b"BM", b"II*\0", b"GIF89a", b"RIFF")
+
+
+@given(st.binary(max_size=200), st.sampled_from(MAGIC))
+def test_junk_is_read_or_refused_but_raises_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, start: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "junk"
+    path.write_bytes(start + content)
+    try:
+        assert load_image(path).pixels.ndim == 3
+    except ImageError as error:
+        assert "junk" in str(error) and "\n" not in str(error)
+
+
+def test_missing_empty_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match=r"gone\.png does not exist"):
+        load_image(tmp_path / "gone.png")
+    (tmp_path / "empty.png").touch()
+    with pytest.raises(ImageError, match=r"empty\.png is empty"):
+        load_image(tmp_path / "empty.png")
+    with pytest.raises(ImageError, match="is not a file"):
+        load_image(tmp_path)
+    with pytest.raises(ImageError, match="cannot be read"):
+        load_image("x" * 5000)
+
+
+def huge_png_header(width: int, height: int) -> bytes:
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        crc = zlib.crc32(kind + body)
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", crc)
+
+    ihdr = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    rows = zlib.compress(b"\0" * 1000)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", ihdr) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize("suffix", ["png", "bmp", "ppm"])
+def test_a_huge_image_is_refused_by_its_header(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"huge.{suffix}"
+    if suffix == "png":
+        path.write_bytes(huge_png_header(60_000, 50_000))
+    elif suffix == "ppm":
+        path.write_bytes(b"P6\n60000 50000\n255\n" + b"\0" * 100)
+    else:
+        small = io.BytesIO()
+        PIL.Image.new("RGB", (4, 4)).save(small, "BMP")
+        data = bytearray(small.getvalue())
+        data[18:26] = struct.pack("<ii", 60_000, 50_000)
+        path.write_bytes(data)
+    with pytest.raises(ImageError, match=rf"huge\.{suffix} is too large: 60000 x 50000"):
+        load_image(path)
+
+
+def test_a_large_image_whose_header_pillow_cannot_read_is_refused_once_decoded(
+    tmp_path: Path, rgb: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "large.hdr"
+    assert cv2.imwrite(str(path), rgb.astype(np.float32))
+    assert load_image(path).size == (70, 50)
+    monkeypatch.setattr("dgc_pose.image.MAX_PIXELS", 70 * 50 - 1)
+    with pytest.raises(ImageError, match=r"large\.hdr is too large: 70 x 50"):
+        load_image(path)
+
+
+def test_an_image_beyond_pillows_own_limit_is_not_too_large(tmp_path: Path) -> None:
+    # 16,384 x 12,288 is what a telephone takes. The pixels are missing, so it is corrupt instead.
+    path = tmp_path / "telephone.png"
+    path.write_bytes(huge_png_header(16_384, 12_288))
+    with pytest.raises(ImageError, match=r"telephone\.png is corrupt"):
+        load_image(path)
+
+
+def test_a_huge_file_is_not_read_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "sparse.tiff"
+    path.touch()
+    os.truncate(path, 2**31)
+    with pytest.raises(ImageError, match=r"sparse\.tiff is too large"):
+        load_image(path)
+
+
+def test_arrays_of_8_bits_are_kept(rgb: np.ndarray) -> None:
+    image = load_image(rgb, "image1")
+    np.testing.assert_array_equal(image.pixels, rgb)
+    assert image.name == "image1" and image.size == (70, 50)
+    grey = rgb[:, :, 0]
+    repeated = np.dstack([grey] * 3)
+    for array in (grey, grey[:, :, None], repeated, np.dstack([repeated, rgb[:, :, 1]])):
+        np.testing.assert_array_equal(load_image(array).pixels, repeated)
+
+
+def test_a_view_becomes_contiguous(rgb: np.ndarray) -> None:
+    flipped = load_image(rgb[::-1, ::-1])
+    assert flipped.pixels.flags.c_contiguous
+    np.testing.assert_array_equal(flipped.pixels, np.flip(rgb, (0, 1)))
+
+
+def test_floats_within_0_and_1_are_multiplied_and_others_stretched(rgb: np.ndarray) -> None:
+    half = rgb.astype(np.float32) / 510
+    np.testing.assert_allclose(load_image(half).pixels, rgb / 2, atol=0.51)
+    shifted = rgb.astype(np.float64) * 7 - 300
+    stretched = load_image(shifted).pixels
+    assert stretched.min() == 0 and stretched.max() == 255
+    low, high = float(rgb.min()), float(rgb.max())
+    np.testing.assert_allclose(stretched, (rgb - low) / (high - low) * 255, atol=0.51)
+    np.testing.assert_array_equal(load_image(rgb > 99).pixels, (rgb > 99) * 255)
+
+
+@given(
+    st_numpy.arrays(
+        st.sampled_from([np.uint16, np.int16, np.int64, np.float32, np.float64]),
+        st_numpy.array_shapes(min_dims=2, max_dims=2, max_side=6),
+    )
+)
+def test_any_array_keeps_the_order_of_its_values_or_is_refused(array: np.ndarray) -> None:
+    try:
+        pixels = load_image(array, "image2").pixels[:, :, 0]
+    except InputError as error:
+        assert "image2" in str(error)
+        assert not np.isfinite(array.astype(float)).all() or np.ptp(array.astype(float)) == np.inf
+    else:
+        order = np.argsort(array, axis=None, kind="stable")
+        assert np.all(np.diff(pixels.ravel()[order].astype(int)) >= 0)
+
+
+@pytest.mark.parametrize("value", [0, 700, 65535])
+def test_a_constant_image_is_no_division_by_zero(value: int) -> None:
+    assert load_image(np.full((4, 5), value, np.uint16)).pixels.max() == 0
+
+
+def test_tensors_may_have_their_channels_first(rgb: np.ndarray) -> None:
+    last = torch.from_numpy(rgb)
+    first = last.permute(2, 0, 1)
+    for tensor in (last, first, first[None], last[None]):
+        np.testing.assert_array_equal(load_image(tensor).pixels, rgb)
+    grey = np.repeat(rgb[:, :, :1], 3, axis=2)
+    for tensor in (first[0], first[:1], first[None, :1]):
+        np.testing.assert_array_equal(load_image(tensor).pixels, grey)
+    floats = (first / 255).requires_grad_()
+    np.testing.assert_array_equal(load_image(floats).pixels, rgb)
+    coarse = load_image((first / 255).to(torch.bfloat16)).pixels
+    assert np.abs(coarse.astype(int) - rgb).max() <= 1
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((3, 20, 30), np.uint8),
+        np.zeros((20, 30, 2), np.uint8),
+        np.zeros((1, 3, 20, 30), np.uint8),
+        np.zeros(20, np.uint8),
+        np.zeros((0, 30, 3), np.uint8),
+        np.zeros((20, 0), np.float32),
+        np.full((4, 4), np.nan),
+        np.array([[0, np.inf], [1, 2]]),
+        np.zeros((4, 4), complex),
+        np.array([["a", "b"]]),
+        [[1, 2], [3]],
+        None,
+        torch.zeros(2, 3, 20, 30),
+        torch.full((3, 4, 4), float("nan")),
+    ],
+    ids=lambda value: f"{type(value).__name__}{getattr(value, 'shape', '')}",
+)
+def test_unusable_arrays_name_the_argument(array: object) -> None:
+    with pytest.raises(InputError, match="^image1 "):
+        load_image(array, "image1")  # type: ignore[arg-type]
+
+
+def test_an_image_is_returned_as_it_is(rgb: np.ndarray) -> None:
+    image = Image(rgb, "mine", ("a warning",))
+    assert load_image(image, "image1") is image
+
+
+@pytest.mark.parametrize(
+    "pixels", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8)]
+)
+def test_an_image_holds_8_bit_rgb_alone(pixels: np.ndarray) -> None:
+    with pytest.raises(InputError, match="mine: pixels"):
+        Image(pixels, "mine")
+
+
+def test_input_errors_are_value_errors() -> None:
+    assert issubclass(InputError, ValueError) and issubclass(ImageError, DgcPoseError)
