@@ -1,0 +1,113 @@
+"""A bank of textures with mip levels, sampled at any place of any texture at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from dgc_pose.errors import InputError
+
+_SMALLEST_LEVEL = 4  # pixels; coarser mip levels are not made
+_CHUNK = 256  # photographs reduced at a time, so that no float copy of the whole set is made
+
+
+@dataclass(frozen=True)
+class TextureBank:
+    """N textures of one size at several mip levels, each texel packed into an int32 as 0BGR.
+
+    Packed texels cost one look-up for three channels. Level k has size // 2**k.
+    """
+
+    texels: Tensor  # (T,) int32, level after level, photo after photo, row by row
+    count: int
+    size: tuple[int, int]  # (width, height) of level 0
+    levels: int
+
+    @staticmethod
+    def from_photos(photos: Tensor | Sequence[Tensor]) -> TextureBank:
+        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1], or a list.
+
+        Raises InputError where photos are of another shape or of several sizes.
+        """
+        if not isinstance(photos, Tensor):
+            if len({photo.shape for photo in photos}) != 1:
+                raise InputError("photos must be a non-empty list of images of one size")
+            photos = torch.stack(tuple(photos))
+        if photos.ndim != 4 or photos.shape[1] != 3 or len(photos) == 0:
+            raise InputError(f"photos must have shape (N, 3, h, w), not {tuple(photos.shape)}")
+        height, width = photos.shape[2:]
+        if min(height, width) < _SMALLEST_LEVEL:
+            raise InputError(f"photos must be at least {_SMALLEST_LEVEL} pixels high and wide")
+        levels = (min(height, width) // _SMALLEST_LEVEL).bit_length()
+        packed: list[list[Tensor]] = [[] for _ in range(levels)]
+        for chunk in photos.split(_CHUNK):
+            level = chunk.float() if chunk.dtype == torch.uint8 else chunk.float() * 255
+            for k in range(levels):
+                level = level if k == 0 else avg_pool2d(level, 2)
+                packed[k].append(_pack(level))
+        texels = torch.cat([block for blocks in packed for block in blocks])
+        return TextureBank(texels, len(photos), (width, height), levels)
+
+    def to(self, device: torch.device) -> TextureBank:
+        """The bank on another device."""
+        return replace(self, texels=self.texels.to(device))
+
+    def sample(self, photo: Tensor, x: Tensor, y: Tensor, footprint: Tensor) -> Tensor:
+        """Bilinear colours (3, n) in [0, 1] of the texture repeated by mirroring.
+
+        photo: (n,) int64; x, y: (n,), texels of level 0 counted from the corner of the texture;
+        footprint: (n,), texels of level 0 that one sample spans, which chooses the mip level.
+        """
+        width, height = self.size
+        level = footprint.clamp(min=1e-6).log2().round().clamp(0, self.levels - 1).int()
+        starts, widths, heights = self._tables()
+        level_width, level_height = widths[level], heights[level]
+        left, right, u = _neighbours(_mirrored(x, width) / width, level_width)
+        top, bottom, v = _neighbours(_mirrored(y, height) / height, level_height)
+        start = starts[level] + photo * (level_width * level_height)
+        top, bottom = start + top * level_width, start + bottom * level_width
+        upper = torch.lerp(self._colours(top + left), self._colours(top + right), u)
+        lower = torch.lerp(self._colours(bottom + left), self._colours(bottom + right), u)
+        return torch.lerp(upper, lower, v).mul_(1 / 255).to(x.dtype)
+
+    def _tables(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Per level: index of its first texel, width, height."""
+        width, height = self.size
+        widths = [width >> k for k in range(self.levels)]
+        heights = [height >> k for k in range(self.levels)]
+        starts = [0]
+        for w, h in zip(widths, heights, strict=True):
+            starts.append(starts[-1] + self.count * w * h)
+        device = self.texels.device
+        return (
+            torch.tensor(starts[:-1], device=device),
+            torch.tensor(widths, device=device),
+            torch.tensor(heights, device=device),
+        )
+
+    def _colours(self, index: Tensor) -> Tensor:
+        """Unpacked texels, (3, n) float32 in [0, 255]."""
+        packed = self.texels.index_select(0, index)
+        return torch.stack((packed & 255, (packed >> 8) & 255, packed >> 16)).float()
+
+
+def _pack(images: Tensor) -> Tensor:
+    values = images.round().clamp(0, 255).int()
+    return (values[:, 0] | (values[:, 1] << 8) | (values[:, 2] << 16)).reshape(-1)
+
+
+def _mirrored(place: Tensor, size: int) -> Tensor:
+    """Places on an endless strip of mirrored copies, brought to [0, size]."""
+    return size - (place.remainder(2 * size) - size).abs()
+
+
+def _neighbours(place: Tensor, size: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The two texels around a place in [0, 1] of a row of `size`, and the second one's weight."""
+    texel = (place * size - 0.5).clamp(min=0)
+    first = torch.minimum(texel.long(), size - 1)
+    second = torch.minimum(first + 1, size - 1)
+    return first, second, (texel - first).float()
