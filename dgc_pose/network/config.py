@@ -1,0 +1,160 @@
+"""What a correspondence network is made of, as data: the presets and the paper's ablations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from dgc_pose.errors import InputError
+
+INPUT_SIZE = 240  # pixels a side of both input images
+LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4
+COARSEST = 4  # index of the level that the correlation runs on
+
+
+@dataclass(frozen=True)
+class Conv:
+    """One convolution of the pyramid, padded to keep the size; ReLU follows unless told not to."""
+
+    channels: int
+    kernel: int = 3
+    stride: int = 1
+    dilation: int = 1
+    relu: bool = True
+
+
+@dataclass(frozen=True)
+class Pool:
+    """A 2x2 max-pool with stride 2."""
+
+
+PyramidLevel = tuple[Conv | Pool, ...]
+
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """A correspondence decoder: 3x3 blocks (convolution, batch norm, ReLU), then a plain 3x3."""
+
+    channels: tuple[int, ...]  # of each block
+    dilations: tuple[int, ...]  # of each block
+    local_radius: int | None = None  # cells of local correlation around each place, or none of it
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Configuration of a `DGCNet`. Raises InputError where the parts do not fit together."""
+
+    name: str
+    pyramid: tuple[PyramidLevel, ...]  # levels 0 (finest, 240) to 4 (coarsest, 15)
+    decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
+    # What a decoder puts out: the map itself (the paper), the displacement from the identity
+    # (the paper's DGC-Net-flow), or a correction of the previous level in cells (ours).
+    output: Literal["absolute", "displacement", "residual"] = "absolute"
+    # None: DGC-Net. "network": the paper's mask network on level 0. "decoder": a third channel of
+    # every decoder, refined from level to level like the map (ours).
+    matchability: Literal["network", "decoder"] | None = None
+    correlation: Literal["global", "local"] = "global"  # "local": the paper's PWCm-Net
+    local_correlation_radius: int = 4  # cells of level 4, for correlation = "local"
+    normalise_features: bool = True  # L2 norm over channels before the correlation
+    normalise_correlation: bool = True  # ReLU and L2 norm over the correlation's channels
+    soft_argmax: bool = False  # the first map from the correlation's peak instead of zeros (ours)
+    # Whether -1 and +1 are the centres of the outer pixels (True, what the authors' weights were
+    # made for) or the outer edges (False, the same place at every level).
+    align_corners: bool = True
+    pyramid_batch_norm: bool = False  # only while the pyramid is trained; folded afterwards
+
+    def __post_init__(self) -> None:
+        if len(self.pyramid) != len(LEVEL_SIZES) or len(self.decoders) != len(LEVEL_SIZES):
+            raise InputError("pyramid and decoders must have five levels")
+        for decoder in self.decoders:
+            if len(decoder.channels) != len(decoder.dilations) or not decoder.channels:
+                raise InputError("a decoder needs as many dilations as channels, and at least one")
+        if self.soft_argmax and self.correlation != "global":
+            raise InputError("soft_argmax needs the global correlation")
+
+    @property
+    def level_channels(self) -> tuple[int, ...]:
+        """Channels of each pyramid level, 0 to 4."""
+        return tuple(
+            [part.channels for part in level if isinstance(part, Conv)][-1]
+            for level in self.pyramid
+        )
+
+    @property
+    def map_channels(self) -> int:
+        """Channels passed from decoder to decoder: x, y and, where decoders carry it, the mask."""
+        return 3 if self.matchability == "decoder" else 2
+
+    def decoder_inputs(self, level: int) -> int:
+        """Channels that the decoder of a level takes."""
+        if level == COARSEST:
+            width = LEVEL_SIZES[COARSEST]
+            if self.correlation == "local":
+                width = 2 * self.local_correlation_radius + 1
+            return width**2 + self.map_channels
+        radius = self.decoders[level].local_radius
+        local = 0 if radius is None else (2 * radius + 1) ** 2
+        return 2 * self.level_channels[level] + local + self.map_channels
+
+
+_VGG16: tuple[PyramidLevel, ...] = (
+    (Conv(64),),
+    (Conv(64), Pool()),
+    (Conv(128), Conv(128), Pool()),
+    (Conv(256), Conv(256), Conv(256), Pool()),
+    (Conv(512), Conv(512), Conv(512), Pool()),
+)
+_PAPER_DECODERS = (
+    DecoderConfig((128, 96, 64, 32), (1, 4, 12, 16)),
+    DecoderConfig((128, 96, 64, 32), (1, 4, 6, 8)),
+    DecoderConfig((128, 96, 64, 32), (1, 2, 3, 4)),
+    DecoderConfig((128, 128, 96, 64, 32), (1, 1, 1, 1, 1)),
+    DecoderConfig((128, 128, 96, 64, 32), (1, 1, 1, 1, 1)),
+)
+_LITE_PYRAMID: tuple[PyramidLevel, ...] = (
+    (Conv(16),),
+    (Conv(24, stride=2), Conv(32)),
+    (Conv(48, stride=2), Conv(64), Conv(64, kernel=1, relu=False)),
+    (
+        Conv(96, stride=2),
+        Conv(128),
+        Conv(128, dilation=2),
+        Conv(128, dilation=2),
+        Conv(128, kernel=1, relu=False),
+    ),
+    (Conv(160, stride=2), Conv(160), Conv(160), Conv(128, kernel=1, relu=False)),
+)
+_LITE_DECODERS = (
+    DecoderConfig((24, 16), (1, 2), local_radius=2),
+    DecoderConfig((48, 32, 24), (1, 2, 4), local_radius=3),
+    DecoderConfig((64, 48, 32), (1, 2, 4), local_radius=3),
+    DecoderConfig((128, 96, 64), (1, 1, 2), local_radius=4),
+    DecoderConfig((128, 96, 64), (1, 1, 1)),
+)
+
+PRESETS: dict[str, NetworkConfig] = {
+    "dgc": NetworkConfig("dgc", _VGG16, _PAPER_DECODERS),
+    "dgcm": NetworkConfig("dgcm", _VGG16, _PAPER_DECODERS, matchability="network"),
+    "dgcm-lite": NetworkConfig(
+        "dgcm-lite",
+        _LITE_PYRAMID,
+        _LITE_DECODERS,
+        output="residual",
+        matchability="decoder",
+        soft_argmax=True,
+        align_corners=False,
+    ),
+}
+
+
+def preset(name: str) -> NetworkConfig:
+    """The preset of that name. Raises InputError, listing the names, where there is none."""
+    if name not in PRESETS:
+        raise InputError(f"no preset '{name}'; there are {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def without_dilation(config: NetworkConfig) -> NetworkConfig:
+    """The paper's ablation: the same decoders with every dilation 1."""
+    decoders = tuple(replace(d, dilations=(1,) * len(d.dilations)) for d in config.decoders)
+    return replace(config, decoders=decoders)

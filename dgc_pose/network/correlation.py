@@ -1,0 +1,66 @@
+"""Correlation of features: global over the coarsest level, local around a warped cell."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+_EPSILON = 1e-6
+
+
+def l2_normalise(features: Tensor) -> Tensor:
+    """Unit length over the channels of (B, C, H, W): f / sqrt(sum f^2 + 1e-6)."""
+    return features / torch.sqrt(features.square().sum(1, keepdim=True) + _EPSILON)
+
+
+def global_correlation(source: Tensor, target: Tensor) -> Tensor:
+    """Every source cell against every target cell (paper, section 3.2).
+
+    Takes (B, C, h, w) of both; returns (B, h * w, h, w): channel xs * h + ys (column-major over
+    the source) at (yt, xt) is <source(ys, xs), target(yt, xt)>.
+    """
+    batch, _, height, width = target.shape
+    columns = source.transpose(2, 3).flatten(2)  # (B, C, xs * h + ys)
+    scores = torch.bmm(columns.transpose(1, 2), target.flatten(2))
+    return scores.view(batch, -1, height, width)
+
+
+def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
+    """Target cells against the warped source around the same place.
+
+    Takes (B, C, H, W) of both; returns (B, (2 radius + 1)^2, H, W), channels row by row over
+    (dy, dx) from -radius to radius: <warped(y + dy, x + dx), target(y, x)>, zero outside.
+    """
+    height, width = target.shape[2:]
+    padded = F.pad(warped, (radius,) * 4)
+    rows = range(2 * radius + 1)
+    scores = [
+        (padded[:, :, dy : dy + height, dx : dx + width] * target).sum(1)
+        for dy in rows
+        for dx in rows
+    ]
+    return torch.stack(scores, 1)
+
+
+def correlation_peaks(correlation: Tensor, scale: Tensor, window: int = 2) -> Tensor:
+    """Where in the source each target cell's correlation peaks, to a fraction of a cell.
+
+    Takes the global correlation (B, h * w, h, w) and the inverse temperature of its training.
+    The scores are softmaxed over the source and over the target; the place (B, 2, h, w), x and y in
+    source cells, is the mean of the source cells within `window` of the highest, weighted by the
+    product of both. The window keeps a second peak from dragging the mean into the void.
+    """
+    batch, cells, height, width = correlation.shape
+    scores = (correlation * scale).view(batch, cells, -1)
+    scores = scores.log_softmax(1) + scores.log_softmax(2)
+    index = torch.arange(cells, device=scores.device)
+    x = torch.div(index, height, rounding_mode="floor").to(scores.dtype)
+    y = torch.remainder(index, height).to(scores.dtype)
+    best = scores.argmax(1)  # (B, h * w)
+    far = torch.maximum(
+        (x[None, :, None] - x[best][:, None]).abs(), (y[None, :, None] - y[best][:, None]).abs()
+    )
+    weights = scores.masked_fill(far > window, -torch.inf).softmax(1)
+    place = torch.stack([(weights * x[:, None]).sum(1), (weights * y[:, None]).sum(1)], 1)
+    return place.view(batch, 2, height, width)

@@ -1,0 +1,23 @@
+"""Choosing the device that the network runs on."""
+
+from __future__ import annotations
+
+import torch
+
+from dgc_pose.errors import InputError
+
+
+def choose_device(name: str = "auto") -> torch.device:
+    """The torch device of that name; "auto" is a CUDA device where there is one, else the CPU.
+
+    Raises InputError for a name torch does not know or a device that is not there.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"device must be auto, cpu or cuda, not '{name}'") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"device {name}: no CUDA device is available here")
+    return device

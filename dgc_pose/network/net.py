@@ -1,0 +1,161 @@
+"""The assembled network: pyramid, correlation, five decoders, matchability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, NetworkConfig
+from dgc_pose.network.coordinates import identity_map, to_normalised
+from dgc_pose.network.correlation import (
+    correlation_peaks,
+    global_correlation,
+    l2_normalise,
+    local_correlation,
+)
+from dgc_pose.network.decoder import Decoder, MatchabilityNet
+from dgc_pose.network.pyramid import Pyramid
+
+# Inverse temperature of the correlation before the encoder's training has learned it.
+_INITIAL_SCALE = 20.0
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the network says of a batch of pairs, coarse to fine."""
+
+    # (B, 2, S, S) at S = 15, 30, 60, 120, 240 on the target's grid: x and y of the place in the
+    # source, normalised as the configuration's align_corners says
+    maps: tuple[Tensor, ...]
+    # (B, 1, S, S) matchability logits: five where decoders carry them, one (at 240) from the mask
+    # network, none for DGC-Net
+    logits: tuple[Tensor, ...]
+
+
+class DGCNet(nn.Module):
+    """DGC-Net and its kin (Melekhov et al., WACV 2019), as a `NetworkConfig` says.
+
+    Called as net(source, target) with images (B, 3, 240, 240), normalised by ImageNet's mean and
+    deviation. The map lies on the target's grid and its values are places in the source.
+    """
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.pyramid = Pyramid(config)
+        for level in range(COARSEST, -1, -1):
+            decoder = Decoder(
+                config.decoder_inputs(level), config.decoders[level], config.map_channels
+            )
+            self.add_module(f"reg_{level}", decoder)
+        if config.matchability == "network":
+            self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
+        if config.soft_argmax:
+            self.register_buffer("correlation_scale", torch.tensor(_INITIAL_SCALE))
+
+    def forward(self, source: Tensor, target: Tensor) -> Prediction:
+        expected = (3, INPUT_SIZE, INPUT_SIZE)
+        if source.shape[1:] != expected or target.shape != source.shape:
+            raise ValueError(
+                f"source and target must both be (B, 3, {INPUT_SIZE}, {INPUT_SIZE}), "
+                f"not {tuple(source.shape)} and {tuple(target.shape)}"
+            )
+        return self.decode(self.pyramid(source), self.pyramid(target))
+
+    def decode(self, source: list[Tensor], target: list[Tensor]) -> Prediction:
+        """The prediction from the features of both images, levels 0 to 4 of `Pyramid`."""
+        states = [self.coarsest(source[COARSEST], target[COARSEST])]
+        warped = source[0]
+        for level in range(COARSEST - 1, -1, -1):
+            previous = upsample(states[-1])
+            warped = self.warp(source[level], previous)
+            states.append(self.refine(level, warped, target[level], previous))
+        maps = tuple(state[:, :2] for state in states)
+        if self.config.matchability == "decoder":
+            return Prediction(maps, tuple(state[:, 2:] for state in states))
+        if self.config.matchability == "network":
+            return Prediction(maps, (self.matchability_net(torch.cat([warped, target[0]], 1)),))
+        return Prediction(maps, ())
+
+    def coarsest(self, source: Tensor, target: Tensor) -> Tensor:
+        """Level 4: (B, 2 or 3, 15, 15), the map and the mask logit where decoders carry it."""
+        config = self.config
+        if config.normalise_features:
+            source, target = l2_normalise(source), l2_normalise(target)
+        if config.correlation == "global":
+            correlation = global_correlation(source, target)
+        else:
+            correlation = local_correlation(source, target, config.local_correlation_radius)
+        batch, _, height, width = correlation.shape
+        start = correlation.new_zeros(batch, config.map_channels, height, width)
+        if config.soft_argmax:
+            scale = cast(Tensor, self.correlation_scale)
+            cells = correlation_peaks(correlation, scale)
+            start[:, :2] = to_normalised(
+                cells.movedim(1, -1), (width, height), config.align_corners
+            ).movedim(-1, 1)
+        if config.normalise_correlation:
+            correlation = l2_normalise(correlation.relu())
+        return self._decode_level(COARSEST, correlation, start)
+
+    def warp(self, features: Tensor, previous: Tensor) -> Tensor:
+        """Source features (B, C, S, S) at the places of a map (B, 2.., H, W): (B, C, H, W)."""
+        grid = previous[:, :2].movedim(1, -1)
+        return F.grid_sample(features, grid, align_corners=self.config.align_corners)
+
+    def refine(
+        self,
+        level: int,
+        warped: Tensor,
+        target: Tensor,
+        previous: Tensor,
+        window: tuple[slice, slice] | None = None,
+    ) -> Tensor:
+        """Levels 3 to 0: the next state from the previous one, already at this level's size.
+
+        `window` names the rows and columns of the level that the tensors hold, where training
+        decodes only a part of it.
+        """
+        parts = [warped, target]
+        radius = self.config.decoders[level].local_radius
+        if radius is not None:
+            parts.append(local_correlation(l2_normalise(warped), l2_normalise(target), radius))
+        return self._decode_level(level, torch.cat(parts, 1), previous, window)
+
+    def _decode_level(
+        self,
+        level: int,
+        features: Tensor,
+        previous: Tensor,
+        window: tuple[slice, slice] | None = None,
+    ) -> Tensor:
+        decoder = self.get_submodule(f"reg_{level}")
+        if self.config.output == "absolute":
+            return decoder(torch.cat([features, previous], 1))
+        if self.config.output == "residual":
+            # A cell is the natural unit of a correction; the mask logit needs no unit.
+            change = decoder(torch.cat([features, previous], 1))
+            cell = 2 / LEVEL_SIZES[level]
+            step = torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
+            return previous + step
+        identity = self._identity(level, previous, window)
+        displacement = decoder(torch.cat([features, previous - identity], 1))
+        return identity + displacement
+
+    def _identity(
+        self, level: int, like: Tensor, window: tuple[slice, slice] | None
+    ) -> Tensor:
+        identity = identity_map(LEVEL_SIZES[level], self.config.align_corners, like)
+        if window is not None:
+            identity = identity[:, :, window[0], window[1]]
+        extra = like.new_zeros(1, like.shape[1] - 2, *identity.shape[2:])
+        return torch.cat([identity, extra], 1)
+
+
+def upsample(state: Tensor) -> Tensor:
+    """The state of a level at twice its size, bilinear, align_corners False in every preset."""
+    return F.interpolate(state, scale_factor=2, mode="bilinear", align_corners=False)

@@ -1,0 +1,63 @@
+"""The feature pyramid: VGG-16's first layers for the paper's presets, a slim one for dgcm-lite."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from dgc_pose.network.config import NetworkConfig, Pool, PyramidLevel
+
+
+class Pyramid(nn.Module):
+    """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1)."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        inputs = 3
+        for index, level in enumerate(config.pyramid):
+            self.add_module(f"level_{index}", _level(level, inputs, config.pyramid_batch_norm))
+            inputs = config.level_channels[index]
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
+        features = []
+        for level in self.children():
+            image = level(image)
+            features.append(image)
+        return features
+
+
+def _level(level: PyramidLevel, inputs: int, batch_norm: bool) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for part in level:
+        if isinstance(part, Pool):
+            layers.append(nn.MaxPool2d(2, 2))
+            continue
+        padding = part.dilation * (part.kernel // 2)
+        layers.append(
+            nn.Conv2d(
+                inputs, part.channels, part.kernel, part.stride, padding, dilation=part.dilation
+            )
+        )
+        if batch_norm:
+            layers.append(nn.BatchNorm2d(part.channels))
+        if part.relu:
+            layers.append(nn.ReLU())
+        inputs = part.channels
+    return nn.Sequential(*layers)
+
+
+def fold_batch_norm(trained: Pyramid, plain: Pyramid) -> None:
+    """Write a pyramid trained with batch norm into one without, which then gives the same features.
+
+    VGG without batch norm does not learn from scratch; with it, and folded afterwards, it does.
+    """
+    convolutions = [m for m in plain.modules() if isinstance(m, nn.Conv2d)]
+    modules = [m for m in trained.modules() if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]
+    was_training = trained.training
+    trained.eval()
+    pairs = zip(modules[::2], modules[1::2], strict=True)
+    for target, (convolution, norm) in zip(convolutions, pairs, strict=True):
+        assert isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d)
+        target.load_state_dict(fuse_conv_bn_eval(convolution, norm).state_dict())
+    trained.train(was_training)

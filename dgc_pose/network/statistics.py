@@ -1,0 +1,15 @@
+"""ImageNet's channel statistics, which the network's input is normalised with."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+MEAN = (0.485, 0.456, 0.406)
+DEVIATION = (0.229, 0.224, 0.225)
+
+
+def normalise(images: Tensor) -> Tensor:
+    """RGB images (B, 3, H, W) in [0, 1] to the network's input."""
+    mean = images.new_tensor(MEAN)[:, None, None]
+    deviation = images.new_tensor(DEVIATION)[:, None, None]
+    return (images - mean) / deviation

@@ -1,0 +1,84 @@
+"""Correlations against loops written out here."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+
+from dgc_pose.network.correlation import (
+    correlation_peaks,
+    global_correlation,
+    l2_normalise,
+    local_correlation,
+)
+
+
+def _features(seed: int, *shape: int) -> torch.Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_l2_norm_over_channels() -> None:
+    features = _features(0, 2, 5, 3, 4)
+    found = l2_normalise(features)
+    for b in range(2):
+        for y in range(3):
+            for x in range(4):
+                vector = features[b, :, y, x].numpy()
+                length = math.sqrt(float((vector**2).sum()) + 1e-6)
+                np.testing.assert_allclose(found[b, :, y, x].numpy(), vector / length)
+
+
+def test_global_correlation_is_column_major_over_the_source() -> None:
+    source, target = _features(1, 2, 6, 4, 4), _features(2, 2, 6, 4, 4)
+    found = global_correlation(source, target)
+    assert found.shape == (2, 16, 4, 4)
+    for b in range(2):
+        for ys in range(4):
+            for xs in range(4):
+                for yt in range(4):
+                    for xt in range(4):
+                        expected = float(source[b, :, ys, xs] @ target[b, :, yt, xt])
+                        assert math.isclose(
+                            float(found[b, xs * 4 + ys, yt, xt]), expected, abs_tol=1e-12
+                        )
+
+
+def test_local_correlation_looks_around_each_cell() -> None:
+    warped, target = _features(3, 1, 5, 6, 7), _features(4, 1, 5, 6, 7)
+    radius = 2
+    found = local_correlation(warped, target, radius)
+    assert found.shape == (1, 25, 6, 7)
+    for y in range(6):
+        for x in range(7):
+            for dy in range(-radius, radius + 1):
+                for dx in range(-radius, radius + 1):
+                    inside = 0 <= y + dy < 6 and 0 <= x + dx < 7
+                    expected = (
+                        float(warped[0, :, y + dy, x + dx] @ target[0, :, y, x]) if inside else 0.0
+                    )
+                    channel = (dy + radius) * 5 + dx + radius
+                    assert math.isclose(
+                        float(found[0, channel, y, x]), expected, abs_tol=1e-12
+                    )
+
+
+def test_peaks_are_where_the_features_came_from() -> None:
+    """A target that is the source turned by 90 degrees finds every cell's true place."""
+    source = l2_normalise(_features(5, 1, 64, 15, 15))
+    target = torch.rot90(source, 1, (2, 3))
+    peaks = correlation_peaks(global_correlation(source, target), torch.tensor(60.0))
+    rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
+    truth_x, truth_y = torch.rot90(columns, 1), torch.rot90(rows, 1)
+    torch.testing.assert_close(peaks[0, 0], truth_x.double(), atol=1e-3, rtol=0)
+    torch.testing.assert_close(peaks[0, 1], truth_y.double(), atol=1e-3, rtol=0)
+
+
+def test_a_far_second_peak_does_not_move_the_place() -> None:
+    correlation = torch.zeros(1, 225, 15, 15, dtype=torch.float64)
+    correlation[0, 3 * 15 + 4, 7, 7] = 1.0
+    correlation[0, 12 * 15 + 10, 7, 7] = 0.98
+    place = correlation_peaks(correlation, torch.tensor(40.0))[0, :, 7, 7]
+    expected = torch.tensor([3.0, 4.0], dtype=torch.float64)
+    torch.testing.assert_close(place, expected, atol=1e-3, rtol=0)

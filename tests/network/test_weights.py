@@ -1,0 +1,142 @@
+"""Weights: our files, the authors' layout, and errors that name the file and the keys."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from dgc_pose.errors import WeightsError
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
+from dgc_pose.network.weights import load_network, save_weights
+
+
+def _random_net(name: str) -> DGCNet:
+    """A net whose statistics differ from their initial values, so that a lost key shows."""
+    torch.manual_seed(7)
+    net = DGCNet(preset(name))
+    for key, buffer in net.named_buffers():
+        if "running" in key:
+            buffer.copy_(0.5 + torch.rand_like(buffer))
+    return net.eval()
+
+
+def _output(net: DGCNet) -> list[Tensor]:
+    generator = torch.Generator().manual_seed(11)
+    source, target = torch.randn(2, 1, 3, 240, 240, generator=generator)
+    with torch.no_grad():
+        prediction = net(source, target)
+    return [*prediction.maps, *prediction.logits]
+
+
+@pytest.mark.parametrize("name", ["dgc", "dgcm"])
+@pytest.mark.parametrize("prefix", ["", "module."])
+@pytest.mark.parametrize("counters", [True, False])
+def test_authors_checkpoints_load_and_give_the_same(
+    tmp_path: Path, name: str, prefix: str, counters: bool
+) -> None:
+    net = _random_net(name)
+    state = {
+        prefix + key: value
+        for key, value in net.state_dict().items()
+        if counters or not key.endswith("num_batches_tracked")
+    }
+    optimizer = torch.optim.Adam(net.parameters(), lr=0.01)
+    path = tmp_path / "checkpoint.pth"
+    torch.save({"state_dict": state, "optimizer": optimizer.state_dict(), "epoch": 70}, path)
+    loaded = load_network(path)
+    assert loaded.config.name == name
+    assert not loaded.training and not any(p.requires_grad for p in loaded.parameters())
+    for key, value in net.state_dict().items():
+        if not key.endswith("num_batches_tracked"):
+            assert torch.equal(loaded.state_dict()[key], value), key
+    if not prefix and not counters:  # the same weights either way: one forward pass will do
+        for found, expected in zip(_output(loaded), _output(net), strict=True):
+            assert torch.equal(found, expected)
+
+
+def test_own_weights_survive_the_disk_at_half_precision(tmp_path: Path) -> None:
+    net = _random_net("dgcm-lite")
+    save_weights(net, tmp_path / "a.safetensors")
+    loaded = load_network(str(tmp_path / "a.safetensors"))
+    assert loaded.config == preset("dgcm-lite")
+    for key, value in net.state_dict().items():
+        if not key.endswith("num_batches_tracked"):
+            assert torch.equal(loaded.state_dict()[key], value.half().float()), key
+    assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
+
+
+def test_missing_and_unreadable_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match="nowhere.pth"):
+        load_network(tmp_path / "nowhere.pth")
+    for name in ("a.pth", "b.safetensors"):
+        for content in (b"", b"not weights at all"):
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(WeightsError, match=name) as caught:
+                load_network(tmp_path / name)
+            assert "\n" not in str(caught.value)
+
+
+def test_a_preset_without_weights_says_which_there_are() -> None:
+    with pytest.raises(WeightsError, match="no weights are shipped for dgc "):
+        load_network("dgc")
+
+
+def test_a_pickle_that_would_run_code_is_refused(tmp_path: Path) -> None:
+    class Harm:
+        def __reduce__(self) -> tuple[object, ...]:
+            return (Path.touch, (tmp_path / "harmed",))
+
+    torch.save({"state_dict": Harm()}, tmp_path / "evil.pth")
+    with pytest.raises(WeightsError, match=r"evil\.pth"):
+        load_network(tmp_path / "evil.pth")
+    assert not (tmp_path / "harmed").exists()
+
+
+def test_the_first_differing_keys_are_named(tmp_path: Path) -> None:
+    state = dict(_random_net("dgc").state_dict())
+    del state["reg_4.conv0.0.weight"]
+    torch.save({"state_dict": state}, tmp_path / "lacking.pth")
+    with pytest.raises(WeightsError, match=r"lacking\.pth.*lacks reg_4\.conv0\.0\.weight"):
+        load_network(tmp_path / "lacking.pth")
+    state = dict(_random_net("dgc").state_dict())
+    state["reg_9.final.bias"] = torch.zeros(2)
+    torch.save({"state_dict": state}, tmp_path / "extra.pth")
+    with pytest.raises(WeightsError, match=r"extra\.pth.*has reg_9\.final\.bias"):
+        load_network(tmp_path / "extra.pth")
+
+
+def test_weights_of_another_preset_are_refused(tmp_path: Path) -> None:
+    state = {
+        key: value.half().contiguous()
+        for key, value in _random_net("dgcm-lite").state_dict().items()
+        if not key.endswith("num_batches_tracked")
+    }
+    save_file(state, tmp_path / "x.safetensors", metadata={"preset": "dgcm"})
+    with pytest.raises(WeightsError, match=r"x\.safetensors: not weights of dgcm: it lacks"):
+        load_network(tmp_path / "x.safetensors")
+    save_file(state, tmp_path / "y.safetensors")
+    with pytest.raises(WeightsError, match=r"y\.safetensors.*no preset"):
+        load_network(tmp_path / "y.safetensors")
+
+
+def test_folded_batch_norm_gives_the_same_features() -> None:
+    config = preset("dgcm-lite")
+    torch.manual_seed(1)
+    trained = Pyramid(replace(config, pyramid_batch_norm=True))
+    for key, buffer in trained.named_buffers():
+        if "running" in key:
+            buffer.copy_(0.5 + torch.rand_like(buffer))
+    plain = Pyramid(config)
+    fold_batch_norm(trained, plain)
+    assert trained.training
+    image = torch.randn(1, 3, 96, 96)
+    with torch.no_grad():
+        for found, expected in zip(plain(image), trained.eval()(image), strict=True):
+            torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
