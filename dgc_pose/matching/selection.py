@@ -1,0 +1,83 @@
+"""From a correspondence map to matches: by matchability, by the way back, evenly spread."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.errors import InputError
+from dgc_pose.matches import Matches
+from dgc_pose.matching.matcher import CorrespondenceMap
+
+# Error of a good match in cells of the map's grid, measured on the validation pairs.
+ERROR_CELLS = 1.0
+
+
+@dataclass(frozen=True)
+class MatchingOptions:
+    """Which cells of the dense map become matches. Raises InputError on values out of range."""
+
+    matchability: float = 0.5  # least matchability, 0 to 1
+    cycle_px: float | None = None  # largest error of the way there and back, pixels of image 2
+    max_matches: int = 5000  # an even subsample of at most so many
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.matchability <= 1:
+            raise InputError(f"matchability must lie in [0, 1], not {self.matchability}")
+        if self.cycle_px is not None and not self.cycle_px > 0:
+            raise InputError(f"cycle_px must be positive, not {self.cycle_px}")
+        if self.max_matches < 1:
+            raise InputError(f"max_matches must be at least 1, not {self.max_matches}")
+
+
+def select_matches(correspondences: CorrespondenceMap, options: MatchingOptions) -> Matches:
+    """The cells that pass the options, as matches. Raises InputError where a cycle is wanted of a
+    map that was made without the way back."""
+    place = correspondences.map
+    width, height = correspondences.size1
+    keep = correspondences.matchability >= options.matchability
+    keep &= (place >= -0.5).all(-1) & (place <= (width - 0.5, height - 0.5)).all(-1)
+    if options.cycle_px is not None:
+        if correspondences.cycle is None:
+            raise InputError("cycle_px needs a correspondence map made with the way back")
+        keep &= correspondences.cycle <= options.cycle_px
+    keep = even_subsample(keep, correspondences.matchability, options.max_matches)
+    return Matches(
+        place[keep],
+        correspondences.grid[keep],
+        correspondences.matchability[keep],
+        error_px=ERROR_CELLS * cell_size(correspondences),
+    )
+
+
+def cell_size(correspondences: CorrespondenceMap) -> float:
+    """Side of a cell in pixels of the original images: mean over both images and both axes."""
+    cells = correspondences.matchability.size
+    areas = [w * h / cells for w, h in (correspondences.size1, correspondences.size2)]
+    return sum(math.sqrt(area) for area in areas) / 2
+
+
+def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.ndarray:
+    """At most `most` of the True cells of `keep` (H, W), spread evenly, as a mask (H, W).
+
+    The grid falls into square blocks, as small as the number allows, and the most confident cell
+    of each stays: an even spread keeps the essential matrix well conditioned where confident
+    cells crowd on one object.
+    """
+    rows, columns = np.nonzero(keep)
+    if len(rows) <= most:
+        return keep
+    order = np.argsort(-confidence[rows, columns], kind="stable")
+    rows, columns = rows[order], columns[order]
+    side = math.sqrt(len(rows) / most)
+    while True:
+        blocks = rows // side * keep.shape[1] + columns // side
+        _, first = np.unique(blocks, return_index=True)
+        if len(first) <= most:
+            break
+        side *= 1.05
+    chosen = np.zeros_like(keep)
+    chosen[rows[first], columns[first]] = True
+    return chosen

@@ -1,0 +1,107 @@
+"""The losses: contrastive for the encoder; map and mask at each level for the decoders."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+# A cell whose four central pixels map this far apart (pixels) straddles two surfaces: no truth.
+_STRADDLES_PX = 6.0
+
+
+def level_truth(truth: Tensor, valid: Tensor, cells: int) -> tuple[Tensor, Tensor]:
+    """The true map at a level: (B, cells, cells, 2) pixels at the cells' centres, and where valid.
+
+    truth: (B, S, S, 2) pixels; valid: (B, S, S). A cell of s > 1 pixels has its centre between
+    its four central pixels: their mean counts where all are valid and lie on one surface.
+    """
+    stride = truth.shape[1] // cells
+    if stride == 1:
+        return truth, valid
+    first = stride // 2 - 1
+    corners = [
+        (slice(None), slice(first + dy, None, stride), slice(first + dx, None, stride))
+        for dy in (0, 1)
+        for dx in (0, 1)
+    ]
+    places = torch.stack([truth[c] for c in corners])
+    whole = torch.stack([valid[c] for c in corners]).all(0)
+    spread = (places.amax(0) - places.amin(0)).amax(-1)
+    return places.mean(0), whole & (spread < max(_STRADDLES_PX, 2.0 * stride / 4))
+
+
+def contrastive_loss(
+    source: Tensor,
+    target: Tensor,
+    truth: Tensor,
+    valid: Tensor,
+    scale: Tensor,
+    stride: int,
+    queries: int | None = None,
+    generator: torch.Generator | None = None,
+) -> tuple[Tensor, Tensor]:
+    """InfoNCE on true correspondences, in both directions, and the share found.
+
+    source, target: (B, C, n, n) features of unit length; truth: (B, n, n, 2) source pixels at the
+    target's cells, `valid` where; scale: inverse temperature. Each valid target cell must find its
+    place among all source cells (the four around the true place share it, bilinearly), and that
+    place must find the cell among all target cells drawn. With `queries`, so many random cells a
+    pair stand for all. Returns the loss and the share of valid cells whose best source cell lies
+    within 1.5 cells of the truth.
+    """
+    batch, channels, size, _ = source.shape
+    source = source.flatten(2)
+    target = target.flatten(2)
+    truth = truth.reshape(batch, -1, 2)
+    valid = valid.reshape(batch, -1)
+    if queries is not None and queries < size * size:
+        order = torch.rand(batch, size * size, generator=generator).to(source.device)
+        chosen = order.topk(queries, 1).indices
+        target = target.gather(2, chosen[:, None].expand(-1, channels, -1))
+        truth = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
+        valid = valid.gather(1, chosen)
+    cells = (truth + 0.5) / stride - 0.5  # the true place in source cells
+    logits = torch.bmm(target.transpose(1, 2), source) * scale  # (B, queries, cells)
+    over_source = logits.log_softmax(2)
+    over_target = logits.log_softmax(1)
+    index, weight = _bilinear_cells(cells, size)
+    picked = (over_source + over_target).gather(2, index)
+    inside = valid.float()
+    loss = -((picked * weight).sum(-1) * inside).sum() / inside.sum().clamp(min=1)
+    best = logits.detach().argmax(2)
+    found = torch.stack([best % size, torch.div(best, size, rounding_mode="floor")], -1)
+    near = ((found - cells).norm(dim=-1) < 1.5).float()
+    return loss / 2, (near * inside).sum() / inside.sum().clamp(min=1)
+
+
+def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """The four cells around places (B, N, 2), as indices (B, N, 4), and their weights."""
+    cells = cells.clamp(0, size - 1)
+    low = cells.floor().clamp(max=size - 2)
+    fraction = cells - low
+    x, y = low.long().unbind(-1)
+    fx, fy = fraction.unbind(-1)
+    first = y * size + x
+    index = torch.stack([first, first + 1, first + size, first + size + 1], -1)
+    weight = torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx], -1)
+    return index, weight
+
+
+def map_loss(error_cells: Tensor, valid: Tensor, robust_cells: float | None) -> Tensor:
+    """Mean over valid cells of |dx| + |dy| (paper, equation 3), here in cells of the level.
+
+    error_cells: (B, H, W, 2). With `robust_cells` = c the sum e is taken as c log(1 + e / c): a
+    level cannot mend what the level before it lost, and should not be pulled by it.
+    """
+    error = error_cells.abs().sum(-1)
+    if robust_cells is not None:
+        error = robust_cells * torch.log1p(error / robust_cells)
+    inside = valid.to(error)
+    # NaN or infinity at invalid places must not reach the sum.
+    return torch.where(valid, error, 0).sum() / inside.sum().clamp(min=1)
+
+
+def mask_loss(logits: Tensor, target: Tensor) -> Tensor:
+    """Binary cross-entropy of matchability logits (B, 1, H, W) (paper, equation 4)."""
+    return F.binary_cross_entropy_with_logits(logits[:, 0], target.to(logits))

@@ -1,0 +1,55 @@
+"""Which stage a run is in, and its learning rate, from the time trained so far."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from dgc_pose.errors import InputError
+from dgc_pose.training.stages import StageName, StageOptions
+
+_WARM_UP = 0.02  # of a stage
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Shares of a run's time for each stage: a run of M minutes is a complete schedule."""
+
+    encoder: float = 0.45
+    decoders: float = 0.45
+    polish: float = 0.10
+
+    def __post_init__(self) -> None:
+        shares = (self.encoder, self.decoders, self.polish)
+        if min(shares) < 0 or abs(sum(shares) - 1) > 1e-6:
+            raise InputError(f"the stages' shares must be positive and sum to 1, not {shares}")
+
+    def at(self, progress: float) -> tuple[StageName, float]:
+        """The stage at a run's progress (0 to 1) and the progress within that stage."""
+        start = 0.0
+        stages: tuple[tuple[StageName, float], ...] = (
+            ("encoder", self.encoder),
+            ("decoders", self.decoders),
+            ("polish", self.polish),
+        )
+        for name, share in stages:
+            if share > 0 and progress < start + share:
+                return name, (progress - start) / share
+            start += share
+        last = [name for name, share in stages if share > 0][-1]
+        return last, 1.0
+
+
+STAGES: dict[StageName, StageOptions] = {
+    "encoder": StageOptions(batch=16, size=160, learning_rate=2e-3, weight_decay=1e-4),
+    "decoders": StageOptions(batch=8, size=240, learning_rate=1e-3, weight_decay=1e-4),
+    "polish": StageOptions(batch=8, size=240, learning_rate=1e-4, weight_decay=1e-4),
+}
+
+
+def learning_rate(options: StageOptions, progress: float) -> float:
+    """Linear warm-up, then a cosine to a hundredth of the highest rate."""
+    if progress < _WARM_UP:
+        return options.learning_rate * (0.05 + 0.95 * progress / _WARM_UP)
+    cosine = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+    return options.learning_rate * (0.01 + 0.99 * cosine)
