@@ -16,4 +16,4 @@ class ImageError(DgcPoseError):
 
 
 class WeightsError(DgcPoseError):
-    """Weights that are missing, unreadable or made for another network; the message holds the file."""
+    """Weights that are missing, unreadable or of another network; the message holds the file."""

@@ -1,0 +1,72 @@
+"""dgc-pose: the relative camera pose of two photographs by dense geometric correspondence.
+
+>>> from dgc_pose import estimate_relative_pose
+>>> pose = estimate_relative_pose("1.jpg", "2.jpg", K)  # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dgc_pose.camera import Camera, parse_camera
+    from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
+    from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+    from dgc_pose.image import Image, load_image
+    from dgc_pose.matches import Matches
+    from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_matcher
+    from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
+
+# Where each public name lives. They are imported on first use: torch alone takes seconds.
+_HOMES = {
+    "Camera": "camera",
+    "parse_camera": "camera",
+    "DgcPoseError": "errors",
+    "ImageError": "errors",
+    "InputError": "errors",
+    "WeightsError": "errors",
+    "EstimationOptions": "estimation",
+    "RelativePose": "estimation",
+    "estimate_pose": "estimation",
+    "Image": "image",
+    "load_image": "image",
+    "Matches": "matches",
+    "CorrespondenceMap": "matching",
+    "DenseMatcher": "matching",
+    "MatchingOptions": "matching",
+    "load_matcher": "matching",
+    "estimate_relative_pose": "pose",
+    "trace_relative_pose": "pose",
+}
+
+__all__ = [
+    "Camera",
+    "CorrespondenceMap",
+    "DenseMatcher",
+    "DgcPoseError",
+    "EstimationOptions",
+    "Image",
+    "ImageError",
+    "InputError",
+    "Matches",
+    "MatchingOptions",
+    "RelativePose",
+    "WeightsError",
+    "estimate_pose",
+    "estimate_relative_pose",
+    "load_image",
+    "load_matcher",
+    "parse_camera",
+    "trace_relative_pose",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"dgc_pose.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'dgc_pose' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,14 @@
+"""Robust estimation of the relative pose, and the verdict on it."""
+
+from dgc_pose.estimation.options import EstimationOptions, EstimatorName, VerdictOptions
+from dgc_pose.estimation.relative_pose import estimate_pose
+from dgc_pose.estimation.result import RelativePose, Status
+
+__all__ = [
+    "EstimationOptions",
+    "EstimatorName",
+    "RelativePose",
+    "Status",
+    "VerdictOptions",
+    "estimate_pose",
+]

@@ -1,0 +1,140 @@
+"""Five runs of 1000 iterations: the essential matrix with most inliers over all matches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.estimation.backends import MINIMAL, get_backend
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.poselib_backend import refine_pose
+from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
+from dgc_pose.geometry.homography import fit_homography, homography_poses, transfer_error
+from dgc_pose.geometry.triangulation import depths
+
+_PLANE_LIMIT = 1.75  # a homography's transfer error, over the epipolar threshold
+
+
+@dataclass(frozen=True)
+class Model:
+    """An essential matrix as a pose, and the matches that agree with it."""
+
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,), unit length
+    inliers: np.ndarray  # (N,) bool: Sampson distance below the threshold
+    in_front: np.ndarray  # (N,) bool: before both cameras
+
+    @property
+    def count(self) -> int:
+        return int(self.inliers.sum())
+
+    @property
+    def score(self) -> tuple[int, int]:
+        """Inliers, and inliers in front of both cameras: more is better."""
+        return self.count, int((self.inliers & self.in_front).sum())
+
+
+def best_model(
+    points1: np.ndarray, points2: np.ndarray, threshold: float, options: EstimationOptions
+) -> Model | None:
+    """The model with most inliers of `options.runs` RANSAC runs, refined where options say so.
+
+    points1, points2: normalised (N, 2); threshold: Sampson distance in the same unit. Inliers are
+    counted here, the same way for every backend. None where no run finds a model.
+    """
+    if len(points1) < MINIMAL:
+        return None
+    backend = get_backend(options.estimator)
+    essentials: list[np.ndarray] = []
+    for seed in run_seeds(options):
+        essentials += backend(
+            points1, points2, threshold=threshold, iterations=options.iterations, seed=seed
+        )
+    if not essentials:
+        return None
+    counts = [(sampson_distance(points1, points2, E) < threshold).sum() for E in essentials]
+    best = model_of_essential(points1, points2, essentials[int(np.argmax(counts))], threshold)
+    return refined(points1, points2, best, threshold) if options.refine else best
+
+
+def run_seeds(options: EstimationOptions) -> list[int]:
+    """A seed for each run, all different, drawn from the one in the options."""
+    seeds = np.random.SeedSequence(options.seed).generate_state(options.runs)
+    # OpenCV and pycolmap take positive 32-bit seeds.
+    return [int(seed) % (2**31 - 1) for seed in seeds]
+
+
+def model_of_essential(
+    points1: np.ndarray, points2: np.ndarray, E: np.ndarray, threshold: float
+) -> Model:
+    """Of an essential matrix's four poses the one with most inliers in front of both cameras."""
+    models = [model_of_pose(points1, points2, R, t, threshold) for R, t in pose_candidates(E)]
+    return max(models, key=lambda model: model.score[1])
+
+
+def model_of_pose(
+    points1: np.ndarray, points2: np.ndarray, R: np.ndarray, t: np.ndarray, threshold: float
+) -> Model:
+    """The matches that agree with a pose."""
+    inliers = sampson_distance(points1, points2, essential_from_pose(R, t)) < threshold
+    depth1, depth2 = depths(points1, points2, R, t)
+    return Model(R, t, inliers, (depth1 > 0) & (depth2 > 0))
+
+
+def refined(
+    points1: np.ndarray, points2: np.ndarray, model: Model, threshold: float, rounds: int = 3
+) -> Model:
+    """The model after least squares on its inliers, as often as that does not lose inliers."""
+    for _ in range(rounds):
+        kept = model.inliers
+        if kept.sum() <= MINIMAL:
+            break
+        R, t = refine_pose(points1[kept], points2[kept], model.R, model.t, threshold / 2)
+        found = model_of_pose(points1, points2, R, t, threshold)
+        # The translation's sign does not show in the epipolar error; depths settle it.
+        flipped = model_of_pose(points1, points2, R, -t, threshold)
+        found = max((found, flipped), key=lambda m: m.score)
+        if found.count < 0.98 * model.count:
+            break
+        done = np.array_equal(found.inliers, model.inliers)
+        model = found
+        if done:
+            break
+    return model
+
+
+def planar_share(
+    points1: np.ndarray, points2: np.ndarray, model: Model, threshold: float, seed: int
+) -> tuple[float, np.ndarray | None]:
+    """The share of a model's inliers that one homography explains, and that homography.
+
+    A homography answers for both coordinates of the noise of both images, the epipolar constraint
+    for one: the same noise needs a limit some 1.75 times as wide.
+    """
+    kept = model.inliers
+    limit = _PLANE_LIMIT * threshold
+    H = fit_homography(points1[kept], points2[kept], limit, seed)
+    if H is None:
+        return 0.0, None
+    return float((transfer_error(points1[kept], points2[kept], H) < limit).mean()), H
+
+
+def best_planar_model(
+    points1: np.ndarray,
+    points2: np.ndarray,
+    model: Model,
+    H: np.ndarray,
+    threshold: float,
+    refine: bool,
+) -> Model:
+    """The best of a model and the poses that a plane's homography stands for.
+
+    On a plane the five-point solver has a whole family of near solutions; those that the
+    homography allows are two.
+    """
+    models = [model]
+    for R, t in homography_poses(H):
+        found = model_of_pose(points1, points2, R, t, threshold)
+        models.append(refined(points1, points2, found, threshold) if refine else found)
+    return max(models, key=lambda m: (m.score[1], m.score[0]))

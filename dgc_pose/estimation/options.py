@@ -1,0 +1,57 @@
+"""What the estimator may be told, each choice with its default and unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from dgc_pose.errors import InputError
+
+EstimatorName = Literal["poselib", "pycolmap", "opencv"]
+
+
+@dataclass(frozen=True)
+class VerdictOptions:
+    """The gates between a pose and no pose."""
+
+    min_matches: int = 20  # distinct, finite matches
+    min_inliers: int = 15
+    min_inlier_ratio: float = 0.15  # of all matches
+    # The inlier ratio must be so many times the one that the same model gets of the same points
+    # paired at random: an inlier count alone tells nothing.
+    chance_factor: float = 3.0
+    min_cheirality: float = 0.6  # share of inliers in front of both cameras
+    rotation_share: float = 0.9  # of inliers that a rotation alone must explain to be the answer
+    # The parallax that a rotation leaves must be so many times the epipolar error before it counts
+    # as evidence of a translation.
+    min_parallax: float = 2.5
+    planar_share: float = 0.85  # of inliers that one homography must explain to call them a plane
+    small_angle_deg: float = 1.0  # median triangulation angle below which a warning is due
+
+
+@dataclass(frozen=True)
+class EstimationOptions:
+    """How the pose is estimated. Raises InputError, naming the field, on a value out of range."""
+
+    estimator: EstimatorName = "poselib"
+    runs: int = 5  # each with a seed of its own; the model with most inliers is kept
+    iterations: int = 1000  # of each run
+    threshold_px: float | None = None  # epipolar error of an inlier, original pixels
+    threshold_factor: float = 2.0  # times the matches' own error_px, where threshold_px is None
+    seed: int = 0
+    refine: bool = True  # on the inliers of the best model
+    verdict: VerdictOptions = field(default_factory=VerdictOptions)
+
+    def __post_init__(self) -> None:
+        if self.estimator not in get_args(EstimatorName):
+            names = ", ".join(get_args(EstimatorName))
+            raise InputError(f"estimator must be one of {names}, not '{self.estimator}'")
+        for name in ("runs", "iterations"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, not {getattr(self, name)}")
+        for name in ("threshold_px", "threshold_factor"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise InputError(f"{name} must be positive and finite, not {value}")
+        if self.seed < 0:
+            raise InputError(f"seed must not be negative, not {self.seed}")

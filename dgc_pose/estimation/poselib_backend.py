@@ -1,0 +1,50 @@
+"""PoseLib: LO-RANSAC on the five-point solver, and the refinement of a pose on its inliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import poselib
+
+from dgc_pose.estimation.backends import VIRTUAL_FOCAL
+from dgc_pose.geometry.epipolar import essential_from_pose
+
+_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [VIRTUAL_FOCAL, 0.0, 0.0]}
+
+
+def run_poselib(
+    points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
+) -> list[np.ndarray]:
+    """See `Backend`. PoseLib answers with an identity where it failed, which counts as none."""
+    ransac = {
+        "max_iterations": iterations,
+        "min_iterations": iterations,
+        "max_epipolar_error": threshold * VIRTUAL_FOCAL,
+        "seed": seed,
+    }
+    bundle = {"loss_type": "TRUNCATED", "loss_scale": threshold * VIRTUAL_FOCAL}
+    pose, info = poselib.estimate_relative_pose(
+        points1 * VIRTUAL_FOCAL, points2 * VIRTUAL_FOCAL, _CAMERA, _CAMERA, ransac, bundle
+    )
+    length = np.linalg.norm(pose.t)
+    if info["num_inliers"] == 0 or length < 1e-12 or not np.isfinite(pose.R).all():
+        return []
+    return [essential_from_pose(pose.R, pose.t / length)]
+
+
+def refine_pose(
+    points1: np.ndarray, points2: np.ndarray, R: np.ndarray, t: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pose that minimises the Cauchy loss of the Sampson errors of normalised points (N, 2).
+
+    scale: error, in the points' unit, from which on the loss flattens. Returns R and unit t.
+    """
+    start = poselib.CameraPose()
+    start.R, start.t = R, t
+    options = {"loss_type": "CAUCHY", "loss_scale": scale * VIRTUAL_FOCAL, "max_iterations": 100}
+    pose, _ = poselib.refine_relative_pose(
+        points1 * VIRTUAL_FOCAL, points2 * VIRTUAL_FOCAL, start, _CAMERA, _CAMERA, options
+    )
+    length = np.linalg.norm(pose.t)
+    if length < 1e-12 or not np.isfinite(pose.R).all():
+        return R, t
+    return pose.R, pose.t / length

@@ -1,0 +1,110 @@
+"""From matches and cameras to a relative pose, or to the plain word that there is none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation.consensus import best_model, best_planar_model, planar_share
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.result import RelativePose, Status
+from dgc_pose.estimation.verdict import gather, judge
+from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.matches import Matches
+
+_DEFAULTS = EstimationOptions()
+
+
+def estimate_pose(
+    matches: Matches, camera1: Camera, camera2: Camera, options: EstimationOptions = _DEFAULTS
+) -> RelativePose:
+    """The pose x2 = R x1 + t of camera 2 relative to camera 1, translation up to scale.
+
+    Each camera's lens distortion is undone and its own K applied; the threshold, in pixels of the
+    originals, becomes px / focal, the mean over both cameras. The same seed gives the same answer
+    to the bit.
+    """
+    if not isinstance(matches, Matches):
+        raise InputError(f"matches must be Matches, not {type(matches).__name__}")
+    used, warnings = _usable(matches)
+    points1 = camera1.normalise(matches.points1[used])
+    points2 = camera2.normalise(matches.points2[used])
+    undone = np.isfinite(points1).all(1) & np.isfinite(points2).all(1)
+    if not undone.all():
+        warnings.append(f"{(~undone).sum()} matches dropped: their distortion cannot be undone")
+        used = used[undone]
+        points1, points2 = points1[undone], points2[undone]
+    if len(used) < options.verdict.min_matches:
+        reason = f"only {len(used)} matches; a verdict needs {options.verdict.min_matches}"
+        return _no_pose("too_few_matches", reason, matches, len(used), warnings)
+
+    pixels = options.threshold_px or options.threshold_factor * matches.error_px
+    threshold = pixels * (1 / camera1.focal + 1 / camera2.focal) / 2
+    model = best_model(points1, points2, threshold, options)
+    if model is None:
+        reason = f"no essential matrix was found for {len(used)} matches"
+        return _no_pose("no_model", reason, matches, len(used), warnings)
+    planar, H = planar_share(points1, points2, model, threshold, options.seed)
+    if H is not None and planar >= options.verdict.planar_share:
+        model = best_planar_model(points1, points2, model, H, threshold, options.refine)
+    evidence = gather(points1, points2, model, threshold, planar, options.seed)
+    status, reason, notes = judge(evidence, model.count, options.verdict)
+
+    has_pose = status in ("ok", "planar")
+    R = model.R if has_pose else evidence.rotation if status == "rotation_only" else None
+    inliers = np.zeros(len(matches), dtype=bool)
+    inliers[used] = model.inliers
+    return RelativePose(
+        status=status,
+        success=has_pose,
+        reason=reason,
+        R=R,
+        t=model.t if has_pose else None,
+        E=essential_from_pose(model.R, model.t) if has_pose else None,
+        inliers=inliers,
+        num_matches=len(used),
+        num_inliers=model.count,
+        inlier_ratio=evidence.inlier_ratio,
+        cheirality_ratio=evidence.cheirality_ratio,
+        median_triangulation_angle_deg=evidence.median_angle_deg,
+        homography_ratio=evidence.homography_ratio,
+        warnings=(*warnings, *notes),
+    )
+
+
+def _usable(matches: Matches) -> tuple[np.ndarray, list[str]]:
+    """Indices of the finite, distinct matches, and what was dropped."""
+    rows = np.column_stack([matches.points1, matches.points2])
+    finite = np.isfinite(rows).all(1)
+    kept = np.flatnonzero(finite)
+    _, first = np.unique(rows[kept], axis=0, return_index=True)
+    warnings = []
+    if not finite.all():
+        warnings.append(f"{(~finite).sum()} matches dropped: not finite")
+    if len(first) < len(kept):
+        warnings.append(f"{len(kept) - len(first)} matches dropped: duplicates")
+    return kept[np.sort(first)], warnings
+
+
+def _no_pose(
+    status: Status, reason: str, matches: Matches, used: int, warnings: list[str]
+) -> RelativePose:
+    return RelativePose(
+        status=status,
+        success=False,
+        reason=reason,
+        R=None,
+        t=None,
+        E=None,
+        inliers=np.zeros(len(matches), dtype=bool),
+        num_matches=used,
+        num_inliers=0,
+        inlier_ratio=0.0,
+        cheirality_ratio=math.nan,
+        median_triangulation_angle_deg=math.nan,
+        homography_ratio=math.nan,
+        warnings=tuple(warnings),
+    )

@@ -1,0 +1,67 @@
+"""The essential matrix and distances to it. x2^T E x1 = 0 for homogeneous points x1, x2."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+_TINY = 1e-300  # keeps 0 / 0 at a point on the epipole at 0
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    """The matrix (3, 3) of the cross product with v (3,)."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]], dtype=np.float64)
+
+
+def homogeneous(points: np.ndarray) -> np.ndarray:
+    """Points (N, 2) with a third coordinate of 1: (N, 3)."""
+    return np.column_stack([points, np.ones(len(points))])
+
+
+def essential_from_pose(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """E = [t]x R of the pose x2 = R x1 + t."""
+    return skew(t) @ R
+
+
+def fundamental_from_essential(E: np.ndarray, K1: np.ndarray, K2: np.ndarray) -> np.ndarray:
+    """F = K2^-T E K1^-1, which takes pixels as E takes rays."""
+    return np.linalg.inv(K2).T @ E @ np.linalg.inv(K1)
+
+
+def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The four poses (R, t), |t| = 1, that an essential matrix stands for."""
+    R1, R2, t = cv2.decomposeEssentialMat(E)
+    t = t[:, 0] / np.linalg.norm(t)
+    return [(R1, t), (R2, t), (R1, -t), (R2, -t)]
+
+
+def epipolar_terms(
+    points1: np.ndarray, points2: np.ndarray, F: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For points (N, 2): x2^T F x1, and the squared normals of the lines in images 1 and 2."""
+    x1, x2 = homogeneous(points1), homogeneous(points2)
+    lines2, lines1 = x1 @ F.T, x2 @ F
+    algebraic = (x2 * lines2).sum(1)
+    return algebraic, (lines1[:, :2] ** 2).sum(1), (lines2[:, :2] ** 2).sum(1)
+
+
+def sampson_distance(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> np.ndarray:
+    """First-order distance (N,) of matches to the epipolar constraint, in the points' unit.
+
+    |x2^T F x1| / sqrt(|l1|^2 + |l2|^2), l1 and l2 the normals of the epipolar lines (Hartley and
+    Zisserman, equation 11.9).
+    """
+    algebraic, squared1, squared2 = epipolar_terms(points1, points2, F)
+    return np.abs(algebraic) / np.sqrt(squared1 + squared2 + _TINY)
+
+
+def symmetric_epipolar_distance(
+    points1: np.ndarray, points2: np.ndarray, F: np.ndarray
+) -> np.ndarray:
+    """Mean (N,) of the distances of x2 to the line F x1 and of x1 to the line F^T x2.
+
+    In the points' unit: pixels with F, focal lengths with E (the D_e of the paper's section 4.4).
+    """
+    algebraic, squared1, squared2 = epipolar_terms(points1, points2, F)
+    inverse = 1 / np.sqrt(squared1 + _TINY) + 1 / np.sqrt(squared2 + _TINY)
+    return np.abs(algebraic) * inverse / 2

@@ -1,0 +1,57 @@
+"""Homographies, by OpenCV: a robust fit, transfer errors, and the poses a plane allows."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from dgc_pose.geometry.epipolar import homogeneous
+
+
+def fit_homography(
+    points1: np.ndarray, points2: np.ndarray, threshold: float, seed: int = 0
+) -> np.ndarray | None:
+    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None where there is none.
+
+    Points (N, 2) in any one unit, and `threshold` on the transfer error in the same.
+    """
+    if len(points1) < 4:
+        return None
+    params = cv2.UsacParams()
+    params.threshold = threshold
+    params.maxIterations = 2000
+    params.confidence = 0.9999
+    params.score = cv2.SCORE_METHOD_MAGSAC
+    params.loMethod = cv2.LOCAL_OPTIM_SIGMA
+    params.randomGeneratorState = seed
+    try:
+        H, _ = cv2.findHomography(points1, points2, params)
+        if H is None or not np.isfinite(H).all():
+            return None
+        kept = transfer_error(points1, points2, H) < threshold
+        fitted, _ = cv2.findHomography(points1[kept], points2[kept], 0)
+    except cv2.error:  # of degenerate points, such as all alike
+        return None
+    return H if fitted is None else fitted
+
+
+def transfer_error(points1: np.ndarray, points2: np.ndarray, H: np.ndarray) -> np.ndarray:
+    """Distance (N,) in image 2 from H x1 to x2, the points' unit; infinite beyond the horizon."""
+    moved = homogeneous(points1) @ H.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.linalg.norm(moved[:, :2] / moved[:, 2:] - points2, axis=1)
+    return np.nan_to_num(distance, nan=np.inf)
+
+
+def homography_poses(H: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The poses (R, t), |t| = 1, of two views of a plane with x2 ~ H x1 in normalised points.
+
+    Both signs of each translation; a homography that is a rotation gives none.
+    """
+    _, rotations, translations, _ = cv2.decomposeHomographyMat(H, np.eye(3))
+    poses = []
+    for R, t in zip(rotations, translations, strict=True):
+        length = np.linalg.norm(t)
+        if length > 1e-9:
+            poses += [(R, t[:, 0] / length), (R, -t[:, 0] / length)]
+    return poses
