@@ -72,8 +72,8 @@ def trace_relative_pose(
     first, second = load_image(image1, "image1"), load_image(image2, "image2")
     camera1 = as_camera(K1, "K1")
     camera2 = camera1 if K2 is None else as_camera(K2, "K2")
-    check_size(camera1, first.size, "K1")
-    check_size(camera2, second.size, "K1" if K2 is None else "K2")
+    fits1 = check_size(camera1, first.size, "K1")
+    fits2 = check_size(camera2, second.size, "K1" if K2 is None else "K2")
     matcher = matcher or load_matcher()
     loaded = time.perf_counter()
 
@@ -87,8 +87,8 @@ def trace_relative_pose(
     pose = estimate_pose(matches, camera1, camera2, options or EstimationOptions())
     estimated = time.perf_counter()
 
-    told = (first.warnings, second.warnings, camera1.warnings, camera2.warnings, pose.warnings)
-    warnings = tuple(dict.fromkeys(warning for group in told for warning in group))
+    read = first.warnings + second.warnings + camera1.warnings + camera2.warnings
+    warnings = tuple(dict.fromkeys(read + fits1 + fits2 + pose.warnings))
     seconds = {
         "load": loaded - start,
         "match": matched - loaded,

@@ -1,0 +1,1 @@
+"""Benchmarks of relative pose on image pairs with a known answer."""

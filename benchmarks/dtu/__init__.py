@@ -1,0 +1,1 @@
+"""Pairs and calibration of the DTU multi-view stereo set."""

@@ -1,0 +1,63 @@
+"""`dgc-pose demo`: the bundled pair, its pose estimated beside the known one."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import click
+import numpy as np
+
+from dgc_pose.benchmarks.pair_list import Pair, read_pairs
+from dgc_pose.cli.options import MatcherChoice, estimator_options, matcher_options
+from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
+from dgc_pose.cli.pipeline import NO_POSE, draw, run_pipeline
+from dgc_pose.cli.staging import staged
+from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from dgc_pose.viz.figure import picture_format
+
+
+def bundled_pair() -> Pair:
+    """The rendered pair that comes with the package, with its exact pose."""
+    return read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
+
+
+@click.command()
+@matcher_options
+@estimator_options
+@click.option("--plot", "plot_path", metavar="PATH.png", help="Draw what the pose was found from.")
+def demo(network: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
+    """Estimate the pose of the bundled pair and print it beside the known one."""
+    if plot_path is not None:
+        picture_format(plot_path)  # refuses a format that cannot be drawn, before the work
+    pair = bundled_pair()
+    with staged(plot_path) as stage:
+        trace = run_pipeline(
+            pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), network, estimation
+        )
+        if plot_path is not None:
+            draw(trace, stage(plot_path), plot_path)
+    pose = trace.pose
+    click.echo(f"image 1: {pair.path1}\nimage 2: {pair.path2}\n")
+    click.echo(pose_text(pose) + "\n")
+    if not pose.success:
+        return NO_POSE
+    click.echo(_beside(pose, pair))
+    return 0
+
+
+def _beside(pose: RelativePose, pair: Pair) -> str:
+    """The estimated pose (one with R and t) and the known one in two columns, and the errors."""
+    assert pose.R is not None and pose.t is not None
+    known = matrix_lines(pair.R) + [vector_line(pair.t / np.linalg.norm(pair.t))]
+    found = matrix_lines(pose.R) + [vector_line(pose.t)]
+    width = len(known[0])
+    lines = [f"     {'estimated':{width}}   {'known':{width}}"]
+    for name, left, right in zip("RRRt", found, known, strict=True):
+        lines.append(f"  {name}  {left}   {right}")
+    lines.append(
+        f"errors: rotation {rotation_error_deg(pose.R, pair.R):.2f} deg, "
+        f"translation direction {translation_error_deg(pose.t, pair.t):.2f} deg"
+    )
+    return "\n".join(lines)

@@ -1,0 +1,209 @@
+"""Options that several commands share: each decorator hands its options over as one object."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import click
+
+from dgc_pose.camera import Camera, check_size, guess_camera, parse_camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions, EstimatorName
+from dgc_pose.image import Image
+from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, MatchingOptions, load_matcher
+
+Command = Callable[..., Any]
+
+ESTIMATION = EstimationOptions()  # where the defaults in the help come from
+MATCHING = MatchingOptions()
+
+
+@dataclass(frozen=True)
+class CameraChoice:
+    """What the user said about the cameras."""
+
+    k: str | None  # for both images
+    k1: str | None  # these override k
+    k2: str | None
+    guess_focal: bool  # take the focal length from EXIF, or guess it, where no K is given
+
+    def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
+        """The cameras of both images. Raises InputError where one is missing or does not fit."""
+        return self._camera(1, self.k1, image1), self._camera(2, self.k2, image2)
+
+    def _camera(self, number: int, own: str | None, image: Image) -> Camera:
+        name, text = ("--K", self.k) if own is None else (f"--K{number}", own)
+        if text is not None:
+            camera = parse_camera(text, name)
+            doubts = check_size(camera, image.size, name)
+            return replace(camera, warnings=camera.warnings + doubts)
+        if self.guess_focal:
+            return guess_camera(Path(image.name))
+        raise InputError(
+            f"image {number} has no K: give --K or --K{number}, or --guess-focal for a rough guess"
+        )
+
+
+@dataclass(frozen=True)
+class MatcherChoice:
+    """Which network to match with, and how."""
+
+    weights: str
+    device: str
+    options: MatchingOptions
+
+    def load(self) -> DenseMatcher:
+        return load_matcher(self.weights, device=self.device, options=self.options)
+
+
+def camera_options(command: Command) -> Command:
+    """--K, --K1, --K2 and --guess-focal, as `cameras: CameraChoice`."""
+
+    @click.option(
+        "--K",
+        "k",
+        metavar="K",
+        help="Camera of both images: fx,fy,cx,cy, a 3x3 text or .npy file, or a COLMAP camera "
+        "MODEL,w,h,params.",
+    )
+    @click.option("--K1", "k1", metavar="K", help="Camera of image 1 alone.")
+    @click.option("--K2", "k2", metavar="K", help="Camera of image 2 alone.")
+    @click.option(
+        "--guess-focal",
+        is_flag=True,
+        help="Without a K, take the focal length from EXIF or guess it. Poses get much worse.",
+    )
+    @functools.wraps(command)
+    def wrapper(
+        *args: Any, k: str | None, k1: str | None, k2: str | None, guess_focal: bool, **kwargs: Any
+    ) -> Any:
+        return command(*args, cameras=CameraChoice(k, k1, k2, guess_focal), **kwargs)
+
+    return wrapper
+
+
+def device_option(command: Command) -> Command:
+    """--device, as it is."""
+    return click.option(
+        "--device",
+        type=click.Choice(["auto", "cpu", "cuda"]),
+        default="auto",
+        show_default=True,
+        help="Where the network runs.",
+    )(command)
+
+
+def filter_options(command: Command) -> Command:
+    """--matchability, --cycle and --max-matches, as `filters: MatchingOptions`."""
+
+    @click.option(
+        "--matchability",
+        type=float,
+        metavar="T",
+        default=MATCHING.matchability,
+        show_default=True,
+        help="Least matchability of a match, 0 to 1.",
+    )
+    @click.option(
+        "--cycle",
+        "cycle_px",
+        type=float,
+        metavar="PX",
+        default=MATCHING.cycle_px,
+        help="Match the other way too, and drop matches that come back further than this off.",
+    )
+    @click.option(
+        "--max-matches",
+        type=int,
+        metavar="N",
+        default=MATCHING.max_matches,
+        show_default=True,
+        help="Keep an even subsample of at most N matches.",
+    )
+    @functools.wraps(command)
+    def wrapper(
+        *args: Any, matchability: float, cycle_px: float | None, max_matches: int, **kwargs: Any
+    ) -> Any:
+        options = MatchingOptions(
+            matchability=matchability, cycle_px=cycle_px, max_matches=max_matches
+        )
+        return command(*args, filters=options, **kwargs)
+
+    return wrapper
+
+
+def matcher_options(command: Command) -> Command:
+    """--weights, --device and the filters, as `network: MatcherChoice`."""
+
+    @click.option(
+        "--weights",
+        default=DEFAULT_WEIGHTS,
+        show_default=True,
+        help="Shipped weights by name, or a path to .safetensors or to an authors' .pth.",
+    )
+    @device_option
+    @filter_options
+    @functools.wraps(command)
+    def wrapper(
+        *args: Any, weights: str, device: str, filters: MatchingOptions, **kwargs: Any
+    ) -> Any:
+        return command(*args, network=MatcherChoice(weights, device, filters), **kwargs)
+
+    return wrapper
+
+
+def estimator_options(command: Command) -> Command:
+    """Estimator, runs, iterations, threshold and seed, as `estimation: EstimationOptions`."""
+
+    @click.option(
+        "--estimator",
+        type=click.Choice(get_args(EstimatorName)),
+        default=ESTIMATION.estimator,
+        show_default=True,
+        help="Library behind the robust estimation.",
+    )
+    @click.option(
+        "--runs", default=ESTIMATION.runs, show_default=True, help="Runs of RANSAC, the best kept."
+    )
+    @click.option(
+        "--iterations",
+        default=ESTIMATION.iterations,
+        show_default=True,
+        help="Iterations of each run.",
+    )
+    @click.option(
+        "--threshold",
+        "threshold_px",
+        type=float,
+        metavar="PX",
+        default=ESTIMATION.threshold_px,
+        help="Largest epipolar error of an inlier, original pixels; by default "
+        f"{ESTIMATION.threshold_factor:g} times the error that the matcher expects.",
+    )
+    @click.option(
+        "--seed", default=ESTIMATION.seed, show_default=True, help="The same seed, the same pose."
+    )
+    @functools.wraps(command)
+    def wrapper(
+        *args: Any,
+        estimator: EstimatorName,
+        runs: int,
+        iterations: int,
+        threshold_px: float | None,
+        seed: int,
+        **kwargs: Any,
+    ) -> Any:
+        options = EstimationOptions(
+            estimator=estimator,
+            runs=runs,
+            iterations=iterations,
+            threshold_px=threshold_px,
+            seed=seed,
+        )
+        return command(*args, estimation=options, **kwargs)
+
+    return wrapper

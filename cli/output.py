@@ -1,0 +1,103 @@
+"""Poses and matches as text, JSON and .npz."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgc_pose.estimation import RelativePose
+from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.matches import Matches
+
+
+def pose_data(pose: RelativePose) -> dict[str, Any]:
+    """A pose for JSON: cam2_from_cam1, x2 = R x1 + t, t of unit length.
+
+    What is not known is null. Where there is no pose, the reason is the first of the warnings.
+    """
+    return {
+        "status": pose.status,
+        "success": pose.success,
+        "R": _list(pose.R),
+        "t": _list(pose.t),
+        "quaternion_wxyz": _list(pose.quaternion_wxyz),
+        "E": _list(pose.E),
+        "num_matches": pose.num_matches,
+        "num_inliers": pose.num_inliers,
+        "inlier_ratio": _finite(pose.inlier_ratio),
+        "median_triangulation_angle_deg": _finite(pose.median_triangulation_angle_deg),
+        "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
+        "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
+    }
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """Strict JSON, a newline at its end. Raises ValueError for NaN and infinity."""
+    return json.dumps(data, indent=2, allow_nan=False) + "\n"
+
+
+def pose_text(pose: RelativePose) -> str:
+    """A pose for people."""
+    lines = [_headline(pose)]
+    if pose.R is not None:
+        lines += [f"  R  {line}" for line in matrix_lines(pose.R)]
+        lines.append(f"     a turn of {rotation_angle_deg(pose.R):.2f} deg")
+    if pose.t is not None:
+        lines.append(f"  t  {vector_line(pose.t)}  (translation up to scale)")
+    elif pose.R is not None:
+        lines.append("  t  undefined: the images show a rotation alone")
+    lines.append(
+        f"{pose.num_inliers} of {pose.num_matches} matches are inliers "
+        f"({100 * pose.inlier_ratio:.1f} %)"
+    )
+    if pose.t is not None:
+        angle = pose.median_triangulation_angle_deg
+        lines.append(f"median triangulation angle {angle:.2f} deg")
+    lines += [f"warning: {warning}" for warning in pose.warnings]
+    lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))
+    return "\n".join(lines)
+
+
+def matrix_lines(matrix: np.ndarray) -> list[str]:
+    """The rows of a matrix, each a line."""
+    return [vector_line(row) for row in matrix]
+
+
+def vector_line(vector: np.ndarray) -> str:
+    """A vector in brackets, six digits behind the point."""
+    # Rounded first, so that no zero shows a sign.
+    return "[" + " ".join(f"{round(float(value), 6) + 0.0:9.6f}" for value in vector) + "]"
+
+
+def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write arrays to exactly this path (numpy would append .npz to a bare name)."""
+    with path.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)
+
+
+def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
+    """points1, points2 (N, 2) in pixels of the original images, and confidence (N,)."""
+    return {
+        "points1": matches.points1,
+        "points2": matches.points2,
+        "confidence": matches.confidence,
+    }
+
+
+def _headline(pose: RelativePose) -> str:
+    if pose.success:
+        return "pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"
+    return f"no pose ({pose.status}): {pose.reason}"
+
+
+def _list(array: np.ndarray | None) -> list[Any] | None:
+    return None if array is None else array.tolist()
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

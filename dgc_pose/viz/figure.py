@@ -1,0 +1,31 @@
+"""Figures of matplotlib by its object interface: no pyplot, so no global state and no display."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from dgc_pose.errors import InputError
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure with its canvas, sizes in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def picture_format(path: str | Path) -> str:
+    """The format that a file name asks for. Raises InputError where matplotlib cannot write it."""
+    suffix = Path(path).suffix.lower().lstrip(".")
+    known = FigureCanvasAgg.get_supported_filetypes()
+    if suffix not in known:
+        raise InputError(f"{path}: a plot is written as .png, .svg or .pdf")
+    return suffix
+
+
+def save_figure(figure: Figure, path: str | Path, *, picture_format: str = "png") -> None:
+    """Write the figure, whatever the name's ending, in the format given."""
+    figure.savefig(path, format=picture_format, dpi=100)

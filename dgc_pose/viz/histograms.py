@@ -1,0 +1,69 @@
+"""Normalised cumulative histograms: the share of pairs whose error stays below a value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dgc_pose.errors import InputError
+from dgc_pose.viz.figure import new_figure
+
+LIMITS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)  # where an axis may end, degrees
+
+
+def cumulative_share(errors: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """The steps of the cumulative histogram from 0 to `limit`.
+
+    Args:
+        errors: (N,) errors, N > 0; infinite ones count as pairs, and never come below any value.
+        limit: where the curve ends.
+
+    Returns:
+        The errors up to the limit in increasing order, between 0 and the limit, and at each the
+        share of pairs (0 to 1) that are not above it.
+
+    Raises InputError for an empty array or one with NaN.
+    """
+    errors = np.asarray(errors, dtype=np.float64)
+    if errors.size == 0 or np.isnan(errors).any():
+        raise InputError("errors must hold at least one number, and no NaN")
+    below = np.sort(errors[errors <= limit])
+    values = np.concatenate([[0.0], below, [limit]])
+    counts = np.concatenate([np.arange(len(below) + 1), [len(below)]])
+    return values, counts / errors.size
+
+
+def draw_cumulative(
+    axes: Axes, errors: Mapping[str, np.ndarray], *, quantity: str, limit: float
+) -> None:
+    """Draw one curve a method, its median in the legend; errors in degrees."""
+    for method, values in errors.items():
+        x, share = cumulative_share(values, limit)
+        label = f"{method}, median {np.median(values):.2f}°"
+        axes.step(x, 100 * share, where="post", label=label)
+    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} (degrees)", ylabel="pairs (%)")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize=9)
+
+
+def plot_errors(
+    rotation: Mapping[str, np.ndarray],
+    translation: Mapping[str, np.ndarray],
+) -> Figure:
+    """Histograms of rotation error and of folded translation error, a curve a method, degrees."""
+    figure = new_figure(12.0, 4.5)
+    panels = (("rotation error", rotation), ("folded translation error", translation))
+    for axes, (quantity, errors) in zip(figure.subplots(1, 2), panels, strict=True):
+        draw_cumulative(axes, errors, quantity=quantity, limit=_limit(errors))
+    return figure
+
+
+def _limit(errors: Mapping[str, np.ndarray]) -> float:
+    """The least limit that shows nine tenths of the errors that are finite, of all methods."""
+    values = np.concatenate(list(errors.values()))
+    finite = values[np.isfinite(values)]
+    most = np.quantile(finite, 0.9) if len(finite) else 0.0
+    return next(limit for limit in LIMITS if limit >= most)

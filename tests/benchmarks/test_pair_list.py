@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.benchmarks.pair_list import Pair, read_pairs, write_pairs
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+
+K = "500 0 320 0 510 240 0 0 1"
+R = Rotation.from_euler("xyz", [10, -20, 5], degrees=True).as_matrix()
+T = np.vstack([np.column_stack([R, [1.0, 2.0, -3.0]]), [0, 0, 0, 1]])
+
+
+def line(*, names="a.png b.png", rotations="0 0", k1=K, k2=K, pose=T):
+    return f"{names} {rotations} {k1} {k2} {' '.join(repr(float(v)) for v in np.ravel(pose))}\n"
+
+
+def pair_file(tmp_path, text):
+    path = tmp_path / "pairs.txt"
+    path.write_text(text)
+    return path
+
+
+def test_fields_are_read_in_superglues_order(tmp_path):
+    k1 = " ".join(str(v) for v in [500, 1, 320, 0, 510, 240, 0, 0, 1])
+    k2 = " ".join(str(v) for v in [700, 2, 420, 0, 710, 340, 0, 0, 1])
+    (pair,) = read_pairs(pair_file(tmp_path, line(names="x/a.png y/b.png", k1=k1, k2=k2)))
+    assert (pair.name1, pair.name2) == ("x/a.png", "y/b.png")
+    assert (pair.path1, pair.path2) == (tmp_path / "x/a.png", tmp_path / "y/b.png")
+    assert np.array_equal(pair.camera1.K, [[500, 1, 320], [0, 510, 240], [0, 0, 1]])
+    assert np.array_equal(pair.camera2.K, [[700, 2, 420], [0, 710, 340], [0, 0, 1]])
+    assert np.allclose(pair.R, R, atol=1e-12)
+    assert np.array_equal(pair.t, [1, 2, -3])
+
+
+def test_root_replaces_the_folder_of_the_list(tmp_path):
+    (pair,) = read_pairs(pair_file(tmp_path, line()), root=tmp_path / "images")
+    assert pair.path1 == tmp_path / "images" / "a.png"
+
+
+def test_blank_lines_are_passed_over_but_counted(tmp_path):
+    text = line() + "\n  \n" + line(rotations="1 0")
+    with pytest.raises(InputError, match=r"pairs\.txt:4: rot1 rot2 must be 0 0, not 1 0"):
+        read_pairs(pair_file(tmp_path, text))
+
+
+def test_written_pairs_are_read_back(tmp_path):
+    rng = np.random.default_rng(3)
+    pairs = [
+        Pair(
+            name1=f"images/{i}.png",
+            name2=f"images/{i + 1}.jpg",
+            root=tmp_path,
+            camera1=Camera(np.array([[801.25 + i, 0, 400.5], [0, 799, 300], [0, 0, 1]])),
+            camera2=Camera(np.array([[650, 0.25, 200], [0, 640 + i, 100], [0, 0, 1]])),
+            R=Rotation.random(random_state=i).as_matrix(),
+            t=rng.normal(size=3) * 100,
+        )
+        for i in range(5)
+    ]
+    write_pairs(tmp_path / "list.txt", pairs)
+    assert all(len(row.split()) == 38 for row in (tmp_path / "list.txt").read_text().splitlines())
+    again = read_pairs(tmp_path / "list.txt")
+    assert [pair.name1 for pair in again] == [pair.name1 for pair in pairs]
+    for read, pair in zip(again, pairs, strict=True):
+        assert np.allclose(read.camera1.K, pair.camera1.K, rtol=1e-11)
+        assert np.allclose(read.camera2.K, pair.camera2.K, rtol=1e-11)
+        assert np.allclose(read.R, pair.R, atol=1e-11)
+        assert np.allclose(read.t, pair.t, rtol=1e-11)
+
+
+def test_rounded_rotations_are_made_orthonormal(tmp_path):
+    rounded = T.copy()
+    rounded[:3, :3] = np.round(R, 4)
+    (pair,) = read_pairs(pair_file(tmp_path, line(pose=rounded)))
+    assert np.allclose(pair.R.T @ pair.R, np.eye(3), atol=1e-14)
+    assert np.degrees(Rotation.from_matrix(pair.R.T @ R).magnitude()) < 0.01
+
+
+def mirrored():
+    pose = T.copy()
+    pose[:3, 0] *= -1
+    return pose
+
+
+def changed(row, column, value):
+    pose = T.copy()
+    pose[row, column] = value
+    return pose
+
+
+BAD_LINES = {
+    "short": ("a.png b.png 0 0\n", "needs 38 fields, and this line has 4"),
+    "long": (line().strip() + " 7\n", "needs 38 fields, and this line has 39"),
+    "word": (line(k1="500 0 320 0 f 240 0 0 1"), "could not convert string to float: 'f'"),
+    "nan": (line(k2="nan 0 320 0 510 240 0 0 1"), "must be finite"),
+    "negative focal": (line(k1="-500 0 320 0 510 240 0 0 1"), "K1 "),
+    "K of K2": (line(k2="500 0 320 0 510 240 0 0 2"), "K2 "),
+    "scaled rotation": (line(pose=changed(0, 0, 1.5)), "not a rotation"),
+    "mirror": (line(pose=mirrored()), "not a rotation"),
+    "last row": (line(pose=changed(3, 2, 1.0)), "last row of T must be 0 0 0 1"),
+    "no translation": (
+        line(pose=np.block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])),
+        "no translation",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_LINES)
+def test_a_bad_line_is_an_error_with_path_and_line_number(tmp_path, case):
+    text, message = BAD_LINES[case]
+    path = pair_file(tmp_path, line() + text)
+    with pytest.raises(InputError) as caught:
+        read_pairs(path)
+    assert str(caught.value).startswith(f"{path}:2: ")
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\n\n"])
+def test_an_empty_list_is_an_error(tmp_path, content):
+    path = tmp_path / "pairs.txt"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="no pairs"):
+        read_pairs(path)
+
+
+def test_a_binary_file_is_an_error(tmp_path):
+    path = tmp_path / "pairs.txt"
+    path.write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(InputError, match="is text"):
+        read_pairs(path)
+
+
+@pytest.mark.parametrize("name", ["two words.png", ""])
+def test_names_that_the_format_cannot_hold_are_refused(tmp_path, name):
+    (pair,) = read_pairs(pair_file(tmp_path, line()))
+    bad = Pair(name, pair.name2, pair.root, pair.camera1, pair.camera2, pair.R, pair.t)
+    with pytest.raises(InputError, match="cannot hold the name"):
+        write_pairs(tmp_path / "out.txt", [pair, bad])
+    assert not (tmp_path / "out.txt").exists()

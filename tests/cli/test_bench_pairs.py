@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+
+import cv2
+import dense_scene
+import pytest
+from click.testing import CliRunner
+
+from dgc_pose.cli.main import main
+from dgc_pose.errors import WeightsError
+
+FAST = ("--runs", "1", "--iterations", "200")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A list of three pairs, pairs.txt; the weights `true` and `noise` stand for networks."""
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pair_list(tmp_path, pairs=3)
+    maps = {"true": dense_scene.true_map(), "noise": dense_scene.noise_map()}
+
+    def load_matcher(weights, *, device, options):
+        if weights not in maps:
+            raise WeightsError(f"{weights}: no such weights")
+        return dense_scene.MapMatcher(maps[weights], options)
+
+    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_matcher", load_matcher)
+    return tmp_path
+
+
+def bench(*arguments):
+    return CliRunner().invoke(main, ["bench-pairs", *arguments, *FAST])
+
+
+def test_the_table_has_a_line_a_method(folder):
+    result = bench("pairs.txt", "--methods", "true,noise")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    true, noise = result.stdout.splitlines()[-2:]
+    assert true.split()[:3] == ["true", "3", "0"]
+    assert noise.split()[:5] == ["noise", "3", "3", "(100.0", "%)"]
+    assert noise.split()[5:8] == ["inf", "inf", "inf"]
+    assert sorted(os.listdir(folder)) == ["one.png", "pairs.txt", "two.png"]
+
+
+def test_json_and_out_hold_the_same_summary(folder):
+    result = bench("pairs.txt", "--methods", "true,noise", "--json", "s.json", "--out", "run/new")
+    assert result.exit_code == 0
+    data = json.loads((folder / "s.json").read_text())
+    assert data == json.loads((folder / "run/new/summary.json").read_text())
+    true, noise = data["methods"]
+    assert (true["method"], true["pairs"], true["failures"]) == ("true", 3, 0)
+    assert true["median_rotation_deg"] < 0.1 and true["auc5"] > 95
+    assert (noise["failures"], noise["median_rotation_deg"], noise["auc20"]) == (3, None, 0)
+    assert sorted(os.listdir("run/new")) == ["errors.png", "results.csv", "summary.json"]
+    with open("run/new/results.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["method"] for row in rows] == ["true", "noise"] * 3
+    assert rows[1]["rotation_error_deg"] == "inf"
+    assert cv2.imread("run/new/errors.png").std() > 1
+
+
+def test_sift_needs_no_weights(folder):
+    result = bench("pairs.txt", "--methods", "sift", "--limit", "1", "--json", "s.json")
+    assert result.exit_code == 0
+    (sift,) = json.loads((folder / "s.json").read_text())["methods"]
+    assert (sift["pairs"], sift["failures"]) == (1, 0)
+    assert sift["median_rotation_deg"] < 2
+
+
+def test_all_shipped_weights_and_sift_by_default(folder, monkeypatch):
+    monkeypatch.setattr("dgc_pose.cli.bench_pairs.shipped", lambda: ["noise", "true"])
+    result = bench("pairs.txt", "--limit", "1")
+    assert [line.split()[0] for line in result.stdout.splitlines()[-3:]] == [
+        "noise",
+        "true",
+        "sift",
+    ]
+
+
+def test_images_are_looked_for_under_root(folder):
+    os.makedirs("elsewhere")
+    os.rename("pairs.txt", "elsewhere/pairs.txt")
+    assert bench("elsewhere/pairs.txt", "--methods", "true").exit_code == 2
+    assert bench("elsewhere/pairs.txt", "--methods", "true", "--root", ".").exit_code == 0
+
+
+def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypatch):
+    calls = iter(range(10))
+
+    def match(self, image1, image2):
+        if next(calls) == 2:
+            raise RuntimeError("killed")
+        return self.select(self.correspond(image1, image2))
+
+    monkeypatch.setattr(dense_scene.MapMatcher, "match", match)
+    result = bench("pairs.txt", "--methods", "true", "--out", "run")
+    assert isinstance(result.exception, RuntimeError)
+    with open("run/results.csv", newline="") as stream:
+        assert len(list(csv.DictReader(stream))) == 2
+    assert os.listdir("run") == ["results.csv"]
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("nosuch.txt",), "nosuch.txt"),
+        (("one.png",), "one.png"),
+        (("pairs.txt", "--methods", "true,nosuch"), "nosuch"),
+        (("pairs.txt", "--methods", "sift,true,sift"), "sift"),
+        (("pairs.txt", "--methods", ","), "no methods"),
+        (("pairs.txt", "--root", "nowhere"), "one.png"),
+        (("pairs.txt", "--methods", "sift", "--json", "nowhere/s.json"), "nowhere/s.json"),
+        (("pairs.txt", "--methods", "sift", "--out", "one.png"), "one.png"),
+    ],
+)
+def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
+    result = bench(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert words in result.stderr
+    assert sorted(os.listdir(folder)) == ["one.png", "pairs.txt", "two.png"]
+
+
+def test_a_bad_line_is_named_by_its_number(folder):
+    with open("pairs.txt", "a") as stream:
+        stream.write("one.png two.png 0 0\n")
+    result = bench("pairs.txt", "--methods", "sift", "--out", "run")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: pairs.txt:4: ")
+    assert not os.path.exists("run")

@@ -1,0 +1,262 @@
+from __future__ import annotations
+
+import json
+import os
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from dgc_pose.cli.main import main
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+
+KEYS = [
+    "status",
+    "success",
+    "R",
+    "t",
+    "quaternion_wxyz",
+    "E",
+    "num_matches",
+    "num_inliers",
+    "inlier_ratio",
+    "median_triangulation_angle_deg",
+    "warnings",
+    "seconds",
+]
+FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000")  # later ones override
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Two pictures, one.png and two.png, in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pictures(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def network(monkeypatch):
+    """Puts a map in the network's place; returns the function that chooses it."""
+
+    def use(correspondences):
+        def load_matcher(weights, *, device, options):
+            return dense_scene.MapMatcher(correspondences, options)
+
+        monkeypatch.setattr("dgc_pose.cli.options.load_matcher", load_matcher)
+
+    use(dense_scene.true_map())
+    return use
+
+
+def estimate(*arguments, k=("--K", dense_scene.K_TEXT)):
+    return CliRunner().invoke(main, ["estimate", "one.png", "two.png", *k, *FAST, *arguments])
+
+
+def assert_refused(result, folder, *words):
+    """Exit 2, one line, and the folder as it was."""
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+    assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
+
+
+def test_json_has_the_keys_and_the_pose(folder, network):
+    result = estimate("--json", "-")
+    assert result.exit_code == 0
+    data = json.loads(result.stdout)
+    assert list(data) == KEYS
+    assert list(data["seconds"]) == ["load", "match", "estimate"]
+    assert data["status"] == "ok" and data["success"] is True
+    assert rotation_error_deg(np.array(data["R"]), dense_scene.R) < 0.05
+    assert translation_error_deg(np.array(data["t"]), dense_scene.T) < 0.2
+    assert np.linalg.norm(data["t"]) == pytest.approx(1)
+    assert np.linalg.norm(data["quaternion_wxyz"]) == pytest.approx(1)
+    w = data["quaternion_wxyz"][0]
+    assert 2 * np.arccos(abs(w)) == pytest.approx(np.arccos((np.trace(data["R"]) - 1) / 2))
+    t, E = data["t"], np.array(data["E"])
+    skew = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ np.array(data["R"])
+    assert abs(np.sum(E / np.linalg.norm(E) * skew / np.linalg.norm(skew))) == pytest.approx(1)
+    assert 0 < data["num_inliers"] <= data["num_matches"]
+    assert data["inlier_ratio"] == pytest.approx(data["num_inliers"] / data["num_matches"])
+    assert data["inlier_ratio"] > 0.9
+    assert data["warnings"] == []
+    assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
+
+
+def test_text_tells_the_pose(folder, network):
+    result = estimate()
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    assert "cam2_from_cam1" in result.stdout
+    assert "translation up to scale" in result.stdout
+    rows = [line for line in result.stdout.splitlines() if line.startswith("  R  ")]
+    R = np.array([[float(v) for v in row[5:].strip("[] ").split()] for row in rows])
+    assert rotation_error_deg(R, dense_scene.R) < 0.05
+
+
+def test_the_same_seed_gives_the_same_pose(folder, network):
+    first, again = (json.loads(estimate("--json", "-").stdout) for _ in range(2))
+    assert {key: first[key] for key in KEYS[:-1]} == {key: again[key] for key in KEYS[:-1]}
+
+
+def test_all_outputs_are_written(folder, network):
+    result = estimate("--json", "p.json", "--matches", "m.npz", "--plot", "p.png")
+    assert result.exit_code == 0
+    assert "cam2_from_cam1" in result.stdout
+    assert sorted(os.listdir(folder)) == ["m.npz", "one.png", "p.json", "p.png", "two.png"]
+    data = json.loads((folder / "p.json").read_text())
+    assert list(data) == KEYS
+    with np.load("m.npz", allow_pickle=False) as file:
+        assert sorted(file) == ["confidence", "inliers", "points1", "points2"]
+        assert file["points1"].shape == file["points2"].shape == (data["num_matches"], 2)
+        assert file["confidence"].shape == (data["num_matches"],)
+        assert file["inliers"].dtype == bool and file["inliers"].sum() == data["num_inliers"]
+        off = dense_scene.places_in_image1(file["points2"]) - file["points1"]
+        assert np.abs(off).max() < 1e-3
+    picture = cv2.imread("p.png")
+    assert picture is not None and picture.std() > 10
+
+
+def test_outputs_go_to_exactly_the_path_given(folder, network):
+    assert estimate("--matches", "plain", "--plot", "p.svg").exit_code == 0
+    assert sorted(os.listdir(folder)) == ["one.png", "p.svg", "plain", "two.png"]
+    assert (folder / "p.svg").read_text().startswith("<?xml")
+
+
+def test_matching_options_reach_the_matcher(folder, network):
+    few = json.loads(estimate("--json", "-", "--max-matches", "500").stdout)
+    assert 100 < few["num_matches"] <= 500
+    result = estimate("--json", "-", "--matchability", "0.95")  # the map has 0.9 at most
+    assert result.exit_code == 3
+    assert json.loads(result.stdout)["num_matches"] == 0
+
+
+@pytest.mark.parametrize("estimator", ["poselib", "pycolmap", "opencv"])
+def test_every_estimator_finds_the_pose(folder, network, estimator):
+    result = estimate("--json", "-", "--estimator", estimator, "--threshold", "1", "--seed", "4")
+    assert result.exit_code == 0
+    assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.5
+
+
+def test_noise_has_no_pose(folder, network):
+    network(dense_scene.noise_map())
+    result = estimate("--json", "-", "--plot", "p.png")
+    assert result.exit_code == 3
+    data = json.loads(result.stdout)
+    assert list(data) == KEYS
+    assert data["success"] is False and data["status"] != "ok"
+    assert data["R"] is None and data["t"] is None and data["quaternion_wxyz"] is None
+    assert data["warnings"], "the reason must be told"
+    assert result.stderr == f"no pose: {data['warnings'][0]}\n"
+    assert (folder / "p.png").exists()
+    text = estimate()
+    assert text.exit_code == 3
+    assert text.stdout.startswith("no pose ") and data["warnings"][0] in text.stdout
+
+
+def test_a_pure_rotation_keeps_R_and_says_that_t_is_undefined(folder, network):
+    network(dense_scene.true_map(np.zeros(3), error_px=0.3))
+    result = estimate("--json", "-")
+    assert result.exit_code == 3
+    data = json.loads(result.stdout)
+    assert data["status"] == "rotation_only" and data["success"] is False
+    assert data["t"] is None
+    assert rotation_error_deg(np.array(data["R"]), dense_scene.R) < 0.1
+    text = estimate()
+    assert text.exit_code == 3
+    assert "t  undefined" in text.stdout
+
+
+def test_each_image_can_have_its_own_camera(folder, network):
+    np.save("k1.npy", dense_scene.K)
+    np.savetxt("k2.txt", dense_scene.K)
+    result = estimate("--json", "-", k=("--K", "1,1,5,5", "--K1", "k1.npy", "--K2", "k2.txt"))
+    assert result.exit_code == 0
+    assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.05
+
+
+def test_a_colmap_camera_is_half_a_pixel_further(folder, network):
+    ours = json.loads(estimate("--json", "-").stdout)
+    theirs = estimate("--json", "-", k=("--K", "PINHOLE,320,240,300,300,160,120"))
+    assert json.loads(theirs.stdout)["R"] == ours["R"]
+
+
+def test_a_focal_length_is_guessed_only_on_demand(folder, network):
+    assert_refused(estimate(k=()), folder, "image 1 has no K", "--guess-focal")
+    assert_refused(estimate(k=("--K1", dense_scene.K_TEXT)), folder, "image 2 has no K")
+    result = estimate("--json", "-", k=("--guess-focal",))
+    assert result.exit_code in (0, 3)
+    warnings = json.loads(result.stdout)["warnings"]
+    assert any("guess" in warning for warning in warnings)
+
+
+@pytest.mark.parametrize(
+    "k, words",
+    [
+        (("--K", "300,300,159.5"), "--K"),
+        (("--K", "nosuch.txt"), "nosuch.txt"),
+        (("--K", "-300,300,159.5,119.5"), "--K"),
+        (("--K", "nan,300,159.5,119.5"), "--K"),
+        (("--K", "PINHOLE,640,480,600,600,320,240"), "640"),
+        (("--K", dense_scene.K_TEXT, "--K2", "300,300,900,119.5"), "--K2"),
+        (("--K", "one.png"), "one.png"),
+    ],
+)
+def test_a_bad_camera_is_refused(folder, network, k, words):
+    outputs = ("--json", "p.json", "--matches", "m.npz", "--plot", "p.png")
+    assert_refused(estimate(*outputs, k=k), folder, words)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not an image", b"\x89PNG\r\n\x1a\n\x00\x00"])
+def test_a_bad_image_is_refused(folder, network, content):
+    (folder / "two.png").unlink()
+    if content is not None:
+        (folder / "two.png").write_bytes(content)
+    listing = sorted(os.listdir(folder))
+    result = estimate("--json", "p.json", "--plot", "p.png")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert "two.png" in result.stderr
+    assert sorted(os.listdir(folder)) == listing
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--json", "nowhere/p.json"), "nowhere/p.json"),
+        (("--matches", "nowhere/m.npz"), "nowhere/m.npz"),
+        (("--plot", "nowhere/p.png"), "nowhere/p.png"),
+        (("--json", "."), "."),
+        (("--json", "p", "--matches", "p"), "same file"),
+        (("--plot", "p.txt"), "p.txt"),
+        (("--plot", "plain"), "plain"),
+        (("--matchability", "1.5"), "matchability"),
+        (("--runs", "0"), "runs"),
+        (("--iterations", "-5"), "iterations"),
+        (("--threshold", "0"), "threshold"),
+        (("--max-matches", "0"), "max_matches"),
+        (("--cycle", "-1"), "cycle"),
+    ],
+)
+def test_unusable_options_are_refused(folder, network, arguments, words):
+    assert_refused(estimate("--json", "p.json", *arguments), folder, words)
+
+
+def test_missing_weights_are_refused(folder):
+    result = estimate("--weights", "nosuch.safetensors", "--json", "p.json")
+    assert_refused(result, folder, "nosuch.safetensors")
+
+
+def test_a_file_that_holds_no_weights_is_refused(folder):
+    result = estimate("--weights", "one.png", "--json", "p.json")
+    assert_refused(result, folder, "one.png")
+
+
+def test_cuda_where_there_is_none_is_refused(folder, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    assert_refused(estimate("--device", "cuda", "--json", "p.json"), folder, "cuda")

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from dgc_pose.cli.main import SUBCOMMANDS, main
+from dgc_pose.errors import DgcPoseError, WeightsError
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, arguments)
+
+
+@pytest.fixture
+def raising(monkeypatch):
+    """Makes `dgc-pose demo` raise."""
+
+    def use(error):
+        @click.command()
+        def demo():
+            raise error
+
+        monkeypatch.setattr("dgc_pose.cli.demo.demo", demo)
+        return run("demo")
+
+    return use
+
+
+def test_help_names_every_subcommand():
+    for result in (run("--help"), run("-h"), run()):
+        assert result.exit_code == 0
+        assert all(f"  {name} " in result.stdout for name in SUBCOMMANDS)
+
+
+def test_help_does_not_import_torch():
+    code = (
+        "import sys\n"
+        "from dgc_pose.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as end:\n    assert not end.code\n"
+        "assert 'torch' not in sys.modules and 'cv2' not in sys.modules"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment, capture_output=True)
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_subcommand_has_help(name):
+    result = run(name, "--help")
+    assert result.exit_code == 0
+    assert result.stdout.startswith("Usage: ")
+
+
+def test_version_is_that_of_the_distribution():
+    result = run("--version")
+    assert result.exit_code == 0
+    assert result.stdout == f"dgc-pose, version {version('dgc-pose')}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["nosuch"], "nosuch"),
+        (["--nosuch"], "--nosuch"),
+        (["estimate"], "IMG1"),
+        (["estimate", "a.png"], "IMG2"),
+        (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
+        (["estimate", "a.png", "b.png", "--device", "abacus"], "--device"),
+        (["estimate", "a.png", "b.png", "--estimator", "guess"], "--estimator"),
+        (["match", "a.png", "b.png"], "--out"),
+        (["bench-pairs", "a.txt", "--limit", "0"], "--limit"),
+    ],
+)
+def test_misuse_is_one_line_and_exit_2(arguments, words):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    "error, line",
+    [
+        (WeightsError("w.pth: no such file"), "error: w.pth: no such file\n"),
+        (DgcPoseError("two\n  lines"), "error: two lines\n"),
+        (
+            OSError(28, "No space left on device", "out.npz"),
+            "error: out.npz: No space left on device\n",
+        ),
+        (OSError("strange"), "error: strange\n"),
+    ],
+)
+def test_errors_of_input_are_one_line_and_exit_2(raising, error, line):
+    result = raising(error)
+    assert (result.exit_code, result.stdout, result.stderr) == (2, "", line)
+
+
+def test_an_interrupt_is_no_traceback(raising):
+    result = raising(KeyboardInterrupt())
+    assert result.exit_code == 130
+    assert "Traceback" not in result.stderr
+
+
+def test_other_errors_are_not_hidden(raising):
+    assert isinstance(raising(ZeroDivisionError()).exception, ZeroDivisionError)

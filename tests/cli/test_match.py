@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+import os
+
+import dense_scene
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from dgc_pose.cli.main import main
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import save_weights
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pictures(tmp_path)
+
+    def load_matcher(weights, *, device, options):
+        return dense_scene.MapMatcher(dense_scene.true_map(), options)
+
+    monkeypatch.setattr("dgc_pose.cli.options.load_matcher", load_matcher)
+    return tmp_path
+
+
+def match(*arguments):
+    return CliRunner().invoke(main, ["match", *arguments])
+
+
+def test_map_and_matches_are_written(folder):
+    result = match("one.png", "two.png", "--out", "m.npz", "--max-matches", "300")
+    assert result.exit_code == 0
+    truth = dense_scene.true_map()
+    with np.load("m.npz", allow_pickle=False) as file:
+        assert sorted(file) == ["confidence", "grid", "map", "matchability", "points1", "points2"]
+        assert np.array_equal(file["map"], truth.map)
+        assert np.array_equal(file["grid"], truth.grid)
+        assert np.array_equal(file["matchability"], truth.matchability)
+        count = len(file["confidence"])
+        assert 0 < count <= 300
+        assert file["points1"].shape == file["points2"].shape == (count, 2)
+        off = dense_scene.places_in_image1(file["points2"]) - file["points1"]
+        assert np.abs(off).max() < 1e-3
+    assert f"{count} matches of {dense_scene.CELLS**2} cells" in result.stdout
+
+
+def test_weights_from_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pictures(tmp_path)
+    torch.manual_seed(0)
+    save_weights(DGCNet(preset("dgcm-lite")), "w.safetensors")
+    options = ("--weights", "w.safetensors", "--device", "cpu", "--matchability", "0")
+    result = match("one.png", "two.png", "--out", "m.npz", "--max-matches", "100", *options)
+    assert result.exit_code == 0, result.stderr
+    with np.load("m.npz", allow_pickle=False) as file:
+        assert file["map"].shape == file["grid"].shape == (240, 240, 2)
+        assert file["matchability"].shape == (240, 240)
+        assert np.isfinite(file["map"]).all()
+        # The grid's corners are the centres of cells of 320/240 by 1 pixels.
+        assert file["grid"][0, 0] == pytest.approx([320 / 480 - 0.5, 0])
+        assert file["grid"][-1, -1] == pytest.approx([320 - 320 / 480 - 0.5, 239])
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("one.png", "three.png", "--out", "m.npz"), "three.png"),
+        (("one.png", "two.png", "--out", "nowhere/m.npz"), "nowhere/m.npz"),
+        (("one.png", "two.png", "--out", "."), "."),
+        (("one.png", "two.png", "--out", "m.npz", "--matchability", "-1"), "matchability"),
+    ],
+)
+def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
+    result = match(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert words in result.stderr
+    assert sorted(os.listdir(folder)) == ["one.png", "two.png"]

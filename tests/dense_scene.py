@@ -1,0 +1,111 @@
+"""A smooth surface seen by two known cameras: two textured pictures and the exact dense map.
+
+The surface is given by its depth in camera 2, so the map comes straight from the projection; it is
+bent enough not to pass for a plane.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.image import Image
+from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions
+
+SIZE = (320, 240)  # width, height, pixels
+K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
+K_TEXT = "300,300,159.5,119.5"
+R = Rotation.from_euler("yx", [14, -5], degrees=True).as_matrix()
+T = np.array([-0.95, 0.2, 0.25]) / np.linalg.norm([-0.95, 0.2, 0.25])
+CELLS = 160  # of the map's grid, along each side
+
+
+class MapMatcher(DenseMatcher):
+    """Stands for the matcher with its network: hands out one map for any two images."""
+
+    def __init__(
+        self, correspondences: CorrespondenceMap, options: MatchingOptions | None = None
+    ) -> None:
+        self.correspondences = correspondences
+        self.options = options or MatchingOptions()
+
+    @property
+    def name(self) -> str:
+        return "map"
+
+    def correspond(self, image1: Image, image2: Image) -> CorrespondenceMap:
+        return self.correspondences
+
+
+def grid(columns: int, rows: int) -> np.ndarray:
+    """Centres (rows, columns, 2) of the cells of an even grid over the image, pixels."""
+    x = (np.arange(columns) + 0.5) * SIZE[0] / columns - 0.5
+    y = (np.arange(rows) + 0.5) * SIZE[1] / rows - 0.5
+    return np.stack(np.meshgrid(x, y), -1)
+
+
+def places_in_image1(places2: np.ndarray, t: np.ndarray = T) -> np.ndarray:
+    """Where the surface points seen at (..., 2) pixels of image 2 are in image 1."""
+    x, y = np.moveaxis((places2 - K[:2, 2]) / 300.0, -1, 0)
+    depth = 5.0 + 1.2 * np.sin(5 * x) + 0.9 * np.cos(7 * y) + 1.5 * x * y
+    points2 = np.stack([x * depth, y * depth, depth], -1)
+    points1 = (points2 - t) @ R
+    return points1[..., :2] / points1[..., 2:] * 300.0 + K[:2, 2]
+
+
+def true_map(t: np.ndarray = T, error_px: float = 0.0) -> CorrespondenceMap:
+    """The true map, exact or with a random error (one sigma); t = 0 gives a pure rotation.
+
+    It is matchable where the place lies inside image 1.
+    """
+    places2 = grid(CELLS, CELLS)
+    noise = np.random.default_rng(0).normal(size=places2.shape)
+    return make_map(places_in_image1(places2, t) + error_px * noise, places2)
+
+
+def noise_map(seed: int = 0) -> CorrespondenceMap:
+    """A map that means nothing."""
+    rng = np.random.default_rng(seed)
+    return make_map(rng.random((CELLS, CELLS, 2)) * SIZE - 0.5, grid(CELLS, CELLS))
+
+
+def make_map(places1: np.ndarray, places2: np.ndarray) -> CorrespondenceMap:
+    inside = ((places1 >= -0.5) & (places1 <= np.array(SIZE) - 0.5)).all(-1)
+    return CorrespondenceMap(
+        map=places1.astype(np.float32),
+        grid=places2.astype(np.float32),
+        matchability=np.where(inside, 0.9, 0.1).astype(np.float32),
+        size1=SIZE,
+        size2=SIZE,
+    )
+
+
+def pictures(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Image 1, a random texture, and image 2, the same surface from the other camera: RGB uint8."""
+    rng = np.random.default_rng(seed)
+    noise = rng.random((SIZE[1], SIZE[0], 3)).astype(np.float32)
+    texture = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (1.2, 3.0, 8.0))
+    first = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    x, y = np.moveaxis(places_in_image1(grid(*SIZE)).astype(np.float32), -1, 0)
+    return first, cv2.remap(first, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+def write_pictures(folder: Path) -> tuple[str, str]:
+    """The pictures as PNG files: their paths."""
+    paths = str(folder / "one.png"), str(folder / "two.png")
+    for path, pixels in zip(paths, pictures(), strict=True):
+        cv2.imwrite(path, pixels[..., ::-1])
+    return paths
+
+
+def write_pair_list(folder: Path, *, pairs: int = 1) -> Path:
+    """The pictures and a list that names them, with the true pose, `pairs` times."""
+    write_pictures(folder)
+    pose = np.vstack([np.column_stack([R, 3 * T]), [0, 0, 0, 1]])
+    numbers = " ".join(repr(float(v)) for part in (K, K, pose) for v in part.ravel())
+    path = folder / "pairs.txt"
+    path.write_text(f"one.png two.png 0 0 {numbers}\n" * pairs)
+    return path

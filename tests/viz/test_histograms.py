@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dgc_pose.errors import InputError
+from dgc_pose.viz.figure import new_figure
+from dgc_pose.viz.histograms import cumulative_share, draw_cumulative, plot_errors
+
+
+def test_the_share_at_each_value_is_that_of_the_errors_not_above_it():
+    errors = np.array([3.0, np.inf, 1.0, 12.0, 3.0])
+    values, share = cumulative_share(errors, 10)
+    assert values.tolist() == [0, 1, 3, 3, 10]
+    assert share.tolist() == [0, 0.2, 0.4, 0.6, 0.6]
+    for limit in (0.5, 1.0, 2.9, 3.0, 9.9):
+        at = share[np.searchsorted(values, limit, side="right") - 1]
+        assert at == np.mean(errors <= limit)
+
+
+def test_failures_alone_leave_the_curve_at_nought():
+    values, share = cumulative_share(np.full(3, np.inf), 10)
+    assert values.tolist() == [0, 10]
+    assert share.tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("errors", [np.zeros(0), np.array([1.0, np.nan])])
+def test_no_errors_and_nan_are_refused(errors):
+    with pytest.raises(InputError):
+        cumulative_share(errors, 10)
+
+
+def test_failures_alone_can_be_drawn():
+    errors = {"a": np.full(3, np.inf)}
+    assert len(plot_errors(errors, errors).axes) == 2
+
+
+def test_a_curve_a_method_with_its_median():
+    axes = new_figure(4, 3).subplots()
+    errors = {"a": np.array([1.0, 2.0, np.inf]), "b": np.full(3, np.inf)}
+    draw_cumulative(axes, errors, quantity="rotation error", limit=30)
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["a, median 2.00°", "b, median inf°"]
+    heights = [line.get_ydata()[-1] for line in axes.lines]
+    assert heights == pytest.approx([200 / 3, 0])
+
+
+def test_both_histograms_show_most_of_the_finite_errors():
+    rotation = {"a": np.full(9, 1.0), "b": np.array([12.0, np.inf])}
+    translation = {"a": np.full(9, 7.0), "b": np.array([170.0, 170.0, np.inf])}
+    figure = plot_errors(rotation, translation)
+    assert [axes.get_xlim() for axes in figure.axes] == [(0, 5), (0, 180)]
+    assert "rotation" in figure.axes[0].get_xlabel()
+    assert "folded translation" in figure.axes[1].get_xlabel()

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.viz.figure import new_figure
+from dgc_pose.viz.panels import (
+    SHOWN_SIDE,
+    show_image,
+    show_lines,
+    show_matchability,
+    show_matches,
+    show_warp,
+    warp_image,
+)
+
+
+@pytest.fixture
+def axes():
+    return new_figure(6, 4).subplots()
+
+
+def picture(width, height, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("size", [(40, 30), (2400, 600)])
+def test_axes_are_in_pixels_of_the_image_however_much_it_is_shrunk(axes, size):
+    show_image(axes, picture(*size))
+    width, height = size
+    assert axes.get_xlim() == (-0.5, width - 0.5)
+    assert axes.get_ylim() == (height - 0.5, -0.5)
+    assert list(axes.images[0].get_extent()) == [-0.5, width - 0.5, height - 0.5, -0.5]
+    assert max(axes.images[0].get_array().shape[:2]) <= max(SHOWN_SIDE, 40)
+
+
+def test_matches_join_the_same_places_of_both_pictures(axes):
+    # Image 2 has half the height, so it is drawn twice as large, beyond the gap.
+    points1 = np.array([[-0.5, -0.5], [100.0, 50.0]])
+    points2 = np.array([[-0.5, -0.5], [149.5, 99.5]])
+    show_matches(axes, picture(300, 200), picture(150, 100), points1, points2, np.array([0.0, 1.0]))
+    left, right = (image.get_extent() for image in axes.images)
+    assert left[1] < right[0]
+    assert right[3] - right[2] == left[3] - left[2] == -200
+    assert right[1] - right[0] == pytest.approx(300)
+    first, last = axes.collections[0].get_segments()
+    assert first[0] == pytest.approx(points1[0])
+    assert first[1] == pytest.approx([right[0], right[3]])
+    assert last[0] == pytest.approx(points1[1])
+    assert last[1] == pytest.approx([right[1], right[2]])
+    low, high = axes.collections[0].get_colors()
+    assert not np.allclose(low, high)
+
+
+def test_no_matches_can_be_drawn(axes):
+    none = np.zeros((0, 2))
+    show_matches(axes, picture(30, 20), picture(30, 20), none, none, np.zeros(0))
+    axes.figure.canvas.draw()
+    assert axes.collections[0].get_segments() == []
+
+
+@pytest.mark.parametrize("line", [(1.0, 0.0, -7.0), (0.0, -2.0, 8.0), (3.0, 4.0, -60.0)])
+def test_a_line_is_drawn_where_its_equation_says(axes, line):
+    show_image(axes, picture(40, 30))
+    show_lines(axes, np.array([line]))
+    axes.figure.canvas.draw()
+    drawn = axes.lines[0]
+    path = drawn.get_path().transformed(drawn.get_transform() - axes.transData)
+    a, b, c = line
+    for x, y in path.vertices:
+        assert a * x + b * y + c == pytest.approx(0, abs=1e-6)
+    assert np.ptp(path.vertices, axis=0).max() > 20  # it crosses the picture
+
+
+def test_the_line_at_infinity_is_left_out(axes):
+    show_lines(axes, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -7.0]]))
+    assert len(axes.lines) == 1
+
+
+def test_the_warp_of_the_true_map_is_image_2():
+    first, second = dense_scene.pictures()
+    found = warp_image(first, dense_scene.places_in_image1(dense_scene.grid(80, 60)), (320, 240))
+    seen = dense_scene.places_in_image1(dense_scene.grid(320, 240))
+    inside = ((seen > 1) & (seen < np.array(dense_scene.SIZE) - 2)).all(-1)
+    assert inside.mean() > 0.4
+    difference = np.abs(found.astype(float) - second)[inside]
+    assert difference.mean() < 4
+    # The picture varies much more than that, so another map would show.
+    assert np.abs(first.astype(float) - second)[inside].mean() > 20
+
+
+def test_places_outside_image_1_come_out_white():
+    places = np.full((4, 4, 2), -50.0)
+    assert (warp_image(picture(30, 20), places, (8, 6)) == 255).all()
+    assert warp_image(picture(30, 20), places, (8, 6)).shape == (6, 8, 3)
+
+
+def test_the_identity_warps_a_large_image_to_its_shrunk_self():
+    flat = np.zeros((600, 2400, 3), np.uint8)
+    flat[:, 1200:] = 200
+    y, x = np.mgrid[:600:20, :2400:20] + 9.5
+    shown = warp_image(flat, np.stack([x, y], -1), (240, 60))
+    assert (shown[:, :118] == 0).all() and (shown[:, 122:] == 200).all()
+
+
+def test_a_paler_warp_where_less_matchable(axes):
+    black = np.zeros((20, 30, 3), np.uint8)
+    places = np.full((4, 4, 2), 10.0)
+    matchability = np.repeat([[1.0, 1.0, 0.0, 0.0]], 4, axis=0)
+    show_warp(axes, black, places, matchability, (40, 40))
+    shown = axes.images[0].get_array()
+    assert shown[20, 2].max() == 0
+    assert shown[20, 37].min() > 200
+
+
+def test_matchability_is_drawn_over_the_whole_of_image_2(axes):
+    matchability = np.zeros((8, 8))
+    matchability[:, 4:] = 1
+    show_matchability(axes, np.full((30, 40, 3), 255, np.uint8), matchability)
+    shown = axes.images[0].get_array()
+    assert shown.shape == (30, 40, 3)
+    dark, yellow = shown[15, 2], shown[15, 37]
+    assert dark.sum() < 1 < yellow[:2].sum()
