@@ -7,6 +7,7 @@ import os
 import pickle
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -59,6 +60,17 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
     os.replace(temporary, path)
 
 
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
+    """What torch.save wrote, if tensors and plain values only; else WeightsError with the file."""
+    try:
+        return torch.load(path, map_location=device, weights_only=True)
+    except pickle.UnpicklingError as error:
+        # torch's own message advises to load the file as code, which we never do.
+        raise WeightsError(f"{path}: not a checkpoint of tensors and plain values") from error
+    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
+        raise WeightsError(f"{path}: not a checkpoint that can be read ({_line(error)})") from error
+
+
 def _find(weights: str | Path) -> Path:
     name = str(weights)
     if name in shipped():
@@ -94,10 +106,7 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
 
 
 def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        raise WeightsError(f"{path}: not a checkpoint that can be read ({_line(error)})") from error
+    content = load_checkpoint(path)
     state = content.get("state_dict", content) if isinstance(content, dict) else None
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
         raise WeightsError(f"{path}: holds no state_dict")

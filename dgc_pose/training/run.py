@@ -17,7 +17,7 @@ from torch import Tensor
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
+from dgc_pose.network.weights import load_checkpoint, save_weights
 from dgc_pose.training.pairs import PairOptions, TrainingPairs, make_pairs
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
@@ -184,10 +184,7 @@ class Trainer:
         os.replace(temporary, self.out / CHECKPOINT)
 
     def _load(self, path: Path) -> None:
-        try:
-            state = torch.load(path, map_location=self.device, weights_only=True)
-        except (OSError, RuntimeError, EOFError) as error:
-            raise WeightsError(f"{path}: not a checkpoint of a run ({error})") from error
+        state = load_checkpoint(path, self.device)
         if state["preset"] != self.options.preset:
             raise WeightsError(
                 f"{path}: a run of preset {state['preset']}, not {self.options.preset}"

@@ -1,0 +1,215 @@
+"""A training run: losses fall, stages follow each other, a killed run goes on as it would have."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.statistics import normalise
+from dgc_pose.network.weights import load_network
+from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.pairs import PairOptions, make_pairs
+from dgc_pose.training.photos import Photos, load_photos
+from dgc_pose.training.run import RunOptions, Trainer
+from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
+from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.validation import validate, validation_pairs
+
+_WARPS_ONLY = PairOptions(scene_share=0.0)
+
+
+@pytest.fixture(scope="module")
+def photos() -> Photos:
+    return Photos.of((255 * procedural_textures(6, 96, seed=1)).round().to(torch.uint8))
+
+
+def _options(**changes: object) -> RunOptions:
+    base = RunOptions(
+        "dgcm-lite", 1.0, pairs=_WARPS_ONLY, validation_count=1, batch=1, save_minutes=1e-9
+    )
+    return replace(base, **changes)  # type: ignore[arg-type]
+
+
+def test_encoder_loss_falls_on_a_fixed_batch(photos: Photos) -> None:
+    torch.manual_seed(0)
+    generator = torch.Generator().manual_seed(0)
+    stage = EncoderStage(DGCNet(preset("dgcm-lite")))
+    pairs = make_pairs(photos, 2, 64, generator, _WARPS_ONLY)
+    optimizer = torch.optim.AdamW(stage.parameters(), lr=2e-3)
+    losses = []
+    for _ in range(12):
+        loss, shares = stage.loss(pairs, torch.Generator().manual_seed(1))
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.8 * losses[0]
+    assert set(shares) == {"found4", "found3", "found2"}
+
+
+@pytest.mark.parametrize("name", ["dgcm-lite", "dgcm"])
+def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> None:
+    torch.manual_seed(0)
+    net = DGCNet(preset(name))
+    stage = DecoderStage(net)
+    stage.train()
+    before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
+    pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
+    optimizer = torch.optim.AdamW(stage.trainable(), lr=1e-3)
+    losses = []
+    for _ in range(6 if name == "dgcm-lite" else 3):
+        loss, errors = stage.loss(pairs, torch.Generator().manual_seed(1), noise_share=1.0)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < losses[0]
+    assert set(errors) == {"epe15", "epe30", "epe60", "epe120", "epe240"}
+    for key, value in net.pyramid.state_dict().items():
+        assert torch.equal(value, before[key])
+
+
+def test_the_noised_truth_is_near_the_truth(photos: Photos) -> None:
+    """With the true map as input and untrained corrections, fine levels start within two cells."""
+    net = DGCNet(preset("dgcm-lite")).eval()
+    for level in range(5):
+        torch.nn.init.zeros_(net.get_submodule(f"reg_{level}.final").weight)
+        torch.nn.init.zeros_(net.get_submodule(f"reg_{level}.final").bias)
+    pairs = make_pairs(photos, 2, 240, torch.Generator().manual_seed(5), _WARPS_ONLY)
+    with torch.no_grad():
+        _, errors = DecoderStage(net).eval().loss(
+            pairs, torch.Generator().manual_seed(1), noise_share=1.0
+        )
+    assert 0.2 < errors["epe240"] < 4 and 0.4 < errors["epe120"] < 8 and errors["epe15"] > 20
+
+
+def test_polish_reaches_the_coarsest_decoder_from_the_finest_loss(photos: Photos) -> None:
+    net = DGCNet(preset("dgcm-lite"))
+    pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
+    gradients = {}
+    for end_to_end in (False, True):
+        stage = DecoderStage(net, end_to_end=end_to_end)
+        stage.train()
+        net.zero_grad()
+        state = net.coarsest(torch.rand(1, 128, 15, 15), torch.rand(1, 128, 15, 15))
+        total, _ = stage._level_loss(4, state, pairs, (slice(None), slice(None)))
+        loss, _ = stage.loss(pairs, torch.Generator().manual_seed(1))
+        (loss + 0 * total).backward()
+        gradients[end_to_end] = net.get_submodule("reg_4.final").weight.grad.clone()
+    assert not torch.equal(gradients[False], gradients[True])
+
+
+def test_schedule_is_complete_in_the_time_given() -> None:
+    schedule = Schedule(0.5, 0.3, 0.2)
+    assert schedule.at(0.0) == ("encoder", 0.0)
+    assert schedule.at(0.499)[0] == "encoder"
+    assert schedule.at(0.5)[0] == "decoders"
+    assert schedule.at(0.9)[0] == "polish"
+    assert schedule.at(1.0) == ("polish", 1.0)
+    assert Schedule(0.0, 1.0, 0.0).at(0.0)[0] == "decoders"
+    rates = [learning_rate(STAGES["decoders"], p / 100) for p in range(101)]
+    assert max(rates) == pytest.approx(STAGES["decoders"].learning_rate, rel=0.01)
+    assert rates[0] < rates[2] > rates[-1] and rates[-1] < 0.02 * max(rates)
+    with pytest.raises(InputError, match="sum to 1"):
+        Schedule(0.5, 0.5, 0.5)
+
+
+@pytest.mark.parametrize("progress", [0.2, 0.7])
+def test_a_killed_run_resumes_to_the_same_loss(
+    photos: Photos, tmp_path: Path, progress: float
+) -> None:
+    def losses(trainer: Trainer, steps: int) -> list[float]:
+        return [trainer.train_step(progress)["loss"] for _ in range(steps)]
+
+    whole = Trainer((photos, photos), tmp_path / "whole", _options())
+    expected = losses(whole, 4)
+    first = Trainer((photos, photos), tmp_path / "killed", _options())
+    found = losses(first, 2)
+    first.save()
+    losses(first, 1)  # trained after the checkpoint and lost with the kill
+    second = Trainer((photos, photos), tmp_path / "killed", _options(), resume=True)
+    assert second.step == 2
+    assert found + losses(second, 2) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_run_writes_weights_that_load_and_a_log(photos: Photos, tmp_path: Path) -> None:
+    rows: list[dict[str, object]] = []
+    options = _options(minutes=0.08, schedule=Schedule(0.4, 0.4, 0.2), validate_minutes=0.01)
+    net = Trainer((photos, photos), tmp_path, options).run(rows.append)
+    assert {row["stage"] for row in rows} >= {"encoder", "polish"}
+    assert all(float(row["pairs_per_second"]) > 0 for row in rows)
+    loaded = load_network(tmp_path / "dgcm-lite.safetensors")
+    pairs = validation_pairs(photos, 1, 1, _WARPS_ONLY)
+    ours, shipped = validate(net.eval(), pairs), validate(loaded, pairs)
+    assert shipped["aepe"] == pytest.approx(ours["aepe"], rel=0.05)
+    with next(tmp_path.glob("polish_validation_*.csv")).open() as file:
+        last = list(csv.DictReader(file))[-1]
+    assert float(last["val_aepe"]) > 0 and int(last["step"]) == rows[-1]["step"]
+
+
+def test_runs_are_not_overwritten_or_mixed(photos: Photos, tmp_path: Path) -> None:
+    Trainer((photos, photos), tmp_path, _options()).save()
+    with pytest.raises(InputError, match="--resume"):
+        Trainer((photos, photos), tmp_path, _options())
+    with pytest.raises(WeightsError, match="preset dgcm-lite, not dgc"):
+        Trainer((photos, photos), tmp_path, _options(preset="dgc"), resume=True)
+    (tmp_path / "checkpoint.pt").write_bytes(b"half a checkp")
+    with pytest.raises(WeightsError, match=re.escape("checkpoint.pt")):
+        Trainer((photos, photos), tmp_path, _options(), resume=True)
+
+
+def test_validation_of_a_perfect_net_would_be_perfect(photos: Photos) -> None:
+    """The figures follow the map: of maps that are off by 2 px in x, every level says 2."""
+    pairs = validation_pairs(photos, 2, 2, _WARPS_ONLY)
+
+    class Off(DGCNet):
+        def forward(self, source: torch.Tensor, target: torch.Tensor) -> object:
+            prediction = super().forward(source, target)
+            batch = next(b for b in pairs if torch.equal(normalise(b.image1), source))
+            place = (2 * (batch.map + torch.tensor([2.0, 0.0])) + 1) / 240 - 1
+            maps = []
+            for level in prediction.maps:
+                stride = 240 // level.shape[-1]
+                two = int(stride > 1)  # a cell's centre lies between two pixels
+                axis = torch.arange(level.shape[-1]) * stride + stride // 2 - two
+                corners = [
+                    place[:, axis + dy][:, :, axis + dx]
+                    for dy in range(1 + two)
+                    for dx in range(1 + two)
+                ]
+                maps.append(torch.stack(corners).mean(0).movedim(-1, 1))
+            mask = torch.where(batch.valid, 10.0, -10.0)[:, None]
+            return type(prediction)(tuple(maps), (mask,))
+
+    figures = validate(Off(preset("dgcm-lite")).eval(), pairs)
+    for cells in (15, 30, 60, 120, 240):
+        assert figures[f"aepe{cells}"] == pytest.approx(2.0, abs=1e-3)
+    assert figures["epe_median"] == pytest.approx(2.0, abs=1e-3)
+    assert figures["pck3"] == figures["sure3"] == figures["jaccard"] == 1.0
+
+
+def test_photographs_are_held_back_by_name(tmp_path: Path) -> None:
+    import cv2
+    import numpy as np
+
+    rng = np.random.default_rng(0)
+    for index in range(60):
+        cv2.imwrite(
+            str(tmp_path / f"p{index:03d}.png"), rng.integers(0, 255, (20, 30, 3), dtype=np.uint8)
+        )
+    (tmp_path / "broken.jpg").write_bytes(b"no photograph")
+    training, held_back = load_photos(tmp_path, side=16)
+    again, _ = load_photos(tmp_path, side=16)
+    assert len(training.pixels) + len(held_back.pixels) == 60
+    assert 1 <= len(held_back.pixels) < 12
+    assert torch.equal(training.pixels, again.pixels)
+    known = {bytes(p.numpy().tobytes()) for p in training.pixels}
+    assert not any(bytes(p.numpy().tobytes()) in known for p in held_back.pixels)
