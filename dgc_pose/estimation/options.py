@@ -21,10 +21,11 @@ class VerdictOptions:
     # paired at random: an inlier count alone tells nothing.
     chance_factor: float = 3.0
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
-    rotation_share: float = 0.9  # of inliers that a rotation alone must explain to be the answer
-    # The parallax that a rotation leaves must be so many times the epipolar error before it counts
-    # as evidence of a translation.
-    min_parallax: float = 2.5
+    # Matches that a rotation alone must explain to be the answer, over the inliers.
+    rotation_share: float = 0.8
+    # The motion that such a rotation leaves must spread so many times as wide as the error across
+    # epipolar lines before it counts as evidence of a translation; more for few matches.
+    min_parallax: float = 1.5
     planar_share: float = 0.85  # of inliers that one homography must explain to call them a plane
     small_angle_deg: float = 1.0  # median triangulation angle below which a warning is due
 

@@ -15,7 +15,7 @@ Status = Literal[
     "planar",  # R and t, but from a plane, which allows a second solution
     "rotation_only",  # R alone: the images do not tell t
     "too_few_matches",
-    "no_model",  # the estimator found no essential matrix at all
+    "no_model",  # the estimator found no essential matrix, or many: all points on one line
     "chance_inliers",  # no more inliers than unrelated images would give
     "behind_cameras",  # most points would lie behind a camera
 ]

@@ -15,9 +15,18 @@ from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.result import Status
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.geometry.rotation import fit_rotation
-from dgc_pose.geometry.triangulation import triangulation_angles_deg, unit_rays
+from dgc_pose.geometry.triangulation import (
+    epipolar_angles,
+    triangulation_angles_deg,
+    unit_rays,
+)
 
 _SHUFFLES = 8  # random pairings that the chance level is measured on
+_ROTATION_LIMIT = 6.0  # angle that a rotation may leave of a match, over the epipolar threshold
+_NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a deviation of 1
+_RAYLEIGH_MEDIAN = 1.1774
+_EXACT = 1e-9  # radians: what rounding leaves of exact matches
+_LEAST_ERROR = 0.05  # of the threshold: matches are not believed to be better than that
 
 
 @dataclass(frozen=True)
@@ -28,10 +37,12 @@ class Evidence:
     chance_ratio: float  # the same model's, of the same points paired at random
     cheirality_ratio: float  # inliers in front of both cameras
     rotation: np.ndarray  # (3, 3) the rotation that explains most matches alone
-    rotation_share: float  # of the inliers that it explains
-    parallax: float  # median motion that it leaves along epipolar lines, over the error across
+    rotation_share: float  # matches that it explains, over the inliers
+    parallax: float  # spread of the motion that it leaves, over that of the error across lines
+    num_turned: int  # matches that it explains, which the parallax is measured on
     median_angle_deg: float  # triangulation angle of the inliers
     homography_ratio: float  # of the inliers that one homography explains
+    on_a_line: bool  # the inliers of either image lie on one line
 
 
 def gather(
@@ -46,17 +57,24 @@ def gather(
     kept = model.inliers
     first, second = points1[kept], points2[kept]
     E = essential_from_pose(model.R, model.t)
-    rotation, explained = robust_rotation(first, second, 2 * threshold)
+    rotation = robust_rotation(first, second, 2 * threshold)
+    # Of all matches and not of the inliers alone: these were chosen for a small error across.
+    motion = np.linalg.norm(unit_rays(points1) @ rotation.T - unit_rays(points2), axis=1)
+    turned = motion < _ROTATION_LIMIT * threshold
+    across = epipolar_angles(points1[turned], points2[turned], E)
     angles = triangulation_angles_deg(first, second, model.R)
+    spread = min(_spread(first), _spread(second)) if len(first) > 1 else 0.0
     return Evidence(
         inlier_ratio=float(kept.mean()),
         chance_ratio=_chance_ratio(points1, points2, E, threshold, seed),
         cheirality_ratio=float(model.in_front[kept].mean()) if kept.any() else 0.0,
         rotation=rotation,
-        rotation_share=float(explained.mean()) if len(explained) else 0.0,
-        parallax=_parallax(first, second, rotation, E),
+        rotation_share=float(turned.sum() / max(kept.sum(), 1)),
+        parallax=_parallax(motion[turned], across),
+        num_turned=int(turned.sum()),
         median_angle_deg=float(np.median(angles)) if len(angles) else 0.0,
         homography_ratio=homography_ratio,
+        on_a_line=spread < 2 * threshold,
     )
 
 
@@ -72,13 +90,17 @@ def judge(
             f"{100 * chance:.1f} % would by chance"
         )
         return "chance_inliers", reason, ()
+    if evidence.on_a_line:
+        return "no_model", "the inliers lie on one line, which many poses allow", ()
+    # A model fits the noise of few matches: what it leaves of them is too small by some 1 / sqrt.
+    least_parallax = options.min_parallax * (1 + 4 / np.sqrt(max(evidence.num_turned, 1)))
     if (
         evidence.rotation_share >= options.rotation_share
-        and evidence.parallax < options.min_parallax
+        and evidence.parallax < least_parallax
     ):
         reason = (
-            f"a rotation alone explains {100 * evidence.rotation_share:.0f} % of the inliers: "
-            f"the images do not tell the translation"
+            f"a rotation alone explains {evidence.num_turned} matches, as many as the essential "
+            f"matrix: the images do not tell the translation"
         )
         return "rotation_only", reason, ()
     if evidence.cheirality_ratio < options.min_cheirality:
@@ -104,8 +126,8 @@ def judge(
 
 def robust_rotation(
     points1: np.ndarray, points2: np.ndarray, threshold: float, rounds: int = 10
-) -> tuple[np.ndarray, np.ndarray]:
-    """The rotation (3, 3) that turns rays 1 into rays 2, and which matches (N,) it explains.
+) -> np.ndarray:
+    """The rotation (3, 3) that turns rays 1 into rays 2.
 
     Least squares (Kabsch) on all matches, then again on the half nearest to it and on all that lie
     within `threshold` (normalised), whichever are more, until they stay the same.
@@ -113,18 +135,16 @@ def robust_rotation(
     rays1, rays2 = unit_rays(points1), unit_rays(points2)
     kept = np.ones(len(rays1), dtype=bool)
     R = np.eye(3)
-    explained = np.zeros(len(rays1), dtype=bool)
     for _ in range(rounds):
         if kept.sum() < 2:
             break
         R = fit_rotation(rays1[kept], rays2[kept])
         distance = np.linalg.norm(rays1 @ R.T - rays2, axis=1)
-        explained = distance < threshold
         following = distance <= max(threshold, float(np.median(distance)))
         if np.array_equal(following, kept):
             break
         kept = following
-    return R, explained
+    return R
 
 
 def _chance_ratio(
@@ -137,20 +157,20 @@ def _chance_ratio(
     return float(np.mean(counts))
 
 
-def _parallax(
-    points1: np.ndarray, points2: np.ndarray, rotation: np.ndarray, E: np.ndarray
-) -> float:
-    """Median motion that a rotation leaves, over the median epipolar error of E.
+def _parallax(motion: np.ndarray, across: np.ndarray) -> float:
+    """Spread of the motion (N,) that a rotation leaves, over that of the error (N,) across lines.
 
-    The noise of the matches moves points along their epipolar lines as much as across them, so a
-    pure rotation gives about 1 to 2 and a real translation much more. Exact matches that leave
-    nothing give 0.
+    Each by its median, made a standard deviation of Gaussian noise in two dimensions and in one:
+    the noise of the matches moves points along their epipolar lines as much as across them, so a
+    pure rotation gives 1, or a little more where the essential matrix fits the noise of few
+    matches, and a real translation gives more. Exact matches that leave nothing give 0.
     """
-    if not len(points1):
+    if not len(motion):
         return 0.0
-    left = np.linalg.norm(unit_rays(points1) @ rotation.T - unit_rays(points2), axis=1)
-    across = np.median(sampson_distance(points1, points2, E))
-    motion = np.median(left)
-    if motion < 1e-9:
-        return 0.0
-    return float(motion / max(across, 1e-9))
+    left = float(np.median(motion)) / _RAYLEIGH_MEDIAN
+    return left / max(float(np.median(across)) / _NORMAL_MEDIAN, _EXACT) if left > _EXACT else 0.0
+
+
+def _spread(points: np.ndarray) -> float:
+    """Standard deviation of points (N, 2) across the line through them that fits best."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(np.cov(points.T))[0], 0.0)))

@@ -48,6 +48,8 @@ def homography_poses(H: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
     Both signs of each translation; a homography that is a rotation gives none.
     """
+    # Views of one side of the plane have det H > 0 (Malis and Vargas, 2007); H is up to sign.
+    H = H * np.sign(np.linalg.det(H))
     _, rotations, translations, _ = cv2.decomposeHomographyMat(H, np.eye(3))
     poses = []
     for R, t in zip(rotations, translations, strict=True):

@@ -51,3 +51,11 @@ def triangulation_angles_deg(
     turned, seen = unit_rays(points1) @ R.T, unit_rays(points2)
     sine = np.linalg.norm(np.cross(turned, seen), axis=1)
     return np.degrees(np.arctan2(sine, (turned * seen).sum(1)))
+
+
+def epipolar_angles(points1: np.ndarray, points2: np.ndarray, E: np.ndarray) -> np.ndarray:
+    """Angle (N,), radians, between ray 2 of each match and the epipolar plane of its ray 1."""
+    normals = homogeneous(points1) @ E.T
+    lengths = np.linalg.norm(normals, axis=1)
+    sine = np.abs((normals * unit_rays(points2)).sum(1)) / np.where(lengths > 0, lengths, 1)
+    return np.arcsin(np.clip(sine, 0, 1))

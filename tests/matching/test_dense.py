@@ -1,0 +1,122 @@
+"""The network as a matcher: sizes, the half-pixel rule, the way back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.image import Image
+from dgc_pose.matching import DenseMatcher, MatchingOptions, load_matcher
+from dgc_pose.matching.dense import resize
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+
+
+def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
+    """A net that maps every cell to itself, shifted in x by a normalised amount."""
+    config = replace(preset("dgcm"), output="displacement", align_corners=align_corners)
+    net = DGCNet(config).eval()
+    for level in range(5):
+        final = net.get_submodule(f"reg_{level}.final")
+        torch.nn.init.zeros_(final.weight)
+        torch.nn.init.zeros_(final.bias)
+    with torch.no_grad():
+        net.get_submodule("reg_0.final").bias[0] = shift
+    return net
+
+
+def _image(width: int, height: int, seed: int = 0) -> Image:
+    rng = np.random.default_rng(seed)
+    return Image(rng.integers(0, 256, (height, width, 3), dtype=np.uint8))
+
+
+@pytest.mark.parametrize("align_corners", [True, False])
+def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> None:
+    """The map that is the identity at 240 scales by the half-pixel rule to any pair of sizes."""
+    matcher = DenseMatcher(_constant_net(align_corners=align_corners))
+    first, second = _image(1600, 1200), _image(320, 90)
+    found = matcher.correspond(first, second)
+    cells = np.arange(240)
+    for places, size in ((found.map, first.size), (found.grid, second.size)):
+        np.testing.assert_allclose(places[7, :, 0], (cells + 0.5) * size[0] / 240 - 0.5, atol=2e-3)
+        np.testing.assert_allclose(places[:, 9, 1], (cells + 0.5) * size[1] / 240 - 0.5, atol=2e-3)
+    assert found.map.dtype == found.grid.dtype == found.matchability.dtype == np.float32
+    assert found.matchability.shape == (240, 240) and found.cycle is None
+
+
+def test_a_shift_of_the_map_is_a_shift_in_pixels() -> None:
+    """2 / 240 of the normalised width, edges at -1 and +1, is one cell: 1600 / 240 pixels."""
+    matcher = DenseMatcher(_constant_net(2 / 240, align_corners=False))
+    found = matcher.correspond(_image(1600, 1200), _image(1600, 1200))
+    shift = np.broadcast_to((1600 / 240, 0), found.map.shape)
+    np.testing.assert_allclose(found.map - found.grid, shift, atol=3e-3)
+
+
+def test_cycle_measures_the_way_back() -> None:
+    """There by +1 cell and back by +1 cell ends 2 cells off, in pixels of image 2."""
+    options = MatchingOptions(cycle_px=5.0, matchability=0.0)
+    matcher = DenseMatcher(_constant_net(2 / 240, align_corners=False), options)
+    found = matcher.correspond(_image(480, 480), _image(960, 480))
+    assert found.cycle is not None
+    np.testing.assert_allclose(found.cycle[:, :200], 2 * 960 / 240, atol=0.05)
+    assert len(matcher.select(found)) == 0
+    still = DenseMatcher(_constant_net(0.0), options)
+    found = still.correspond(_image(480, 480), _image(960, 480))
+    np.testing.assert_allclose(found.cycle, 0, atol=0.05)
+    assert len(still.select(found)) > 1000
+
+
+def test_the_same_images_give_the_same_matches() -> None:
+    torch.manual_seed(0)
+    matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), MatchingOptions(matchability=0.0))
+    pair = _image(200, 150, 1), _image(180, 240, 2)
+    one, two = matcher.match(*pair), matcher.match(*pair)
+    assert len(one) > 0
+    assert np.array_equal(one.points1, two.points1)
+    assert np.array_equal(one.confidence, two.confidence)
+
+
+def test_nothing_is_nan_whatever_the_network_says() -> None:
+    net = _constant_net()
+    with torch.no_grad():
+        net.get_submodule("reg_0.final").bias.fill_(torch.nan)
+    matcher = DenseMatcher(net, MatchingOptions(matchability=0.0))
+    found = matcher.correspond(_image(100, 100), _image(100, 100))
+    assert np.isfinite(found.map).all()
+    assert len(matcher.select(found)) == 0
+
+
+def test_resize_keeps_places() -> None:
+    """A ramp stays the ramp of the half-pixel rule, shrunk, enlarged, or each along one axis."""
+    height, width = 300, 480
+    x = np.arange(width) * 0.5
+    ramp = np.repeat(np.repeat(x[None, :, None], height, 0), 3, 2)
+    for size in ((240, 240), (960, 600), (240, 600), (960, 100)):
+        found = resize(ramp.astype(np.float32), size)
+        assert found.shape == (size[1], size[0], 3)
+        expected = ((np.arange(size[0]) + 0.5) * width / size[0] - 0.5) * 0.5
+        inner = slice(4, -4)
+        np.testing.assert_allclose(found[5, inner, 0], expected[inner], atol=1e-3)
+
+
+def test_shrinking_averages() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (960, 960, 3), dtype=np.uint8)
+    found = resize(noise, (240, 240)).astype(float)
+    expected = noise.reshape(240, 4, 240, 4, 3).mean((1, 3))
+    assert np.abs(found - expected).max() <= 1
+    assert cv2.resize(noise, (240, 240)).std() > 2 * found.std()  # plain bilinear would alias
+
+
+def test_weights_and_devices_that_are_not_there() -> None:
+    with pytest.raises(WeightsError, match="no such weights"):
+        load_matcher("nowhere.safetensors")
+    with pytest.raises(InputError, match="device"):
+        load_matcher(device="quantum")
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match="CUDA"):
+            load_matcher(device="cuda")

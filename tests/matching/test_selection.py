@@ -1,0 +1,90 @@
+"""From a map to matches: every filter, and an even spread."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dgc_pose.errors import InputError
+from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.matching.selection import (
+    ERROR_CELLS,
+    MatchingOptions,
+    cell_size,
+    even_subsample,
+    select_matches,
+)
+
+
+def _map(seed: int = 0, side: int = 60) -> CorrespondenceMap:
+    rng = np.random.default_rng(seed)
+    axis = (np.arange(side) + 0.5) * 10 - 0.5
+    grid = np.stack(np.meshgrid(axis, axis), -1).astype(np.float32)
+    place = grid + rng.normal(0, 3, grid.shape).astype(np.float32)
+    matchability = rng.random((side, side)).astype(np.float32)
+    cycle = rng.exponential(4, (side, side)).astype(np.float32)
+    return CorrespondenceMap(place, grid, matchability, (600, 600), (600, 600), cycle)
+
+
+def test_filters_against_a_loop() -> None:
+    correspondences = _map()
+    options = MatchingOptions(matchability=0.6, cycle_px=3.0, max_matches=10_000)
+    found = select_matches(correspondences, options)
+    expected = []
+    for row in range(60):
+        for column in range(60):
+            x, y = correspondences.map[row, column]
+            inside = -0.5 <= x <= 599.5 and -0.5 <= y <= 599.5
+            sure = correspondences.matchability[row, column] >= 0.6
+            if inside and sure and correspondences.cycle[row, column] <= 3.0:
+                expected.append((x, y, *correspondences.grid[row, column]))
+    assert 300 < len(expected) < 1500
+    np.testing.assert_array_equal(
+        np.column_stack([found.points1, found.points2]), np.array(expected, dtype=np.float64)
+    )
+    assert found.confidence.min() >= 0.6
+
+
+def test_error_follows_the_cell() -> None:
+    correspondences = _map()
+    assert cell_size(correspondences) == pytest.approx(10.0)
+    assert select_matches(correspondences, MatchingOptions()).error_px == 10 * ERROR_CELLS
+
+
+def test_subsample_is_even_and_takes_the_confident() -> None:
+    rng = np.random.default_rng(1)
+    keep = np.ones((120, 120), dtype=bool)
+    confidence = rng.random((120, 120))
+    chosen = even_subsample(keep, confidence, 900)
+    assert 600 <= chosen.sum() <= 900
+    quarters = chosen.reshape(4, 30, 4, 30).sum((1, 3))
+    assert quarters.min() > 0.7 * quarters.max()
+    assert confidence[chosen].mean() > 0.8
+
+
+def test_subsample_never_exceeds_and_keeps_what_fits() -> None:
+    rng = np.random.default_rng(2)
+    for share in (0.02, 0.3, 0.9):
+        keep = rng.random((80, 80)) < share
+        confidence = rng.random((80, 80))
+        for most in (1, 7, 100, 2000):
+            chosen = even_subsample(keep, confidence, most)
+            assert 1 <= chosen.sum() <= most or chosen.sum() == keep.sum() <= most
+            assert not (chosen & ~keep).any()
+    assert np.array_equal(even_subsample(keep, confidence, 6400), keep)
+
+
+def test_a_cycle_needs_the_way_back() -> None:
+    one_way = replace(_map(), cycle=None)
+    with pytest.raises(InputError, match="cycle"):
+        select_matches(one_way, MatchingOptions(cycle_px=2.0))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0)]
+)
+def test_wrong_options_are_named(field: str, value: float) -> None:
+    with pytest.raises(InputError, match=field):
+        MatchingOptions(**{field: value})

@@ -1,0 +1,121 @@
+"""The whole pipeline, from paths, arrays and tensors to a pose and its verdict."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import dgc_pose
+from dgc_pose import Camera, ImageError, InputError, estimate_relative_pose, trace_relative_pose
+from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.render.scene_pair import RenderedPair, render_scene_pair
+
+
+@pytest.fixture(scope="module")
+def pair() -> RenderedPair:
+    return render_scene_pair(5, size1=(640, 480), size2=(560, 520), rotation_deg=12)
+
+
+def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_path: Path) -> None:
+    paths = []
+    for index, image in enumerate((pair.image1, pair.image2)):
+        paths.append(tmp_path / f"{index}.png")
+        cv2.imwrite(str(paths[-1]), image[..., ::-1])
+    tensors = [
+        torch.from_numpy(i).permute(2, 0, 1).float() / 255 for i in (pair.image1, pair.image2)
+    ]
+    poses = [
+        estimate_relative_pose(a, b, pair.K1, pair.K2, matcher=SiftMatcher())
+        for a, b in ((pair.image1, pair.image2), paths, tensors)
+    ]
+    for pose in poses:
+        assert pose.success and pose.status == "ok"
+        assert rotation_error_deg(pose.R, pair.R) < 0.5
+        assert translation_error_deg(pose.t, pair.t) < 2.0
+        assert np.array_equal(pose.R, poses[0].R) and np.array_equal(pose.t, poses[0].t)
+        assert set(pose.seconds) == {"load", "match", "estimate"}
+
+
+def test_cameras_may_be_cameras_and_warnings_arrive(pair: RenderedPair) -> None:
+    odd = pair.K2.copy()
+    odd[0, 2] += 0.24 * 560  # far from the middle, as a crop's principal point may be
+    trace = trace_relative_pose(
+        pair.image1, pair.image2, Camera(pair.K1, (640, 480)), odd, matcher=SiftMatcher()
+    )
+    assert trace.correspondences is None and len(trace.matches) > 50
+    assert any("principal point" in warning for warning in trace.pose.warnings)
+
+
+@pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])
+def test_verdicts_on_rendered_scenes(kind: str) -> None:
+    scene = render_scene_pair(
+        7, size1=(640, 480), size2=(640, 480), rotation_deg=8, kind=kind  # type: ignore[arg-type]
+    )
+    pose = estimate_relative_pose(
+        scene.image1, scene.image2, scene.K1, scene.K2, matcher=SiftMatcher()
+    )
+    assert pose.R is not None and rotation_error_deg(pose.R, scene.R) < 1.0
+    if kind == "rotation_only":
+        assert pose.status == "rotation_only" and not pose.success and pose.t is None
+    else:
+        assert pose.success and translation_error_deg(pose.t, scene.t) < 5.0
+    if kind == "planar":
+        assert pose.status == "planar" and any("plane" in w for w in pose.warnings)
+
+
+def test_an_image_with_itself_has_no_translation(pair: RenderedPair) -> None:
+    pose = estimate_relative_pose(pair.image1, pair.image1, pair.K1, matcher=SiftMatcher())
+    assert pose.status == "rotation_only" and pose.t is None and pose.E is None
+    assert pose.R is not None and rotation_error_deg(pose.R, np.eye(3)) < 0.01
+
+
+def test_a_turned_copy_is_a_rotation(pair: RenderedPair) -> None:
+    K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+    turned = np.rot90(pair.image1).copy()
+    turned_K = np.array([[600.0, 0, 239.5], [0, 600, 319.5], [0, 0, 1]])
+    pose = estimate_relative_pose(pair.image1, turned, K, turned_K, matcher=SiftMatcher())
+    expected = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # x2 = y1, y2 = -x1
+    assert pose.status == "rotation_only" and pose.R is not None
+    assert rotation_error_deg(pose.R, expected) < 0.1
+
+
+def test_noise_gives_no_pose() -> None:
+    rng = np.random.default_rng(0)
+    one, two = rng.integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
+    K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+    pose = estimate_relative_pose(one, two, K, matcher=SiftMatcher())
+    assert not pose.success and pose.R is None and pose.t is None and pose.reason
+
+
+def test_wrong_arguments_are_named(pair: RenderedPair, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="K1"):
+        estimate_relative_pose(pair.image1, pair.image2, np.eye(2), matcher=SiftMatcher())
+    with pytest.raises(InputError, match="K2"):
+        estimate_relative_pose(
+            pair.image1, pair.image2, pair.K1, 5 * pair.K2, matcher=SiftMatcher()
+        )
+    with pytest.raises(InputError, match="image2"):
+        estimate_relative_pose(pair.image1, np.zeros(7), pair.K1, matcher=SiftMatcher())
+    with pytest.raises(ImageError, match="missing.png"):
+        estimate_relative_pose(tmp_path / "missing.png", pair.image2, pair.K1)
+
+
+def test_every_public_name_is_there() -> None:
+    for name in dgc_pose.__all__:
+        assert getattr(dgc_pose, name) is not None
+    with pytest.raises(AttributeError, match="nothing_such"):
+        dgc_pose.nothing_such  # noqa: B018
+
+
+def test_importing_the_package_imports_no_torch() -> None:
+    code = "import sys, dgc_pose; print('torch' in sys.modules)"
+    command = [sys.executable, "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "False"
