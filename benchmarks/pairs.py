@@ -121,7 +121,7 @@ def _run_one(
     matched = time.perf_counter()
     pose = estimate_pose(matches, pair.camera1, pair.camera2, options)
     estimated = time.perf_counter()
-    rotation, translation = _errors(pose, pair)
+    rotation, translation = pose_errors(pose, pair.R, pair.t)
     return PairResult(
         method=name,
         image1=pair.name1,
@@ -140,8 +140,11 @@ def _run_one(
     )
 
 
-def _errors(pose: RelativePose, pair: Pair) -> tuple[float, float]:
-    """Rotation and translation error in degrees, both infinite unless both R and t are known."""
+def pose_errors(pose: RelativePose, R: np.ndarray, t: np.ndarray) -> tuple[float, float]:
+    """Rotation and translation error in degrees against the true R (3, 3) and t (3,).
+
+    Both are infinite unless both R and t are known.
+    """
     if not pose.success or pose.R is None or pose.t is None:
         return np.inf, np.inf
-    return rotation_error_deg(pose.R, pair.R), translation_error_deg(pose.t, pair.t)
+    return rotation_error_deg(pose.R, R), translation_error_deg(pose.t, t)

@@ -44,6 +44,9 @@ import click
     help="Ranges of the affine, thin-plate-spline and homography warps.",
 )
 @click.option("--batch", type=int, default=None, help="Pairs a step; default: the stage's own.")
+@click.option(
+    "--validation-pairs", default=64, show_default=True, help="Pairs of held-back photographs."
+)
 @click.option("--limit", type=int, default=None, help="Use so many photographs only.")
 def train(
     photos: Path,
@@ -58,6 +61,7 @@ def train(
     scene_share: float,
     warps: str,
     batch: int | None,
+    validation_pairs: int,
     limit: int | None,
 ) -> None:
     """Train PRESET from scratch on photographs: encoder, then decoders, then polish.
@@ -83,6 +87,7 @@ def train(
         schedule=Schedule(*_percent(split)),
         pairs=PairOptions(scene_share=scene_share, warps=WIDE if warps == "wide" else PAPER),
         batch=batch,
+        validation_count=validation_pairs,
     )
     chosen = choose_device(device)
     trainer = Trainer(

@@ -1,0 +1,65 @@
+"""`dgc-pose train`: a run from a folder of photographs, its progress line, and its refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import pytest
+from click.testing import CliRunner
+
+from dgc_pose.cli.main import main
+from dgc_pose.network.weights import load_network
+from dgc_pose.render.procedural import procedural_textures
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photos")
+    for index, texture in enumerate(procedural_textures(40, 64, seed=2)):
+        pixels = (255 * texture.permute(1, 2, 0)).byte().numpy()
+        cv2.imwrite(str(folder / f"{index}.png"), pixels[..., ::-1])
+    return folder
+
+
+def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    words = ["train", "--photos", str(photos), "--out", str(out), "--minutes", "0.03"]
+    words += ["--batch", "1", "--scene-share", "0", "--threads", "1"]
+    words += ["--validation-pairs", "1"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.stderr
+    assert load_network(out / "dgcm-lite.safetensors").config.name == "dgcm-lite"
+    assert "pairs/s" in done.stderr and "loss" in done.stderr and "aepe" in done.stderr
+    refused = CliRunner().invoke(main, words)
+    assert refused.exit_code == 2 and "--resume" in refused.stderr
+    words[words.index("0.03")] = "0.04"
+    resumed = CliRunner().invoke(main, [*words, "--resume"])
+    assert resumed.exit_code == 0, resumed.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--preset", "vgg"], "vgg"),
+        (["--minutes", "0"], "minutes"),
+        (["--split", "50,50"], "three percentages"),
+        (["--split", "90,90,10"], "sum to 1"),
+        (["--scene-share", "2"], "scene_share"),
+    ],
+)
+def test_wrong_words_are_refused_in_one_line(
+    photos: Path, tmp_path: Path, words: list[str], named: str
+) -> None:
+    out = tmp_path / "run"
+    base = ["train", "--photos", str(photos), "--out", str(out), "--minutes", "1"]
+    refused = CliRunner().invoke(main, [*base, *words])
+    assert refused.exit_code == 2
+    assert named in refused.stderr and refused.stderr.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_folder_without_photographs_is_named(tmp_path: Path) -> None:
+    words = ["train", "--photos", str(tmp_path), "--out", str(tmp_path / "o"), "--minutes", "1"]
+    refused = CliRunner().invoke(main, words)
+    assert refused.exit_code == 2 and str(tmp_path) in refused.stderr
