@@ -85,12 +85,16 @@ def model_of_pose(
 def refined(
     points1: np.ndarray, points2: np.ndarray, model: Model, threshold: float, rounds: int = 3
 ) -> Model:
-    """The model after least squares on its inliers, as often as that does not lose inliers."""
+    """The model after robust least squares on its inliers, again while they change.
+
+    Stops where that would lose more than one inlier in fifty.
+    """
     for _ in range(rounds):
-        kept = model.inliers
+        # A match behind a camera is an outlier that happens to lie near its epipolar line.
+        kept = model.inliers & model.in_front
         if kept.sum() <= MINIMAL:
             break
-        R, t = refine_pose(points1[kept], points2[kept], model.R, model.t, threshold / 2)
+        R, t = refine_pose(points1[kept], points2[kept], model.R, model.t, threshold)
         found = model_of_pose(points1, points2, R, t, threshold)
         # The translation's sign does not show in the epipolar error; depths settle it.
         flipped = model_of_pose(points1, points2, R, -t, threshold)

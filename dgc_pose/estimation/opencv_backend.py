@@ -7,7 +7,7 @@ import numpy as np
 
 from dgc_pose.estimation.backends import VIRTUAL_FOCAL
 
-_CONFIDENCE = 1 - 1e-12  # so high that a run ends by its iterations
+_CONFIDENCE = 1.0  # anything less, 1 - 1e-12 too, ends a run of good matches in a few iterations
 
 
 def run_opencv(

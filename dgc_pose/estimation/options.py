@@ -17,8 +17,11 @@ class VerdictOptions:
     min_matches: int = 20  # distinct, finite matches
     min_inliers: int = 15
     min_inlier_ratio: float = 0.15  # of all matches
+    # Decimal logarithm of the number of models that random matches would give so many inliers:
+    # counts the freedom that RANSAC has in choosing a model.
+    max_log10_false_alarms: float = -2.0
     # The inlier ratio must be so many times the one that the same model gets of the same points
-    # paired at random: an inlier count alone tells nothing.
+    # paired wrongly. Neighbours among dense matches err together, which the count overrates.
     chance_factor: float = 3.0
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
     # Matches that a rotation alone must explain to be the answer, over the inliers.

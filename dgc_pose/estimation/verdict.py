@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
 from dgc_pose.estimation.consensus import Model
 from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.result import Status
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import fit_rotation
 from dgc_pose.geometry.triangulation import (
     epipolar_angles,
@@ -21,11 +22,9 @@ from dgc_pose.geometry.triangulation import (
     unit_rays,
 )
 
-_SHUFFLES = 8  # random pairings that the chance level is measured on
 _ROTATION_LIMIT = 6.0  # angle that a rotation may leave of a match, over the epipolar threshold
 _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a deviation of 1
 _RAYLEIGH_MEDIAN = 1.1774
-_EXACT = 1e-9  # radians: what rounding leaves of exact matches
 _LEAST_ERROR = 0.05  # of the threshold: matches are not believed to be better than that
 
 
@@ -34,7 +33,8 @@ class Evidence:
     """What the verdict rests on."""
 
     inlier_ratio: float  # of all matches
-    chance_ratio: float  # the same model's, of the same points paired at random
+    chance_ratio: float  # the same model's, of the same points paired wrongly
+    log10_false_alarms: float  # models that random matches would give so many inliers
     cheirality_ratio: float  # inliers in front of both cameras
     rotation: np.ndarray  # (3, 3) the rotation that explains most matches alone
     rotation_share: float  # matches that it explains, over the inliers
@@ -57,6 +57,7 @@ def gather(
     kept = model.inliers
     first, second = points1[kept], points2[kept]
     E = essential_from_pose(model.R, model.t)
+    chance = chance_ratio(points1, points2, E, threshold, seed)
     rotation = robust_rotation(first, second, 2 * threshold)
     # Of all matches and not of the inliers alone: these were chosen for a small error across.
     motion = np.linalg.norm(unit_rays(points1) @ rotation.T - unit_rays(points2), axis=1)
@@ -66,11 +67,12 @@ def gather(
     spread = min(_spread(first), _spread(second)) if len(first) > 1 else 0.0
     return Evidence(
         inlier_ratio=float(kept.mean()),
-        chance_ratio=_chance_ratio(points1, points2, E, threshold, seed),
+        chance_ratio=chance,
+        log10_false_alarms=log10_false_alarms(len(points1), model.count, chance),
         cheirality_ratio=float(model.in_front[kept].mean()) if kept.any() else 0.0,
         rotation=rotation,
         rotation_share=float(turned.sum() / max(kept.sum(), 1)),
-        parallax=_parallax(motion[turned], across),
+        parallax=_parallax(motion[turned], across, _LEAST_ERROR * threshold),
         num_turned=int(turned.sum()),
         median_angle_deg=float(np.median(angles)) if len(angles) else 0.0,
         homography_ratio=homography_ratio,
@@ -84,20 +86,18 @@ def judge(
     """The status, the reason in a sentence, and warnings."""
     ratio, chance = evidence.inlier_ratio, evidence.chance_ratio
     least = max(options.min_inlier_ratio, options.chance_factor * chance)
-    if num_inliers < options.min_inliers or ratio < least:
+    by_chance = evidence.log10_false_alarms > options.max_log10_false_alarms
+    if by_chance or num_inliers < options.min_inliers or ratio < least:
         reason = (
             f"only {num_inliers} matches ({100 * ratio:.1f} %) agree on an essential matrix; "
-            f"{100 * chance:.1f} % would by chance"
+            f"{100 * chance:.1f} % of wrong matches would, and the best of many models finds more"
         )
         return "chance_inliers", reason, ()
     if evidence.on_a_line:
         return "no_model", "the inliers lie on one line, which many poses allow", ()
     # A model fits the noise of few matches: what it leaves of them is too small by some 1 / sqrt.
     least_parallax = options.min_parallax * (1 + 4 / np.sqrt(max(evidence.num_turned, 1)))
-    if (
-        evidence.rotation_share >= options.rotation_share
-        and evidence.parallax < least_parallax
-    ):
+    if evidence.rotation_share >= options.rotation_share and evidence.parallax < least_parallax:
         reason = (
             f"a rotation alone explains {evidence.num_turned} matches, as many as the essential "
             f"matrix: the images do not tell the translation"
@@ -147,28 +147,19 @@ def robust_rotation(
     return R
 
 
-def _chance_ratio(
-    points1: np.ndarray, points2: np.ndarray, E: np.ndarray, threshold: float, seed: int
-) -> float:
-    """The inlier ratio that the model gets of the same points, paired at random."""
-    rng = np.random.default_rng(seed)
-    shuffled = [rng.permutation(len(points1)) for _ in range(_SHUFFLES)]
-    counts = [(sampson_distance(points1[s], points2, E) < threshold).mean() for s in shuffled]
-    return float(np.mean(counts))
-
-
-def _parallax(motion: np.ndarray, across: np.ndarray) -> float:
+def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:
     """Spread of the motion (N,) that a rotation leaves, over that of the error (N,) across lines.
 
     Each by its median, made a standard deviation of Gaussian noise in two dimensions and in one:
     the noise of the matches moves points along their epipolar lines as much as across them, so a
     pure rotation gives 1, or a little more where the essential matrix fits the noise of few
-    matches, and a real translation gives more. Exact matches that leave nothing give 0.
+    matches, and a real translation gives more. The error counts as `least` at least, lest exact
+    copies, which leave nothing of either, have a parallax of rounding errors.
     """
     if not len(motion):
         return 0.0
-    left = float(np.median(motion)) / _RAYLEIGH_MEDIAN
-    return left / max(float(np.median(across)) / _NORMAL_MEDIAN, _EXACT) if left > _EXACT else 0.0
+    left, error = np.median(motion) / _RAYLEIGH_MEDIAN, np.median(across) / _NORMAL_MEDIAN
+    return float(left / max(error, least))
 
 
 def _spread(points: np.ndarray) -> float:

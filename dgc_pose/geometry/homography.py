@@ -7,27 +7,31 @@ import numpy as np
 
 from dgc_pose.geometry.epipolar import homogeneous
 
+# OpenCV's MAGSAC takes its points for pixels: of normalised ones it drops most of the inliers.
+_PIXELS = 1000.0
+
 
 def fit_homography(
     points1: np.ndarray, points2: np.ndarray, threshold: float, seed: int = 0
 ) -> np.ndarray | None:
     """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None where there is none.
 
-    Points (N, 2) in any one unit, and `threshold` on the transfer error in the same.
+    points1, points2: normalised (N, 2); threshold: on the transfer error, in the same unit.
     """
     if len(points1) < 4:
         return None
     params = cv2.UsacParams()
-    params.threshold = threshold
+    params.threshold = threshold * _PIXELS
     params.maxIterations = 2000
     params.confidence = 0.9999
     params.score = cv2.SCORE_METHOD_MAGSAC
     params.loMethod = cv2.LOCAL_OPTIM_SIGMA
     params.randomGeneratorState = seed
     try:
-        H, _ = cv2.findHomography(points1, points2, params)
+        H, _ = cv2.findHomography(points1 * _PIXELS, points2 * _PIXELS, params)
         if H is None or not np.isfinite(H).all():
             return None
+        H = H * np.outer([1 / _PIXELS, 1 / _PIXELS, 1], [_PIXELS, _PIXELS, 1])
         kept = transfer_error(points1, points2, H) < threshold
         fitted, _ = cv2.findHomography(points1[kept], points2[kept], 0)
     except cv2.error:  # of degenerate points, such as all alike
@@ -48,8 +52,6 @@ def homography_poses(H: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
     Both signs of each translation; a homography that is a rotation gives none.
     """
-    # Views of one side of the plane have det H > 0 (Malis and Vargas, 2007); H is up to sign.
-    H = H * np.sign(np.linalg.det(H))
     _, rotations, translations, _ = cv2.decomposeHomographyMat(H, np.eye(3))
     poses = []
     for R, t in zip(rotations, translations, strict=True):

@@ -44,9 +44,7 @@ def triangulate(
     return (from1 + from2) / 2
 
 
-def triangulation_angles_deg(
-    points1: np.ndarray, points2: np.ndarray, R: np.ndarray
-) -> np.ndarray:
+def triangulation_angles_deg(points1: np.ndarray, points2: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Angle (N,) between the two rays of each match, degrees, 0 to 180."""
     turned, seen = unit_rays(points1) @ R.T, unit_rays(points2)
     sine = np.linalg.norm(np.cross(turned, seen), axis=1)

@@ -1,0 +1,63 @@
+"""Matches of no use are dropped and counted, and the inlier mask keeps the length given."""
+
+import numpy as np
+
+from dgc_pose.camera import parse_camera
+from dgc_pose.estimation import estimate_pose
+from dgc_pose.matches import Matches
+from two_view import two_view_scene
+
+
+def as_matches(points1, points2):
+    return Matches(points1, points2, np.ones(len(points1)), 1.0)
+
+
+def estimate(scene, matches):
+    return estimate_pose(matches, *scene.cameras)
+
+
+def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_length():
+    scene = two_view_scene("general", seed=2, count=300, sigma_px=0.5, outliers=0.2)
+    points1 = np.vstack([scene.points1, scene.points1[:7], scene.points1[:3]])
+    points2 = np.vstack([scene.points2, scene.points2[:7], scene.points2[:3]])
+    points1[300] = scene.points1[0]  # rows 300 to 306 are copies, 307 to 309 not finite
+    points1[307, 0], points1[308, 1], points2[309, 0] = np.nan, np.inf, -np.inf
+    order = np.random.default_rng(0).permutation(310)
+    pose = estimate(scene, as_matches(points1[order], points2[order]))
+    assert pose.success
+    assert pose.num_matches == 300
+    assert pose.inliers.shape == (310,)
+    assert not pose.inliers[order >= 307].any()
+    assert pose.inliers.sum() == pose.num_inliers
+    assert "3 matches dropped: not finite" in pose.warnings
+    assert "7 matches dropped: duplicates" in pose.warnings
+    kept = pose.inliers[np.argsort(order)]
+    assert kept[:300][scene.true].mean() > 0.8
+
+
+def test_only_bad_matches_are_too_few():
+    nothing = np.full((40, 2), np.nan)
+    pose = estimate(two_view_scene(count=1), as_matches(nothing, nothing))
+    assert pose.status == "too_few_matches"
+    assert pose.num_matches == 0
+    assert pose.inliers.shape == (40,)
+    assert pose.warnings == ("40 matches dropped: not finite",)
+
+
+def test_one_match_many_times_is_one_match():
+    points = np.tile([[100.0, 200.0]], (500, 1))
+    pose = estimate(two_view_scene(count=1), as_matches(points, points))
+    assert pose.status == "too_few_matches"
+    assert pose.num_matches == 1
+
+
+def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
+    scene = two_view_scene("general", count=300, sigma_px=0.2, outliers=0.0)
+    _, camera2 = scene.cameras
+    strong = parse_camera("SIMPLE_RADIAL,1600,1200,1700,810.5,590.5,-0.9")
+    lost = ~np.isfinite(strong.normalise(scene.points1)).all(1)
+    assert 0 < lost.sum() < 280
+    pose = estimate_pose(scene.matches, strong, camera2)
+    assert pose.num_matches == 300 - lost.sum()
+    assert pose.inliers.shape == (300,) and not pose.inliers[lost].any()
+    assert any(f"{lost.sum()} matches dropped" in warning for warning in pose.warnings)

@@ -1,0 +1,37 @@
+import dataclasses
+
+import pytest
+
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+
+
+def test_the_defaults_are_five_runs_of_a_thousand_iterations():
+    options = EstimationOptions()
+    assert (options.runs, options.iterations, options.estimator) == (5, 1000, "poselib")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("estimator", "ransac"),
+        ("runs", 0),
+        ("iterations", 0),
+        ("iterations", -5),
+        ("threshold_px", 0.0),
+        ("threshold_px", -1.0),
+        ("threshold_px", float("nan")),
+        ("threshold_px", float("inf")),
+        ("threshold_factor", 0.0),
+        ("threshold_factor", float("nan")),
+        ("seed", -1),
+    ],
+)
+def test_a_value_out_of_range_is_refused_by_its_name(field, value):
+    with pytest.raises(InputError, match=field):
+        EstimationOptions(**{field: value})
+
+
+def test_options_cannot_be_changed():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        EstimationOptions().runs = 1

@@ -1,0 +1,360 @@
+"""From matches to a pose or to a plain no, on every kind of scene and with every library."""
+
+import numpy as np
+import poselib
+import pycolmap
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.camera import Camera, parse_camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.matches import Matches
+from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from two_view import SIZE1, SIZE2, two_view_scene
+
+ESTIMATORS = ("poselib", "pycolmap", "opencv")
+
+
+def estimate(scene, matches=None, **options):
+    matches = scene.matches if matches is None else matches
+    return estimate_pose(matches, *scene.cameras, EstimationOptions(**options))
+
+
+def as_matches(points1, points2, error_px=1.0):
+    return Matches(points1, points2, np.ones(len(points1)), error_px)
+
+
+def assert_no_pose(pose):
+    assert not pose.success
+    assert pose.t is None and pose.E is None and pose.cam2_from_cam1 is None
+    assert pose.reason
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("kind", ["general", "forward"])
+def test_the_pose_of_a_solid_scene(kind, estimator):
+    for seed in range(2):
+        scene = two_view_scene(kind, seed=seed, count=1000, sigma_px=0.5, outliers=0.4)
+        pose = estimate(scene, estimator=estimator)
+        assert pose.status == "ok" and pose.success
+        assert rotation_error_deg(pose.R, scene.R) < 0.2
+        assert translation_error_deg(pose.t, scene.t) < 0.5
+        assert np.linalg.norm(pose.t) == pytest.approx(1)
+        np.testing.assert_allclose(pose.R @ pose.R.T, np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(pose.E, essential_from_pose(pose.R, pose.t))
+        assert pose.inliers[scene.true].mean() > 0.9
+        assert pose.inliers[~scene.true].mean() < 0.1
+        assert pose.num_inliers == pose.inliers.sum()
+        assert pose.inlier_ratio == pytest.approx(pose.inliers.mean())
+        assert pose.cheirality_ratio > 0.95
+        assert pose.homography_ratio < 0.8
+
+
+@pytest.mark.parametrize("refine", [True, False])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_the_pose_is_as_good_as_poselibs_and_pycolmaps_own(estimator, refine):
+    errors, theirs = [], []
+    for seed in range(3):
+        scene = two_view_scene("general", seed=seed, count=600, sigma_px=1.0, outliers=0.5)
+        pose = estimate(scene, estimator=estimator, refine=refine, threshold_px=2.0)
+        errors.append(pose_error(pose.R, pose.t, scene))
+        theirs.append(max(poselib_error(scene), pycolmap_error(scene)))
+    assert np.mean(errors) < 1.5 * np.mean(theirs) + 0.05
+
+
+def pose_error(R, t, scene):
+    return max(rotation_error_deg(R, scene.R), translation_error_deg(t, scene.t))
+
+
+def poselib_error(scene):
+    cameras = [
+        {"model": "PINHOLE", "width": w, "height": h, "params": [*np.diag(K)[:2], *K[:2, 2]]}
+        for (w, h), K in ((SIZE1, scene.K1), (SIZE2, scene.K2))
+    ]
+    pose, _ = poselib.estimate_relative_pose(
+        scene.points1, scene.points2, *cameras, {"max_epipolar_error": 2.0}, {}
+    )
+    return pose_error(pose.R, pose.t / np.linalg.norm(pose.t), scene)
+
+
+def pycolmap_error(scene):
+    cameras = [
+        pycolmap.Camera(model="PINHOLE", width=w, height=h, params=[*np.diag(K)[:2], *K[:2, 2]])
+        for (w, h), K in ((SIZE1, scene.K1), (SIZE2, scene.K2))
+    ]
+    ransac = pycolmap.RANSACOptions(max_error=2.0, random_seed=0)
+    found = pycolmap.estimate_essential_matrix(scene.points1, scene.points2, *cameras, ransac)
+    matrix = found["cam2_from_cam1"].matrix()
+    return pose_error(matrix[:, :3], matrix[:, 3] / np.linalg.norm(matrix[:, 3]), scene)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_a_plane_gives_a_pose_and_a_warning(estimator):
+    right = 0
+    for seed in range(3):
+        scene = two_view_scene("planar", seed=seed, count=800, sigma_px=0.5, outliers=0.4)
+        pose = estimate(scene, estimator=estimator)
+        assert pose.status == "planar" and pose.success
+        assert any("plane" in warning for warning in pose.warnings)
+        assert pose.homography_ratio > 0.85
+        right += pose_error(pose.R, pose.t, scene) < 2
+    assert right == 3
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("kind", ["rotation_only", "identical"])
+def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind, estimator):
+    for factor in (1.0, 2.0, 4.0):
+        scene = two_view_scene(kind, seed=4, count=500, sigma_px=1.0, outliers=0.4)
+        first, second = scene.cameras
+        second = first if kind == "identical" else second
+        options = EstimationOptions(estimator=estimator, runs=2, threshold_factor=factor)
+        pose = estimate_pose(scene.matches, first, second, options)
+        assert_no_pose(pose)
+        assert pose.status == "rotation_only"
+        assert rotation_error_deg(pose.R, scene.R) < 0.1
+        assert "translation" in pose.reason
+        assert len(pose.quaternion_wxyz) == 4
+
+
+@pytest.mark.parametrize("count", [60, 200, 3000])
+@pytest.mark.parametrize("sigma_px", [0.0, 0.5, 3.0])
+def test_a_pure_rotation_is_told_at_any_noise_and_count(sigma_px, count):
+    for seed in range(2):
+        scene = two_view_scene(
+            "rotation_only", seed=seed, count=count, sigma_px=sigma_px, outliers=0.2
+        )
+        pose = estimate(scene, runs=1)
+        assert pose.status == "rotation_only"
+        assert rotation_error_deg(pose.R, scene.R) < 0.5
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1.0, 45.0, 90.0, 180.0])
+def test_a_pure_roll_is_told(degrees):
+    rng = np.random.default_rng(7)
+    camera = Camera(np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]]), (1001, 1001))
+    R = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    points1 = rng.uniform(200, 800, (400, 2))
+    points2 = (points1 - 500) @ R[:2, :2].T + 500 + 0.5 * rng.standard_normal((400, 2))
+    pose = estimate_pose(as_matches(points1, points2), camera, camera, EstimationOptions(runs=2))
+    assert pose.status == "rotation_only"
+    assert rotation_error_deg(pose.R, R) < 0.1
+
+
+def test_exact_copies_of_one_image_are_a_rotation_of_nothing():
+    points = np.random.default_rng(0).random((500, 2)) * SIZE1
+    camera, _ = two_view_scene().cameras
+    pose = estimate_pose(as_matches(points, points), camera, camera)
+    assert pose.status == "rotation_only"
+    np.testing.assert_allclose(pose.R, np.eye(3), atol=1e-9)
+    assert pose.t is None
+
+
+@pytest.mark.parametrize("baseline", [0.03, 0.3])
+def test_a_small_but_real_baseline_is_a_pose(baseline):
+    scene = two_view_scene("general", count=1)
+    camera1, camera2 = scene.cameras
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        R = Rotation.from_rotvec(0.05 * rng.standard_normal(3)).as_matrix()
+        t = np.array([1.0, 0.1, 0.2]) / np.linalg.norm([1.0, 0.1, 0.2])
+        X = rng.uniform(-1, 1, (800, 3)) * (1.5, 1.0, 2) + (0, 0, 6)
+        local = X @ R.T + 6 * baseline * t
+        points1 = (X @ camera1.K.T)[:, :2] / X[:, 2:]
+        points2 = (local @ camera2.K.T)[:, :2] / local[:, 2:]
+        points1 = points1 + 0.5 * rng.standard_normal((800, 2))
+        points2 = points2 + 0.5 * rng.standard_normal((800, 2))
+        points2[:250] = rng.random((250, 2)) * SIZE2
+        pose = estimate_pose(as_matches(points1, points2, 0.5), camera1, camera2)
+        assert pose.status == "ok"
+        assert translation_error_deg(pose.t, t) < 5
+
+
+@pytest.mark.parametrize("count", [20, 100, 1000, 20_000])
+@pytest.mark.parametrize("threshold_px", [1.0, 10.0])
+def test_random_matches_never_give_a_pose(count, threshold_px):
+    for seed in range(2):
+        scene = two_view_scene("random", seed=seed, count=2)
+        rng = np.random.default_rng(seed)
+        matches = as_matches(rng.random((count, 2)) * SIZE1, rng.random((count, 2)) * SIZE2)
+        pose = estimate(scene, matches, threshold_px=threshold_px, runs=2, iterations=300)
+        assert_no_pose(pose)
+        assert pose.R is None and pose.quaternion_wxyz is None
+        assert pose.status in ("chance_inliers", "no_model")
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_random_matches_give_no_pose_with_any_library(estimator):
+    scene = two_view_scene("random", count=500)
+    pose = estimate(scene, estimator=estimator)
+    assert_no_pose(pose)
+    assert pose.R is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 5, 19])
+def test_too_few_matches_are_said_to_be_too_few(count):
+    scene = two_view_scene(count=20, outliers=0.0)
+    pose = estimate(scene, as_matches(scene.points1[:count], scene.points2[:count]))
+    assert_no_pose(pose)
+    assert pose.status == "too_few_matches"
+    assert pose.R is None
+    assert pose.num_matches == count and pose.inliers.shape == (count,)
+    assert str(count) in pose.reason
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("alike", ["both", "first", "second"])
+def test_points_all_in_one_spot_give_no_pose(alike, estimator):
+    scene = two_view_scene(count=50)
+    spot = np.full((50, 2), 300.0) + 1e-6 * np.arange(100).reshape(50, 2)
+    points1 = scene.points1 if alike == "second" else spot
+    points2 = scene.points2 if alike == "first" else spot
+    pose = estimate(scene, as_matches(points1, points2), estimator=estimator, runs=2)
+    assert not pose.success and pose.t is None
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_points_of_one_line_in_space_give_no_pose(estimator):
+    scene = two_view_scene("general", count=1)
+    camera1, camera2 = scene.cameras
+    X = np.linspace(-1, 1, 200)[:, None] * (1.0, 0.6, 0.4) + (0, 0, 6)
+    local = X @ scene.R.T + 1.0 * scene.t
+    points1 = (X @ camera1.K.T)[:, :2] / X[:, 2:]
+    points2 = (local @ camera2.K.T)[:, :2] / local[:, 2:]
+    rng = np.random.default_rng(0)
+    noisy = as_matches(
+        points1 + 0.3 * rng.standard_normal((200, 2)), points2 + 0.3 * rng.standard_normal((200, 2))
+    )
+    assert not estimate_pose(noisy, camera1, camera2, EstimationOptions(estimator)).success
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_most_points_behind_a_camera_are_a_failure(estimator):
+    """Matches that fit one epipolar geometry, but half of them only behind the cameras."""
+    rng = np.random.default_rng(3)
+    X = rng.uniform(-1, 1, (600, 3)) * (3, 2, 1) + (0, 0, 6)
+    X[:300] *= -1  # seen backwards: the same lines, a negative depth
+    local = X @ Rotation.from_rotvec([0.02, 0.1, 0.0]).as_matrix().T + (-1.0, 0.1, 0.05)
+    camera, _ = two_view_scene(count=1).cameras
+    points = [(p @ camera.K.T)[:, :2] / p[:, 2:] for p in (X, local)]
+    pose = estimate_pose(as_matches(*points), camera, camera, EstimationOptions(estimator))
+    assert_no_pose(pose)
+    assert pose.status == "behind_cameras"
+    assert pose.R is None
+    assert pose.cheirality_ratio < 0.6
+    assert pose.num_inliers > 500
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_huge_coordinates_do_not_raise_nor_spoil_the_pose(estimator):
+    scene = two_view_scene("general", count=200, sigma_px=0.5)
+    points1, points2 = scene.points1.copy(), scene.points2.copy()
+    wrong = np.flatnonzero(~scene.true)[:2]
+    points1[wrong], points2[wrong] = 1e12, -1e12
+    pose = estimate(scene, as_matches(points1, points2), estimator=estimator, runs=2)
+    assert pose.success
+    assert pose_error(pose.R, pose.t, scene) < 1
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_the_same_seed_gives_the_same_answer_to_the_bit(estimator):
+    scene = two_view_scene("planar", seed=1, count=400, sigma_px=2.0, outliers=0.5)
+    first, again = (estimate(scene, estimator=estimator, seed=11) for _ in range(2))
+    assert np.array_equal(first.R, again.R) and np.array_equal(first.t, again.t)
+    assert np.array_equal(first.inliers, again.inliers)
+    assert (first.status, first.warnings) == (again.status, again.warnings)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_another_seed_gives_another_answer(estimator):
+    scene = two_view_scene("general", seed=1, count=400, sigma_px=3.0, outliers=0.5)
+    settings = {"estimator": estimator, "refine": False, "runs": 1, "iterations": 100}
+    first, second = (estimate(scene, seed=seed, **settings) for seed in (0, 1))
+    assert first.success and second.success
+    assert not np.array_equal(first.E, second.E)
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_exchanged_images_give_the_inverse_pose(seed):
+    scene = two_view_scene("general", seed=seed, count=300, sigma_px=0.1, outliers=0.2)
+    camera1, camera2 = scene.cameras
+    there = estimate_pose(scene.matches, camera1, camera2, EstimationOptions(runs=1))
+    back = estimate_pose(
+        as_matches(scene.points2, scene.points1, 0.5), camera2, camera1, EstimationOptions(runs=1)
+    )
+    assert rotation_error_deg(back.R, there.R.T) < 0.2
+    assert translation_error_deg(back.t, -there.R.T @ there.t) < 0.5
+
+
+def test_each_camera_has_its_own_matrix():
+    scene = two_view_scene("general", count=400, sigma_px=0.5)
+    camera1, camera2 = scene.cameras
+    assert pose_error_of(scene, camera1, camera2) < 0.5
+    assert pose_error_of(scene, camera1, camera1) > 1
+    assert pose_error_of(scene, camera2, camera2) > 1
+
+
+def pose_error_of(scene, camera1, camera2):
+    pose = estimate_pose(scene.matches, camera1, camera2)
+    return pose_error(pose.R, pose.t, scene) if pose.success else np.inf
+
+
+def test_lens_distortion_is_undone_by_the_camera_that_has_it():
+    scene = two_view_scene("general", count=400, sigma_px=0.2)
+    camera1, camera2 = scene.cameras
+    fx, fy, (cx, cy) = scene.K1[0, 0], scene.K1[1, 1], scene.K1[:2, 2]
+    text = f"OPENCV,1600,1200,{fx},{fy},{cx + 0.5},{cy + 0.5},-0.2,0.05,0.001,-0.002"
+    lens = pycolmap.Camera(
+        model="OPENCV",
+        width=1600,
+        height=1200,
+        params=[fx, fy, cx + 0.5, cy + 0.5, -0.2, 0.05, 0.001, -0.002],
+    )
+    rays = np.column_stack([camera1.normalise(scene.points1), np.ones(400)])
+    seen = np.asarray(lens.img_from_cam(rays)) - 0.5  # COLMAP's first pixel is at (0.5, 0.5)
+    assert np.abs(seen - scene.points1).max() > 10
+    matches = as_matches(seen, scene.points2, 0.5)
+    undone = estimate_pose(matches, parse_camera(text), camera2)
+    ignored = estimate_pose(matches, camera1, camera2)
+    assert undone.success
+    assert pose_error(undone.R, undone.t, scene) < 0.3
+    assert undone.num_inliers > 1.1 * ignored.num_inliers
+
+
+def test_the_threshold_is_in_pixels_of_the_originals_whatever_the_focal_lengths():
+    scene = two_view_scene("general", count=500, sigma_px=1.0, outliers=0.0)
+    camera1, camera2 = scene.cameras
+    matches = scene.matches
+    plain = estimate(scene, threshold_px=2.0)
+    by_factor = estimate(scene, threshold_factor=2.0)
+    assert np.array_equal(plain.inliers, by_factor.inliers)
+    # Both images twice the size: the same inliers at twice the threshold.
+    double = as_matches(2 * matches.points1 + 0.5, 2 * matches.points2 + 0.5)
+    resized = [camera1.resized((3200, 2400)), camera2.resized((2560, 1920))]
+    twice = estimate_pose(double, *resized, EstimationOptions(threshold_px=4.0))
+    assert (twice.inliers == plain.inliers).mean() > 0.98
+    wide = estimate(scene, threshold_px=8.0)
+    assert wide.num_inliers > plain.num_inliers
+
+
+def test_as_many_matches_as_a_dense_grid_has():
+    scene = two_view_scene("general", seed=1, count=2000, sigma_px=1.0, outliers=0.5)
+    rng = np.random.default_rng(0)
+    again = rng.integers(0, 2000, 57_600)
+    jitter = 0.5 * rng.standard_normal((2, 57_600, 2))
+    matches = as_matches(scene.points1[again] + jitter[0], scene.points2[again] + jitter[1])
+    for estimator in ("poselib", "opencv"):
+        pose = estimate(scene, matches, estimator=estimator, runs=1, iterations=100)
+        assert pose.success
+        assert pose_error(pose.R, pose.t, scene) < 1
+
+
+def test_something_else_than_matches_is_refused_by_name():
+    camera, _ = two_view_scene(count=1).cameras
+    with pytest.raises(InputError, match="matches"):
+        estimate_pose((np.zeros((30, 2)), np.zeros((30, 2))), camera, camera)

@@ -1,0 +1,145 @@
+import math
+
+import cv2
+import numpy as np
+import poselib
+import pycolmap
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.geometry.epipolar import (
+    essential_from_pose,
+    fundamental_from_essential,
+    pose_candidates,
+    sampson_distance,
+    skew,
+    symmetric_epipolar_distance,
+)
+from two_view import two_view_scene
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_pose(seed):
+    rng = np.random.default_rng(seed)
+    t = rng.standard_normal(3)
+    return Rotation.random(random_state=rng).as_matrix(), t / np.linalg.norm(t)
+
+
+def pixel_scene():
+    """Matches up to some pixels off, and their F."""
+    scene = two_view_scene("general", seed=1, count=40, sigma_px=4.0, outliers=0.0)
+    E = essential_from_pose(scene.R, scene.t)
+    return scene, fundamental_from_essential(E, scene.K1, scene.K2)
+
+
+def test_skew_is_the_cross_product():
+    a, b = np.array([1.0, -2, 3]), np.array([0.5, 4, -1])
+    np.testing.assert_allclose(skew(a) @ b, np.cross(a, b))
+
+
+@given(seeds)
+@settings(max_examples=25, deadline=None)
+def test_the_essential_matrix_annuls_exact_points_and_is_poselibs_and_pycolmaps(seed):
+    R, t = random_pose(seed)
+    E = essential_from_pose(R, t)
+    X1 = np.random.default_rng(seed).standard_normal((10, 3))
+    X2 = X1 @ R.T + t
+    assert np.abs(np.einsum("ni,ij,nj->n", X2, E, X1)).max() < 1e-12
+    theirs = pycolmap.essential_matrix_from_pose(pycolmap.Rigid3d(pycolmap.Rotation3d(R), t))
+    np.testing.assert_allclose(E, theirs, atol=1e-12)
+
+
+def test_the_fundamental_matrix_annuls_exact_pixels():
+    scene = two_view_scene("general", count=50, sigma_px=0.0, outliers=0.0)
+    F = fundamental_from_essential(essential_from_pose(scene.R, scene.t), scene.K1, scene.K2)
+    assert symmetric_epipolar_distance(scene.points1, scene.points2, F).max() < 1e-8
+
+
+@given(seeds, st.floats(-1e3, 1e3).filter(lambda s: abs(s) > 1e-3))
+@settings(max_examples=25, deadline=None)
+def test_the_true_pose_is_one_of_four_whatever_the_scale_of_the_essential_matrix(seed, scale):
+    R, t = random_pose(seed)
+    candidates = pose_candidates(scale * essential_from_pose(R, t))
+    assert len(candidates) == 4
+    away = [np.abs(R_ - R).max() + np.abs(t_ - t).max() for R_, t_ in candidates]
+    assert min(away) < 1e-7
+    for R_, t_ in candidates:
+        assert np.linalg.det(R_) == pytest.approx(1)
+        assert np.linalg.norm(t_) == pytest.approx(1)
+
+
+def test_the_symmetric_distance_is_the_mean_of_two_point_to_line_distances():
+    scene, F = pixel_scene()
+    found = symmetric_epipolar_distance(scene.points1, scene.points2, F)
+    for p, q, distance in zip(scene.points1, scene.points2, found, strict=True):
+        expected = (to_line(q, F @ [*p, 1]) + to_line(p, F.T @ [*q, 1])) / 2
+        assert distance == pytest.approx(expected, rel=1e-9)
+
+
+def to_line(point, line):
+    a, b, c = line
+    return abs(a * point[0] + b * point[1] + c) / math.hypot(a, b)
+
+
+def test_the_sampson_distance_is_opencvs():
+    scene, F = pixel_scene()
+    found = sampson_distance(scene.points1, scene.points2, F)
+    for p, q, distance in zip(scene.points1, scene.points2, found, strict=True):
+        squared = cv2.sampsonDistance(np.array([*p, 1.0]), np.array([*q, 1.0]), F)
+        assert distance == pytest.approx(math.sqrt(squared), rel=1e-9)
+
+
+def test_the_sampson_distance_is_nearly_the_least_move_that_makes_a_match_exact():
+    scene, F = pixel_scene()
+    found = sampson_distance(scene.points1[:5], scene.points2[:5], F)
+
+    def constraint(move, p, q):
+        return 1e4 * np.array([*(q + move[2:]), 1]) @ F @ np.array([*(p + move[:2]), 1])
+
+    for p, q, distance in zip(scene.points1, scene.points2, found, strict=False):
+        move = minimize(
+            lambda move: move @ move,
+            np.zeros(4),
+            constraints={"type": "eq", "fun": constraint, "args": (p, q)},
+        ).x
+        assert distance == pytest.approx(np.linalg.norm(move), rel=1e-2)
+
+
+def test_a_match_of_both_epipoles_is_at_distance_zero_and_not_nan():
+    E = essential_from_pose(np.eye(3), np.array([0.0, 0, 1]))
+    epipole = np.zeros((1, 2))
+    assert sampson_distance(epipole, epipole, E) == 0
+    assert symmetric_epipolar_distance(epipole, epipole, E) == 0
+
+
+@given(seeds, st.floats(0.01, 100))
+@settings(max_examples=25, deadline=None)
+def test_distances_do_not_depend_on_the_scale_of_the_matrix_nor_on_the_order_of_the_images(
+    seed, scale
+):
+    E = essential_from_pose(*random_pose(seed))
+    points1, points2 = np.random.default_rng(seed).uniform(-1, 1, (2, 20, 2))
+    for distance in (sampson_distance, symmetric_epipolar_distance):
+        expected = distance(points1, points2, E)
+        np.testing.assert_allclose(distance(points1, points2, -scale * E), expected, rtol=1e-9)
+        np.testing.assert_allclose(distance(points2, points1, E.T), expected, rtol=1e-9)
+
+
+def test_poselib_counts_the_same_inliers():
+    scene = two_view_scene("general", count=300, sigma_px=1.0, outliers=0.3)
+    camera = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [1000.0, 0.0, 0.0]}
+    points1, points2 = (
+        1000 * c.normalise(p)
+        for c, p in zip(scene.cameras, (scene.points1, scene.points2), strict=True)
+    )
+    pose, info = poselib.estimate_relative_pose(
+        points1, points2, camera, camera, {"max_epipolar_error": 1.5}, {}
+    )
+    E = essential_from_pose(pose.R, pose.t)
+    inside = sampson_distance(points1 / 1000, points2 / 1000, E) < 1.5e-3
+    # PoseLib also drops points behind a camera, of which outliers have some.
+    assert np.abs(inside.sum() - info["num_inliers"]) <= 3
