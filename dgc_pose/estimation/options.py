@@ -26,6 +26,9 @@ class VerdictOptions:
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
     # Matches that a rotation alone must explain to be the answer, over the inliers.
     rotation_share: float = 0.8
+    # Inliers that a rotation alone must explain within the epipolar threshold itself to be the
+    # answer whatever the parallax: dense matches err smoothly, which looks like a translation.
+    still_share: float = 0.9
     # The motion that such a rotation leaves must spread so many times as wide as the error across
     # epipolar lines before it counts as evidence of a translation; more for few matches.
     min_parallax: float = 1.5

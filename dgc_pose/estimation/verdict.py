@@ -40,6 +40,7 @@ class Evidence:
     rotation_share: float  # matches that it explains, over the inliers
     parallax: float  # spread of the motion that it leaves, over that of the error across lines
     num_turned: int  # matches that it explains, which the parallax is measured on
+    still_share: float  # of the inliers that it leaves no farther off than the threshold
     median_angle_deg: float  # triangulation angle of the inliers
     homography_ratio: float  # of the inliers that one homography explains
     on_a_line: bool  # the inliers of either image lie on one line
@@ -74,6 +75,8 @@ def gather(
         rotation_share=float(turned.sum() / max(kept.sum(), 1)),
         parallax=_parallax(motion[turned], across, _LEAST_ERROR * threshold),
         num_turned=int(turned.sum()),
+        # A motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
+        still_share=float((motion[kept] < np.sqrt(2) * threshold).sum() / max(kept.sum(), 1)),
         median_angle_deg=float(np.median(angles)) if len(angles) else 0.0,
         homography_ratio=homography_ratio,
         on_a_line=spread < 2 * threshold,
@@ -97,7 +100,9 @@ def judge(
         return "no_model", "the inliers lie on one line, which many poses allow", ()
     # A model fits the noise of few matches: what it leaves of them is too small by some 1 / sqrt.
     least_parallax = options.min_parallax * (1 + 4 / np.sqrt(max(evidence.num_turned, 1)))
-    if evidence.rotation_share >= options.rotation_share and evidence.parallax < least_parallax:
+    turns = evidence.rotation_share >= options.rotation_share
+    still = evidence.still_share >= options.still_share
+    if still or (turns and evidence.parallax < least_parallax):
         reason = (
             f"a rotation alone explains {evidence.num_turned} matches, as many as the essential "
             f"matrix: the images do not tell the translation"

@@ -6,6 +6,7 @@ import pycolmap
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.camera import Camera, parse_camera
@@ -152,6 +153,26 @@ def test_exact_copies_of_one_image_are_a_rotation_of_nothing():
     assert pose.status == "rotation_only"
     np.testing.assert_allclose(pose.R, np.eye(3), atol=1e-9)
     assert pose.t is None
+
+
+@pytest.mark.parametrize("degrees", [0, 90])
+@pytest.mark.parametrize("smooth", [3, 6, 15])
+def test_smooth_errors_of_dense_matches_are_no_translation(smooth, degrees):
+    """A network's errors vary slowly over its grid of 60 x 60, and so look like parallax."""
+    camera = Camera(np.array([[1700.0, 0, 799.5], [0, 1700, 599.5], [0, 0, 1]]), SIZE1)
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    y, x = (np.mgrid[0:60, 0:60] + 0.5) * np.array([20, 1600 / 60])[:, None, None] - 0.5
+    points2 = np.column_stack([x.ravel(), y.ravel()])
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        error = np.stack(
+            [gaussian_filter(rng.standard_normal((60, 60)), smooth).ravel() for _ in range(2)], 1
+        )
+        points1 = (points2 - (799.5, 599.5)) @ turn[:2, :2] + (799.5, 599.5)
+        points1 = points1 + 4.0 * error / error.std(0)
+        pose = estimate_pose(as_matches(points1, points2, 4.0), camera, camera)
+        assert pose.status == "rotation_only" and pose.t is None
+        assert rotation_error_deg(pose.R, turn) < 1.0
 
 
 @pytest.mark.parametrize("baseline", [0.03, 0.3])

@@ -21,6 +21,7 @@ GOOD = Evidence(
     rotation_share=0.3,
     parallax=20.0,
     num_turned=100,
+    still_share=0.2,
     median_angle_deg=8.0,
     homography_ratio=0.4,
     on_a_line=False,
@@ -44,6 +45,7 @@ def test_good_evidence_is_a_pose_without_warnings():
         ("chance_inliers", {"log10_false_alarms": -1.0}),
         ("no_model", {"on_a_line": True}),
         ("rotation_only", {"rotation_share": 0.95, "parallax": 1.0}),
+        ("rotation_only", {"still_share": 0.92}),
         ("behind_cameras", {"cheirality_ratio": 0.55}),
         ("planar", {"homography_ratio": 0.9}),
         # What comes first: chance before all, a rotation before cheirality and planes.
@@ -67,6 +69,7 @@ def test_each_gate_closes_by_itself(status, changes):
         {"chance_ratio": 0.19},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1
         {"rotation_share": 0.7, "parallax": 1.0},
+        {"still_share": 0.88},
         {"cheirality_ratio": 0.65},
         {"homography_ratio": 0.8},
     ],
