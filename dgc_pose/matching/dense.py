@@ -40,29 +40,42 @@ class DenseMatcher:
     @torch.no_grad()
     def correspond(self, image1: Image, image2: Image) -> CorrespondenceMap:
         """The dense map at 240x240 cells; with the way back where the options ask for a cycle."""
-        source, target = (self.net.pyramid(self._input(image)) for image in (image1, image2))
-        there = self.net.decode(source, target)
-        place = self._cells(there)
-        cycle = None
-        if self.options.cycle_px is not None:
-            cycle = self._cycle(place, self._cells(self.net.decode(target, source)), image2.size)
-        axis = np.arange(INPUT_SIZE, dtype=np.float64)
-        grid = np.stack(np.meshgrid(axis, axis), -1)
-        return CorrespondenceMap(
-            map=_to_original(place[0].cpu().numpy(), image1.size),
-            grid=_to_original(grid, image2.size),
-            matchability=_matchability(there),
-            size1=image1.size,
-            size2=image2.size,
-            cycle=cycle,
-        )
+        source = self.net.pyramid(self._input(image1.pixels))
+        found = self._at_roll(source, image1, image2, 0)
+        if found.matchability.mean() < self.options.roll_share:
+            turned = [self._at_roll(source, image1, image2, roll) for roll in (1, 2, 3)]
+            found = max((found, *turned), key=lambda c: float(c.matchability.mean()))
+        return found
 
     def select(self, correspondences: CorrespondenceMap) -> Matches:
         """The cells of a map that pass the options."""
         return select_matches(correspondences, self.options)
 
-    def _input(self, image: Image) -> Tensor:
-        pixels = torch.from_numpy(resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)))
+    def _at_roll(
+        self, source: list[Tensor], image1: Image, image2: Image, roll: int
+    ) -> CorrespondenceMap:
+        """The map to image 2 turned by `roll` times 90 degrees, on the grid of image 2 as it is."""
+        turned = np.ascontiguousarray(np.rot90(image2.pixels, roll))
+        target = self.net.pyramid(self._input(turned))
+        there = self.net.decode(source, target)
+        place = self._cells(there)
+        cycle = None
+        if self.options.cycle_px is not None:
+            size = (turned.shape[1], turned.shape[0])
+            cycle = self._cycle(place, self._cells(self.net.decode(target, source)), size)
+            cycle = np.rot90(cycle, -roll)
+        axis = np.arange(INPUT_SIZE, dtype=np.float64)
+        return CorrespondenceMap(
+            map=_to_original(np.rot90(place[0].cpu().numpy(), -roll), image1.size),
+            grid=_to_original(np.stack(np.meshgrid(axis, axis), -1), image2.size),
+            matchability=np.ascontiguousarray(np.rot90(_matchability(there), -roll)),
+            size1=image1.size,
+            size2=image2.size,
+            cycle=cycle,
+        )
+
+    def _input(self, image: np.ndarray) -> Tensor:
+        pixels = torch.from_numpy(resize(image, (INPUT_SIZE, INPUT_SIZE)))
         device = next(self.net.parameters()).device
         planes = pixels.to(device).permute(2, 0, 1)[None].float() / 255
         return normalise(planes).contiguous(memory_format=torch.channels_last)

@@ -22,10 +22,16 @@ class MatchingOptions:
     matchability: float = 0.5  # least matchability, 0 to 1
     cycle_px: float | None = None  # largest error of the way there and back, pixels of image 2
     max_matches: int = 5000  # an even subsample of at most so many
+    min_share: float = 0.01  # of the cells that must pass: a smaller patch is a chance likeness
+    # Where the mean matchability is below this, image 2 is matched turned by 90, 180 and 270
+    # degrees as well and the best of the four kept: the network knows photographs upright.
+    roll_share: float = 0.25
 
     def __post_init__(self) -> None:
-        if not 0 <= self.matchability <= 1:
-            raise InputError(f"matchability must lie in [0, 1], not {self.matchability}")
+        for name in ("matchability", "min_share", "roll_share"):
+            value = getattr(self, name)
+            if not 0 <= value <= 1:
+                raise InputError(f"{name} must lie in [0, 1], not {value}")
         if self.cycle_px is not None and not self.cycle_px > 0:
             raise InputError(f"cycle_px must be positive, not {self.cycle_px}")
         if self.max_matches < 1:
@@ -43,6 +49,8 @@ def select_matches(correspondences: CorrespondenceMap, options: MatchingOptions)
         if correspondences.cycle is None:
             raise InputError("cycle_px needs a correspondence map made with the way back")
         keep &= correspondences.cycle <= options.cycle_px
+    if keep.mean() < options.min_share:
+        keep = np.zeros_like(keep)
     keep = even_subsample(keep, correspondences.matchability, options.max_matches)
     return Matches(
         place[keep],

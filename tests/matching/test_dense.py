@@ -91,6 +91,37 @@ def test_nothing_is_nan_whatever_the_network_says() -> None:
     assert len(matcher.select(found)) == 0
 
 
+def test_a_roll_is_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a net that matches only its own orientation, the turned image's map is turned back."""
+    upright = _image(300, 200)
+    matcher = DenseMatcher(_constant_net())
+    wanted = matcher._input(upright.pixels)
+
+    def matchability(prediction: object) -> np.ndarray:
+        seen = torch.equal(inputs[-1], wanted)
+        return np.full((240, 240), 0.9 if seen else 0.1, np.float32)
+
+    inputs: list[torch.Tensor] = []
+    make_input = matcher._input
+
+    def remembered(pixels: np.ndarray) -> torch.Tensor:
+        inputs.append(make_input(pixels))
+        return inputs[-1]
+
+    monkeypatch.setattr(matcher, "_input", remembered)
+    monkeypatch.setattr("dgc_pose.matching.dense._matchability", matchability)
+    for roll in range(4):
+        turned = Image(np.rot90(upright.pixels, roll).copy())
+        found = matcher.correspond(upright, turned)
+        assert found.matchability.mean() > 0.8
+        # Each cell of the turned image must map to the place whose colour it shows.
+        for row, column in ((30, 50), (200, 120), (3, 236)):
+            x, y = found.map[row, column]
+            u, v = found.grid[row, column]
+            back = np.rot90(np.arange(200 * 300).reshape(200, 300), roll)[round(v), round(u)]
+            assert abs(back % 300 - x) <= 1.6 and abs(back // 300 - y) <= 1.6
+
+
 def test_resize_keeps_places() -> None:
     """A ramp stays the ramp of the half-pixel rule, shrunk, enlarged, or each along one axis."""
     height, width = 300, 480

@@ -76,6 +76,15 @@ def test_subsample_never_exceeds_and_keeps_what_fits() -> None:
     assert np.array_equal(even_subsample(keep, confidence, 6400), keep)
 
 
+def test_a_small_patch_is_no_match() -> None:
+    correspondences = _map()
+    few = np.zeros_like(correspondences.matchability)
+    few[10:14, 10:14] = 0.9
+    patch = replace(correspondences, matchability=few)
+    assert len(select_matches(patch, MatchingOptions(min_share=0.01))) == 0
+    assert len(select_matches(patch, MatchingOptions(min_share=0.0))) == 16
+
+
 def test_a_cycle_needs_the_way_back() -> None:
     one_way = replace(_map(), cycle=None)
     with pytest.raises(InputError, match="cycle"):
@@ -83,7 +92,8 @@ def test_a_cycle_needs_the_way_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0)]
+    ("field", "value"),
+    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0), ("roll_share", -0.1)],
 )
 def test_wrong_options_are_named(field: str, value: float) -> None:
     with pytest.raises(InputError, match=field):
