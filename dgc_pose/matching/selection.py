@@ -21,7 +21,7 @@ class MatchingOptions:
 
     matchability: float = 0.5  # least matchability, 0 to 1
     cycle_px: float | None = None  # largest error of the way there and back, pixels of image 2
-    max_matches: int = 5000  # an even subsample of at most so many
+    max_matches: int = 2000  # an even subsample of at most so many
     min_share: float = 0.01  # of the cells that must pass: a smaller patch is a chance likeness
     # Where the mean matchability is below this, image 2 is matched turned by 90, 180 and 270
     # degrees as well and the best of the four kept: the network knows photographs upright.

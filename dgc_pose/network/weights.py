@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import WeightsError
@@ -56,7 +56,8 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
     }
     path = Path(path)
     temporary = path.with_name(path.name + ".part")
-    save_file(state, temporary, metadata={"preset": net.config.name})
+    # Not save_file, whose files only their owner may read.
+    temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
     os.replace(temporary, path)
 
 
