@@ -11,15 +11,15 @@ from dgc_pose.errors import InputError
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 
-# Error of a good match in cells of the map's grid, measured on the validation pairs.
-ERROR_CELLS = 1.0
+# Error of a good match along one axis, in cells of the map's grid; see docs/accuracy.md.
+ERROR_CELLS = 0.5
 
 
 @dataclass(frozen=True)
 class MatchingOptions:
     """Which cells of the dense map become matches. Raises InputError on values out of range."""
 
-    matchability: float = 0.5  # least matchability, 0 to 1
+    matchability: float = 0.7  # least matchability, 0 to 1
     cycle_px: float | None = None  # largest error of the way there and back, pixels of image 2
     max_matches: int = 2000  # an even subsample of at most so many
     min_share: float = 0.01  # of the cells that must pass: a smaller patch is a chance likeness
