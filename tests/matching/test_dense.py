@@ -19,7 +19,7 @@ from dgc_pose.network.net import DGCNet
 
 def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
     """A net that maps every cell to itself, shifted in x by a normalised amount."""
-    config = replace(preset("dgcm"), output="displacement", align_corners=align_corners)
+    config = replace(preset("dgcm-lite"), output="displacement", align_corners=align_corners)
     net = DGCNet(config).eval()
     for level in range(5):
         final = net.get_submodule(f"reg_{level}.final")
