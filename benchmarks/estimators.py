@@ -10,10 +10,10 @@ import click
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dgc_pose.benchmarks.pairs import pose_errors
 from dgc_pose.camera import Camera
-from dgc_pose.estimation import EstimationOptions, EstimatorName, RelativePose, estimate_pose
+from dgc_pose.estimation import EstimationOptions, EstimatorName, estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 
 SIZE = (1600, 1200)
 CAMERA = Camera(np.array([[1600.0, 0, 799.5], [0, 1600, 599.5], [0, 0, 1]]), SIZE)
@@ -59,16 +59,10 @@ def measure(
         start = time.process_time()
         pose = estimate_pose(matches, CAMERA, CAMERA, options)
         seconds = time.process_time() - start
-        rows.append((*_errors(pose, R, t), seconds, float(pose.success)))
+        rows.append((*pose_errors(pose, R, t), seconds, float(pose.success)))
     table = np.array(rows)
     rotation, translation, seconds = np.median(table[:, :3], axis=0)
     return float(rotation), float(translation), float(seconds), int(table[:, 3].sum())
-
-
-def _errors(pose: RelativePose, R: np.ndarray, t: np.ndarray) -> tuple[float, float]:
-    if pose.R is None or pose.t is None:
-        return np.inf, np.inf
-    return rotation_error_deg(pose.R, R), translation_error_deg(pose.t, t)
 
 
 def backends_table(seeds: int) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -39,8 +39,8 @@ class CameraChoice:
         name, text = ("--K", self.k) if own is None else (f"--K{number}", own)
         if text is not None:
             camera = parse_camera(text, name)
-            doubts = check_size(camera, image.size, name)
-            return replace(camera, warnings=camera.warnings + doubts)
+            check_size(camera, image.size, name)  # here, where an error can name the option
+            return camera
         if self.guess_focal:
             return guess_camera(Path(image.name))
         raise InputError(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,11 @@ from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_checkpoint, save_weights
 from dgc_pose.training.pairs import PairOptions, TrainingPairs, make_pairs
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
-from dgc_pose.training.stages import DecoderStage, EncoderStage, StageName
+from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
+from dgc_pose.training.stages import DecoderStage, EncoderStage
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
-LOG = "log.csv"
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,8 @@ Report = Callable[[dict[str, Any]], None]
 class Trainer:
     """Trains one network as `RunOptions` say, in the folder `out`.
 
-    `out` then holds checkpoint.pt (everything a resumed run needs), log.csv and, at the end,
+    `out` then holds checkpoint.pt (everything a resumed run needs), for each stage the logs
+    `<stage>_steps_log.csv` and `<stage>_validation_log.csv` and, at the end,
     `<preset>.safetensors`. Raises InputError where `out` already holds a run and `resume` is
     False, WeightsError where a checkpoint belongs to another preset.
     """
@@ -70,9 +69,12 @@ class Trainer:
     ) -> None:
         self.options = options
         self.out = Path(out)
+        self.out.mkdir(parents=True, exist_ok=True)
+        path = self.out / CHECKPOINT
+        if path.exists() and not resume:
+            raise InputError(f"{path} is there already: --resume goes on with it")
         self.device = torch.device(device)
         self.photos, held_back = (p.to(self.device) for p in photos)
-        self.net: DGCNet
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0
         self.stage: StageName | None = None
@@ -83,11 +85,7 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(options.seed)
         self.net = DGCNet(preset(options.preset)).to(self.device)
         self._enter("encoder" if options.schedule.encoder > 0 else "decoders")
-        self.out.mkdir(parents=True, exist_ok=True)
-        path = self.out / CHECKPOINT
         if path.exists():
-            if not resume:
-                raise InputError(f"{path} is there already: --resume goes on with it")
             self._load(path)
 
     def run(self, report: Report = lambda row: None) -> DGCNet:
@@ -160,8 +158,7 @@ class Trainer:
 
     def export(self) -> Path:
         """Write the network's weights, half precision, beside the checkpoint."""
-        if isinstance(self._module, EncoderStage):
-            self._module.write(self.net)
+        self._leave()
         path = self.out / f"{self.options.preset}.safetensors"
         save_weights(self.net, path)
         return path
@@ -213,6 +210,7 @@ class Trainer:
         )
 
     def _leave(self) -> None:
+        """Put what the stage has trained beside the network into the network."""
         if isinstance(self._module, EncoderStage):
             self._module.write(self.net)
 
@@ -224,18 +222,14 @@ class Trainer:
 
     def _log(self, row: dict[str, Any]) -> None:
         """Append a row; a file a stage, since each stage has columns of its own."""
-        if "val_found4" not in row and "val_aepe" not in row and self.step % 10:
+        validated = any(key.startswith("val_") for key in row)
+        if not validated and self.step % 10:
             return
-        kind = "validation" if any(k.startswith("val_") for k in row) else "steps"
-        with _appending(self.out / f"{self.stage}_{kind}_{LOG}") as (file, is_new):
+        kind = "validation" if validated else "steps"
+        path = self.out / f"{self.stage}_{kind}_log.csv"
+        is_new = not path.exists()
+        with path.open("a", newline="") as file:
             writer = csv.DictWriter(file, fieldnames=list(row))
             if is_new:
                 writer.writeheader()
             writer.writerow(row)
-
-
-@contextmanager
-def _appending(path: Path) -> Iterator[tuple[Any, bool]]:
-    is_new = not path.exists()
-    with path.open("a", newline="") as file:
-        yield file, is_new

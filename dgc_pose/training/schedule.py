@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.stages import StageName, StageOptions
 
+StageName = Literal["encoder", "decoders", "polish"]
 _WARM_UP = 0.02  # of a stage
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """One stage's batches and rates."""
+
+    batch: int  # pairs
+    size: int  # pixels a side of the views
+    learning_rate: float  # at its highest
+    weight_decay: float
 
 
 @dataclass(frozen=True)

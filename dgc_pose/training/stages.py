@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -18,19 +17,8 @@ from dgc_pose.network.statistics import normalise
 from dgc_pose.training.losses import contrastive_loss, level_truth, map_loss, mask_loss
 from dgc_pose.training.pairs import TrainingPairs
 
-StageName = Literal["encoder", "decoders", "polish"]
 _CONTRASTED = (COARSEST, 3, 2)  # levels that the contrastive loss runs on
 _QUERIES = 400  # target cells a pair at level 2, where all would be thousands
-
-
-@dataclass(frozen=True)
-class StageOptions:
-    """One stage's batches and rates."""
-
-    batch: int  # pairs
-    size: int  # pixels a side of the views
-    learning_rate: float  # at its highest
-    weight_decay: float
 
 
 class EncoderStage(nn.Module):
@@ -114,36 +102,35 @@ class DecoderStage(nn.Module):
         batch = len(pairs.map)
         noisy = torch.rand(batch, generator=generator).to(images) < noise_share
         offset = torch.randint(0, LEVEL_SIZES[1] // 2 + 1, (2,), generator=generator).tolist()
-        full = (slice(None), slice(None))
         state = self.net.coarsest(source[COARSEST], target[COARSEST])
-        total, errors = self._level_loss(COARSEST, state, pairs, full)
-        errors = {f"epe{LEVEL_SIZES[COARSEST]}": errors.pop("epe")}
+        truth = _level_truth(COARSEST, pairs, _window(COARSEST, offset))
+        total, error = self._level_loss(COARSEST, state, *truth)
+        errors = {f"epe{LEVEL_SIZES[COARSEST]}": error}
         for level in range(COARSEST - 1, -1, -1):
             window = _window(level, offset)
             previous = upsample(state if self.end_to_end else state.detach())
             if level == 1:
                 previous = previous[:, :, window[0], window[1]]
+            truth = _level_truth(level, pairs, window)
             if noise_share > 0:
-                noised = self._noisy_truth(level, previous, pairs, window, generator)
+                noised = self._noisy_truth(level, previous, truth[0], generator)
                 previous = torch.where(noisy[:, None, None, None], noised, previous)
             warped = self.net.warp(source[level], previous)
             seen = target[level][:, :, window[0], window[1]]
             state = self.net.refine(level, warped, seen, previous, window)
-            part, found = self._level_loss(level, state, pairs, window)
+            part, error = self._level_loss(level, state, *truth)
             total = total + part
-            errors[f"epe{LEVEL_SIZES[level]}"] = found["epe"]
+            errors[f"epe{LEVEL_SIZES[level]}"] = error
         if self.net.config.matchability == "network":
             logits = self.net.matchability_net(torch.cat([warped, seen], 1))
             total = total + mask_loss(logits, pairs.valid[:, window[0], window[1]])
         return total, errors
 
     def _level_loss(
-        self, level: int, state: Tensor, pairs: TrainingPairs, window: tuple[slice, slice]
-    ) -> tuple[Tensor, dict[str, float]]:
-        cells = LEVEL_SIZES[level]
-        stride = INPUT_SIZE // cells
-        truth, valid = level_truth(pairs.map, pairs.valid, cells)
-        truth, valid = truth[:, window[0], window[1]], valid[:, window[0], window[1]]
+        self, level: int, state: Tensor, truth: Tensor, valid: Tensor
+    ) -> tuple[Tensor, float]:
+        """The loss of a level's state, and its mean error in pixels."""
+        stride = INPUT_SIZE // LEVEL_SIZES[level]
         config = self.net.config
         found = to_pixels(state[:, :2].movedim(1, -1), (INPUT_SIZE,) * 2, config.align_corners)
         error = found - truth
@@ -156,28 +143,28 @@ class DecoderStage(nn.Module):
             # (or, at the end, an estimator) can use.
             good = valid & (distance < max(4.0, 1.5 * stride))
             total = total + mask_loss(state[:, 2:], good)
-        return total, {"epe": float(mean)}
+        return total, float(mean)
 
     def _noisy_truth(
-        self,
-        level: int,
-        previous: Tensor,
-        pairs: TrainingPairs,
-        window: tuple[slice, slice],
-        generator: torch.Generator,
+        self, level: int, previous: Tensor, truth: Tensor, generator: torch.Generator
     ) -> Tensor:
         """The true map plus smooth noise of up to two cells, the mask channel as it was."""
-        cells = LEVEL_SIZES[level]
-        truth, _ = level_truth(pairs.map, pairs.valid, cells)
-        truth = truth[:, window[0], window[1]]
         batch, height, width, _ = truth.shape
         coarse = torch.randn(batch, 2, height // 4, width // 4, generator=generator).to(truth)
         smooth = F.interpolate(coarse, (height, width), mode="bicubic", align_corners=False)
         size = 0.2 + 1.3 * torch.rand(batch, 1, 1, 1, generator=generator).to(truth)
-        noise = (smooth * size).movedim(1, -1) * (INPUT_SIZE / cells)
+        noise = (smooth * size).movedim(1, -1) * (INPUT_SIZE / LEVEL_SIZES[level])
         bounded = (truth + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
         place = to_normalised(bounded, (INPUT_SIZE,) * 2, self.net.config.align_corners)
         return torch.cat([place.movedim(-1, 1), previous[:, 2:].detach()], 1)
+
+
+def _level_truth(
+    level: int, pairs: TrainingPairs, window: tuple[slice, slice]
+) -> tuple[Tensor, Tensor]:
+    """The true map and where it holds, at the cells of a level that the window names."""
+    truth, valid = level_truth(pairs.map, pairs.valid, LEVEL_SIZES[level])
+    return truth[:, window[0], window[1]], valid[:, window[0], window[1]]
 
 
 def _window(level: int, offset: list[int]) -> tuple[slice, slice]:
