@@ -28,7 +28,15 @@ class Pool:
     """A 2x2 max-pool with stride 2."""
 
 
-PyramidLevel = tuple[Conv | Pool, ...]
+@dataclass(frozen=True)
+class Residual:
+    """x + conv(relu(conv(x))), then ReLU: two 3x3 convolutions around a skip (He et al. 2016)."""
+
+    channels: int  # as many as come in
+    dilation: int = 1  # of the second convolution
+
+
+PyramidLevel = tuple[Conv | Residual | Pool, ...]
 
 
 @dataclass(frozen=True)
@@ -76,7 +84,7 @@ class NetworkConfig:
     def level_channels(self) -> tuple[int, ...]:
         """Channels of each pyramid level, 0 to 4."""
         return tuple(
-            [part.channels for part in level if isinstance(part, Conv)][-1]
+            [part.channels for part in level if not isinstance(part, Pool)][-1]
             for level in self.pyramid
         )
 
@@ -116,13 +124,17 @@ _LITE_PYRAMID: tuple[PyramidLevel, ...] = (
     (Conv(24, stride=2), Conv(32)),
     (Conv(48, stride=2), Conv(64), Conv(64, kernel=1, relu=False)),
     (
-        Conv(96, stride=2),
-        Conv(128),
-        Conv(128, dilation=2),
-        Conv(128, dilation=2),
+        Conv(128, stride=2),
+        Residual(128),
+        Residual(128, dilation=2),
         Conv(128, kernel=1, relu=False),
     ),
-    (Conv(160, stride=2), Conv(160), Conv(160), Conv(128, kernel=1, relu=False)),
+    (
+        Conv(192, stride=2),
+        Residual(192),
+        Residual(192, dilation=2),
+        Conv(128, kernel=1, relu=False),
+    ),
 )
 _LITE_DECODERS = (
     DecoderConfig((24, 16), (1, 2), local_radius=2),

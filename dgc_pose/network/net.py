@@ -46,6 +46,8 @@ class DGCNet(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
+        # Convolutions in bfloat16; places, correlations and the map stay in single precision.
+        self.half_precision = False
         self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
             decoder = Decoder(
@@ -64,7 +66,13 @@ class DGCNet(nn.Module):
                 f"source and target must both be (B, 3, {INPUT_SIZE}, {INPUT_SIZE}), "
                 f"not {tuple(source.shape)} and {tuple(target.shape)}"
             )
-        return self.decode(self.pyramid(source), self.pyramid(target))
+        return self.decode(self.features(source), self.features(target))
+
+    def features(self, image: Tensor) -> list[Tensor]:
+        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
+        with self._precision(image):
+            features = self.pyramid(image)
+        return [feature.to(image.dtype) for feature in features]
 
     def decode(self, source: list[Tensor], target: list[Tensor]) -> Prediction:
         """The prediction from the features of both images, levels 0 to 4 of `Pyramid`."""
@@ -78,7 +86,7 @@ class DGCNet(nn.Module):
         if self.config.matchability == "decoder":
             return Prediction(maps, tuple(state[:, 2:] for state in states))
         if self.config.matchability == "network":
-            return Prediction(maps, (self.matchability_net(torch.cat([warped, target[0]], 1)),))
+            return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
 
     def coarsest(self, source: Tensor, target: Tensor) -> Tensor:
@@ -101,6 +109,13 @@ class DGCNet(nn.Module):
         if config.normalise_correlation:
             correlation = l2_normalise(correlation.relu())
         return self._decode_level(COARSEST, correlation, start)
+
+    def mask(self, warped: Tensor, target: Tensor) -> Tensor:
+        """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
+        features = torch.cat([warped, target], 1)
+        with self._precision(features):
+            logits = self.matchability_net(features)
+        return logits.to(features.dtype)
 
     def warp(self, features: Tensor, previous: Tensor) -> Tensor:
         """Source features (B, C, S, S) at the places of a map (B, 2.., H, W): (B, C, H, W)."""
@@ -133,18 +148,25 @@ class DGCNet(nn.Module):
         previous: Tensor,
         window: tuple[slice, slice] | None = None,
     ) -> Tensor:
-        decoder = self.get_submodule(f"reg_{level}")
         if self.config.output == "absolute":
-            return decoder(torch.cat([features, previous], 1))
+            return self._regress(level, features, previous)
         if self.config.output == "residual":
             # A cell is the natural unit of a correction; the mask logit needs no unit.
-            change = decoder(torch.cat([features, previous], 1))
+            change = self._regress(level, features, previous)
             cell = 2 / LEVEL_SIZES[level]
             step = torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
             return previous + step
         identity = self._identity(level, previous, window)
-        displacement = decoder(torch.cat([features, previous - identity], 1))
-        return identity + displacement
+        return identity + self._regress(level, features, previous - identity)
+
+    def _regress(self, level: int, features: Tensor, previous: Tensor) -> Tensor:
+        inputs = torch.cat([features, previous], 1)
+        with self._precision(inputs):
+            outputs = self.get_submodule(f"reg_{level}")(inputs)
+        return outputs.to(inputs.dtype)
+
+    def _precision(self, like: Tensor) -> torch.autocast:
+        return torch.autocast(like.device.type, torch.bfloat16, enabled=self.half_precision)
 
     def _identity(
         self, level: int, like: Tensor, window: tuple[slice, slice] | None

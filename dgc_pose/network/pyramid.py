@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from dgc_pose.network.config import NetworkConfig, Pool, PyramidLevel
+from dgc_pose.network.config import Residual as ResidualConfig
 
 
 class Pyramid(nn.Module):
@@ -27,24 +29,50 @@ class Pyramid(nn.Module):
         return features
 
 
+class Residual(nn.Module):
+    """A `Residual` of the configuration: (B, C, H, W) to the same shape."""
+
+    def __init__(self, channels: int, dilation: int, batch_norm: bool) -> None:
+        super().__init__()
+        self.body = nn.Sequential(
+            *_convolution(channels, channels, batch_norm),
+            nn.ReLU(),
+            *_convolution(channels, channels, batch_norm, dilation=dilation),
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        return F.relu(features + self.body(features))
+
+
 def _level(level: PyramidLevel, inputs: int, batch_norm: bool) -> nn.Sequential:
     layers: list[nn.Module] = []
     for part in level:
         if isinstance(part, Pool):
             layers.append(nn.MaxPool2d(2, 2))
             continue
-        padding = part.dilation * (part.kernel // 2)
-        layers.append(
-            nn.Conv2d(
-                inputs, part.channels, part.kernel, part.stride, padding, dilation=part.dilation
-            )
+        if isinstance(part, ResidualConfig):
+            layers.append(Residual(part.channels, part.dilation, batch_norm))
+            continue
+        layers += _convolution(
+            inputs, part.channels, batch_norm, part.kernel, part.stride, part.dilation
         )
-        if batch_norm:
-            layers.append(nn.BatchNorm2d(part.channels))
         if part.relu:
             layers.append(nn.ReLU())
         inputs = part.channels
     return nn.Sequential(*layers)
+
+
+def _convolution(
+    inputs: int,
+    outputs: int,
+    batch_norm: bool,
+    kernel: int = 3,
+    stride: int = 1,
+    dilation: int = 1,
+) -> list[nn.Module]:
+    padding = dilation * (kernel // 2)
+    convolution = nn.Conv2d(inputs, outputs, kernel, stride, padding, dilation=dilation)
+    return [convolution, nn.BatchNorm2d(outputs)] if batch_norm else [convolution]
 
 
 def fold_batch_norm(trained: Pyramid, plain: Pyramid) -> None:
