@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -137,7 +138,7 @@ _LITE_PYRAMID: tuple[PyramidLevel, ...] = (
     ),
 )
 _LITE_DECODERS = (
-    DecoderConfig((24, 16), (1, 2), local_radius=2),
+    DecoderConfig((32, 16), (1, 2), local_radius=2),
     DecoderConfig((48, 32, 24), (1, 2, 4), local_radius=3),
     DecoderConfig((64, 48, 32), (1, 2, 4), local_radius=3),
     DecoderConfig((128, 96, 64), (1, 1, 2), local_radius=4),
@@ -160,13 +161,35 @@ PRESETS: dict[str, NetworkConfig] = {
 
 
 def preset(name: str) -> NetworkConfig:
-    """The preset of that name. Raises InputError, listing the names, where there is none."""
-    if name not in PRESETS:
-        raise InputError(f"no preset '{name}'; there are {', '.join(PRESETS)}")
-    return PRESETS[name]
+    """The preset of that name, or an ablation of it: "dgcm", "dgcm+no-l2", "dgcm+flow+no-dilation".
+
+    Raises InputError, listing the names, where there is none.
+    """
+    base, *ablations = name.split("+")
+    if base not in PRESETS:
+        raise InputError(f"no preset '{base}'; there are {', '.join(PRESETS)}")
+    config = PRESETS[base]
+    for ablation in ablations:
+        if ablation not in ABLATIONS:
+            raise InputError(f"no ablation '{ablation}'; there are {', '.join(ABLATIONS)}")
+        config = ABLATIONS[ablation](config)
+    return replace(config, name=name)
 
 
 def without_dilation(config: NetworkConfig) -> NetworkConfig:
     """The paper's ablation: the same decoders with every dilation 1."""
     decoders = tuple(replace(d, dilations=(1,) * len(d.dilations)) for d in config.decoders)
     return replace(config, decoders=decoders)
+
+
+def _local_correlation(config: NetworkConfig) -> NetworkConfig:
+    return replace(config, correlation="local", soft_argmax=False)
+
+
+# The paper's ablations (section 5), by the names that `preset` takes behind a "+".
+ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
+    "no-l2": lambda config: replace(config, normalise_features=False),
+    "flow": lambda config: replace(config, output="displacement"),
+    "no-dilation": without_dilation,
+    "local-correlation": _local_correlation,
+}
