@@ -82,12 +82,9 @@ class TextureBank:
         starts = [0]
         for w, h in zip(widths, heights, strict=True):
             starts.append(starts[-1] + self.count * w * h)
-        device = self.texels.device
-        return (
-            torch.tensor(starts[:-1], device=device),
-            torch.tensor(widths, device=device),
-            torch.tensor(heights, device=device),
-        )
+        tables = torch.tensor([starts[:-1], widths, heights])
+        first, width_at, height_at = tables.to(self.texels.device, non_blocking=True)
+        return first, width_at, height_at
 
     def _colours(self, index: Tensor) -> Tensor:
         """Unpacked texels, (3, n) float32 in [0, 255]."""

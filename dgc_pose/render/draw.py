@@ -23,21 +23,20 @@ class Draw:
 
     def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
         values = torch.rand(shape, generator=self._generator, device=self._generator.device)
-        return low + (high - low) * values.to(self._device, self._dtype)
+        return low + (high - low) * self._move(values)
 
     def log_uniform(self, *shape: int, low: float, high: float) -> Tensor:
         return self.uniform(*shape, low=math.log(low), high=math.log(high)).exp()
 
     def normal(self, *shape: int) -> Tensor:
         values = torch.randn(shape, generator=self._generator, device=self._generator.device)
-        return values.to(self._device, self._dtype)
+        return self._move(values)
 
     def integers(self, *shape: int, count: int) -> Tensor:
         """In [0, count), int64."""
         device = self._generator.device
-        return torch.randint(count, shape, generator=self._generator, device=device).to(
-            self._device
-        )
+        values = torch.randint(count, shape, generator=self._generator, device=device)
+        return values.to(self._device, non_blocking=True)
 
     def chance(self, *shape: int, share: float) -> Tensor:
         """True with probability `share`."""
@@ -46,3 +45,7 @@ class Draw:
     def directions(self, *shape: int) -> Tensor:
         """Unit vectors (*shape, 3), uniform on the sphere."""
         return torch.nn.functional.normalize(self.normal(*shape, 3), dim=-1)
+
+    def _move(self, values: Tensor) -> Tensor:
+        # From pageable memory the copy is taken before the call returns: not to wait is safe.
+        return values.to(self._device, self._dtype, non_blocking=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 
 import torch
@@ -18,9 +18,10 @@ from dgc_pose.render.overlap import Candidate, overlapping
 from dgc_pose.render.random_cameras import random_camera_pair
 from dgc_pose.render.random_scene import random_scene
 from dgc_pose.render.raycast import Hits, Lighting, Surface, cast, correspond, describe, shade
-from dgc_pose.render.scene import Scene
+from dgc_pose.render.scene import Scene, part
 
 _CHUNK = 16384  # pixels of each view supersampled at a time: what stays in a processor's cache
+_CPU_PIXELS = 102400  # of all views rendered at a time on a CPU, for the same reason
 _DEFAULT_OPTIONS = SceneOptions()
 
 
@@ -92,6 +93,24 @@ def render_views(
     supersample: int = 1,
 ) -> RenderedPairs:
     """Both views of given scenes; `lights` are the places (B, 3) of the light in each view."""
+    width, height = second.size
+    together = max(1, _CPU_PIXELS // (width * height))
+    if len(second.K) > together and second.K.device.type == "cpu":
+        spans = [slice(k, k + together) for k in range(0, len(second.K), together)]
+        parts = [
+            render_views(
+                part(scene, span),
+                part(first, span),
+                part(second, span),
+                bank,
+                lights=(lights[0][span], lights[1][span]),
+                lighting=lighting,
+                supersample=supersample,
+            )
+            for span in spans
+        ]
+        names = [field.name for field in fields(RenderedPairs)]
+        return RenderedPairs(**{n: torch.cat([getattr(p, n) for p in parts]) for n in names})
     images, depths, seen = [], [], []
     for cameras, light in zip((first, second), lights, strict=True):
         hits = cast(scene, cameras, cameras.pixels())

@@ -11,8 +11,6 @@ from dgc_pose.render.cameras import Cameras, axis_angle, look_at
 from dgc_pose.render.draw import Draw
 from dgc_pose.render.options import SceneOptions
 
-_DISTANCE = (0.8, 1.5)  # of the first camera from the look-at point, in focal lengths over size
-_ELEVATION_DEG = (-5.0, 60.0)  # of the first camera above the look-at point
 _FIRST_ROLL_DEG = 5.0  # sigma
 
 
@@ -32,8 +30,8 @@ def random_camera_pair(
     """B pairs around the origin of the world, the second one turned as the options say."""
     first_K, second_K = (random_intrinsics(draw, batch, size, options) for _ in range(2))
     focal1, focal2 = first_K[:, 0, 0] / size, second_K[:, 0, 0] / size
-    distance1 = focal1 * draw.uniform(batch, low=_DISTANCE[0], high=_DISTANCE[1])
-    centre1 = distance1[:, None] * _viewpoints(draw, batch)
+    distance1 = focal1 * draw.uniform(batch, low=options.distance[0], high=options.distance[1])
+    centre1 = distance1[:, None] * _viewpoints(draw, batch, options)
     roll1 = math.radians(_FIRST_ROLL_DEG) * draw.normal(batch)
     rotation1 = _about_z(roll1) @ look_at(centre1, torch.zeros_like(centre1))
 
@@ -50,9 +48,9 @@ def random_camera_pair(
     return _cameras(first_K, rotation1, centre1, size), _cameras(second_K, rotation2, centre2, size)
 
 
-def _viewpoints(draw: Draw, batch: int) -> Tensor:
+def _viewpoints(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
     """Unit vectors (B, 3) from the look-at point to a camera; world y points down."""
-    low, high = (math.radians(angle) for angle in _ELEVATION_DEG)
+    low, high = (math.radians(angle) for angle in options.elevation_deg)
     elevation = draw.uniform(batch, low=low, high=high)
     azimuth = draw.uniform(batch, high=2 * math.pi)
     level = elevation.cos()

@@ -14,8 +14,6 @@ from dgc_pose.render.options import SceneOptions
 from dgc_pose.render.scene import FACES, Layout, Scene
 
 _UPRIGHT_SHARE = 0.6  # of the boxes and ellipsoids, which then stand on the table
-_SPREAD = 0.55  # objects lie within so much of the look-at point, level and (half as much) up
-_ROOM_MARGIN = (0.05, 1.0)  # from the cameras and the objects to the walls
 _PLANE_HALF_SIZE = 20.0
 _PLANE_SPAN = (1.0, 1.3)  # fields of view that the photo on a single plane covers
 _LARGE_ONES = 3  # room, background and table come first
@@ -38,8 +36,8 @@ def random_scene(
     layout = Layout(1, 2 + options.quads, options.boxes, options.ellipsoids)
     table_height = draw.uniform(batch, low=0.1, high=0.4)
     parts = (
-        _room(draw, first.centre, second.centre, table_height),
-        _background(draw, first.centre),
+        _room(draw, first.centre, second.centre, table_height, options),
+        _background(draw, first.centre, options),
         _table(draw, table_height),
         _tilted_quads(draw, first.centre, options),
         _solids(draw, table_height, options),
@@ -86,23 +84,27 @@ def single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], phot
 Parts = tuple[Tensor, Tensor, Tensor]  # centre (B, n, 3), axes (B, n, 3, 3), half size (B, n, 3)
 
 
-def _room(draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor) -> Parts:
+def _room(
+    draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor, options: SceneOptions
+) -> Parts:
     reach = draw.uniform(len(centre1), 3, low=0.5, high=0.8)
     low = torch.minimum(torch.minimum(centre1, centre2), -reach)
     high = torch.maximum(torch.maximum(centre1, centre2), reach)
     high[:, 1] = torch.maximum(high[:, 1], table_height)
-    low = low - draw.uniform(len(centre1), 3, low=_ROOM_MARGIN[0], high=_ROOM_MARGIN[1])
-    high = high + draw.uniform(len(centre1), 3, low=_ROOM_MARGIN[0], high=_ROOM_MARGIN[1])
+    nearest, farthest = options.room_margin
+    low = low - draw.uniform(len(centre1), 3, low=nearest, high=farthest)
+    high = high + draw.uniform(len(centre1), 3, low=nearest, high=farthest)
     axes = torch.eye(3, dtype=centre1.dtype, device=centre1.device).expand(len(centre1), 1, 3, 3)
     return (low + high)[:, None] / 2, axes, (high - low)[:, None] / 2
 
 
-def _background(draw: Draw, centre1: Tensor) -> Parts:
+def _background(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
     """A large rectangle behind the look-at point, turned off the first view by up to 45 degrees."""
     batch = len(centre1)
     towards = normalize(centre1, dim=-1)
     axes = _facing(draw, towards[:, None], math.radians(45.0))
-    behind = draw.uniform(batch, 1, low=0.25, high=1.0)
+    nearest, farthest = options.background
+    behind = draw.uniform(batch, 1, low=nearest, high=farthest)
     half_size = draw.uniform(batch, 1, 3, low=0.5, high=1.5)
     return (-behind * towards)[:, None], axes, half_size
 
@@ -122,7 +124,7 @@ def _tilted_quads(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
     axes = _facing(draw, towards, math.radians(65.0))
     low, high = options.object_size
     half_size = draw.log_uniform(batch, count, 3, low=low, high=high) * 1.5
-    return _around(draw, batch, count), axes, half_size
+    return _around(draw, batch, count, options), axes, half_size
 
 
 def _solids(draw: Draw, table_height: Tensor, options: SceneOptions) -> Parts:
@@ -130,7 +132,7 @@ def _solids(draw: Draw, table_height: Tensor, options: SceneOptions) -> Parts:
     batch, count = len(table_height), options.boxes + options.ellipsoids
     low, high = options.object_size
     half_size = draw.log_uniform(batch, count, 3, low=low, high=high)
-    centre = _around(draw, batch, count)
+    centre = _around(draw, batch, count, options)
     upright = draw.chance(batch, count, share=_UPRIGHT_SHARE)
     standing = table_height[:, None] - half_size[..., 1]
     centre[..., 1] = torch.where(upright, standing, centre[..., 1])
@@ -148,9 +150,9 @@ def _light(draw: Draw, room: Parts) -> Tensor:
     return centre + place * half_size
 
 
-def _around(draw: Draw, batch: int, count: int) -> Tensor:
+def _around(draw: Draw, batch: int, count: int, options: SceneOptions) -> Tensor:
     """Places (B, n, 3) around the look-at point."""
-    places = draw.uniform(batch, count, 3, low=-_SPREAD, high=_SPREAD)
+    places = draw.uniform(batch, count, 3, low=-options.spread, high=options.spread)
     places[..., 1] *= 0.5
     return places
 

@@ -143,8 +143,9 @@ def _brightness(
 ) -> Tensor:
     """Factors (B * n,) in [0, 1] for the colours of the surface."""
     ray = surface.point.unflatten(1, hits.depth.shape).transpose(0, 1) - light[..., None]
-    towards = torch.nn.functional.normalize(-ray, dim=1).transpose(0, 1).flatten(1)
-    cosine = (surface.normal * towards).sum(0)
+    away = ray.transpose(0, 1).flatten(1)
+    length = away.square().sum(0).sqrt().clamp(min=1e-12)
+    cosine = -(surface.normal * away).sum(0) / length
     brightness = 1 - lighting.shading * (0.5 - 0.5 * cosine)
     if lighting.shadow > 0:
         shadowed = hidden(scene, light, ray, hits.primitive).reshape(-1) | (cosine <= 0)

@@ -88,6 +88,16 @@ def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
     return replace(first, **chosen)
 
 
+def part(batch: Batch, span: slice) -> Batch:
+    """Some of a batch's scenes or cameras."""
+    chosen: dict[str, Any] = {}
+    for field in fields(batch):
+        value = getattr(batch, field.name)
+        if isinstance(value, Tensor):
+            chosen[field.name] = value[span]
+    return replace(batch, **chosen)
+
+
 def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
     """Ray parameters of every primitive's first hit: (B, P, n), infinity where there is none.
 

@@ -1,10 +1,17 @@
-"""The losses: contrastive for the encoder; map and mask at each level for the decoders."""
+"""The losses: contrastive for the encoder; map and mask at each level for the decoders.
+
+Means are over the batches of all processes: each process gets its part of the mean, and the parts
+sum to it.
+"""
 
 from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from dgc_pose.training.draws import Draws
+from dgc_pose.training.processes import joint_sum
 
 # A cell whose four central pixels map this far apart (pixels) straddles two surfaces: no truth.
 _STRADDLES_PX = 6.0
@@ -19,16 +26,34 @@ def level_truth(truth: Tensor, valid: Tensor, cells: int) -> tuple[Tensor, Tenso
     stride = truth.shape[1] // cells
     if stride == 1:
         return truth, valid
+    places = _central_pixels(truth, stride)
+    spread = (places.amax(0) - places.amin(0)).amax(-1)
+    whole = level_known(valid, cells)
+    return places.mean(0), whole & (spread < max(_STRADDLES_PX, 2.0 * stride / 4))
+
+
+def level_known(known: Tensor, cells: int) -> Tensor:
+    """Where all of a level's central pixels are known: (B, S, S) to (B, cells, cells)."""
+    stride = known.shape[1] // cells
+    return known if stride == 1 else _central_pixels(known, stride).all(0)
+
+
+def _central_pixels(values: Tensor, stride: int) -> Tensor:
+    """The four pixels around the cells' centres: (B, S, S, ...) to (4, B, cells, cells, ...)."""
     first = stride // 2 - 1
     corners = [
-        (slice(None), slice(first + dy, None, stride), slice(first + dx, None, stride))
-        for dy in (0, 1)
-        for dx in (0, 1)
+        values[:, first + dy :: stride, first + dx :: stride] for dy in (0, 1) for dx in (0, 1)
     ]
-    places = torch.stack([truth[c] for c in corners])
-    whole = torch.stack([valid[c] for c in corners]).all(0)
-    spread = (places.amax(0) - places.amin(0)).amax(-1)
-    return places.mean(0), whole & (spread < max(_STRADDLES_PX, 2.0 * stride / 4))
+    return torch.stack(corners)
+
+
+def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
+    """This process's part of the mean of `values` where `inside` holds; 0 where it never does.
+
+    NaN or infinity at the other places does not reach the sum.
+    """
+    count = joint_sum(inside.sum())
+    return torch.where(inside, values, 0).sum() / count.clamp(min=1)
 
 
 def contrastive_loss(
@@ -39,7 +64,7 @@ def contrastive_loss(
     scale: Tensor,
     stride: int,
     queries: int | None = None,
-    generator: torch.Generator | None = None,
+    draws: Draws | None = None,
 ) -> tuple[Tensor, Tensor]:
     """InfoNCE on true correspondences, in both directions, and the share found.
 
@@ -47,32 +72,31 @@ def contrastive_loss(
     target's cells, `valid` where; scale: inverse temperature. Each valid target cell must find its
     place among all source cells (the four around the true place share it, bilinearly), and that
     place must find the cell among all target cells drawn. With `queries`, so many random cells a
-    pair stand for all. Returns the loss and the share of valid cells whose best source cell lies
-    within 1.5 cells of the truth.
+    pair, by `draws`, stand for all. Returns the loss and the share of valid cells whose best source
+    cell lies within 1.5 cells of the truth.
     """
     batch, channels, size, _ = source.shape
     source = source.flatten(2)
     target = target.flatten(2)
     truth = truth.reshape(batch, -1, 2)
     valid = valid.reshape(batch, -1)
-    if queries is not None and queries < size * size:
-        order = torch.rand(batch, size * size, generator=generator).to(source.device)
-        chosen = order.topk(queries, 1).indices
+    if queries is not None and draws is not None and queries < size * size:
+        chosen = draws.uniform(batch, size * size).topk(queries, 1).indices
         target = target.gather(2, chosen[:, None].expand(-1, channels, -1))
         truth = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
         valid = valid.gather(1, chosen)
+    truth = torch.where(valid[..., None], truth, 0)
     cells = (truth + 0.5) / stride - 0.5  # the true place in source cells
     logits = torch.bmm(target.transpose(1, 2), source) * scale  # (B, queries, cells)
     over_source = logits.log_softmax(2)
     over_target = logits.log_softmax(1)
     index, weight = _bilinear_cells(cells, size)
     picked = (over_source + over_target).gather(2, index)
-    inside = valid.float()
-    loss = -((picked * weight).sum(-1) * inside).sum() / inside.sum().clamp(min=1)
+    loss = -joint_mean((picked * weight).sum(-1), valid) / 2
     best = logits.detach().argmax(2)
     found = torch.stack([best % size, torch.div(best, size, rounding_mode="floor")], -1)
-    near = ((found - cells).norm(dim=-1) < 1.5).float()
-    return loss / 2, (near * inside).sum() / inside.sum().clamp(min=1)
+    near = (found - cells).norm(dim=-1) < 1.5
+    return loss, joint_mean(near.float(), valid)
 
 
 def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -97,11 +121,13 @@ def map_loss(error_cells: Tensor, valid: Tensor, robust_cells: float | None) -> 
     error = error_cells.abs().sum(-1)
     if robust_cells is not None:
         error = robust_cells * torch.log1p(error / robust_cells)
-    inside = valid.to(error)
-    # NaN or infinity at invalid places must not reach the sum.
-    return torch.where(valid, error, 0).sum() / inside.sum().clamp(min=1)
+    return joint_mean(error, valid)
 
 
-def mask_loss(logits: Tensor, target: Tensor) -> Tensor:
-    """Binary cross-entropy of matchability logits (B, 1, H, W) (paper, equation 4)."""
-    return F.binary_cross_entropy_with_logits(logits[:, 0], target.to(logits))
+def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:
+    """Mean binary cross-entropy of matchability logits (B, 1, H, W) (paper, equation 4).
+
+    target: (B, H, W) bool; it counts where `known`, likewise, holds.
+    """
+    entropy = F.binary_cross_entropy_with_logits(logits[:, 0], target.to(logits), reduction="none")
+    return joint_mean(entropy, known)

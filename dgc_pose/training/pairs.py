@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +11,9 @@ from torch import Tensor
 
 from dgc_pose.errors import InputError
 from dgc_pose.render import SceneOptions, render_pairs
+from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.training.depth_pairs import DepthOptions, depth_pairs
+from dgc_pose.training.depth_scenes import DepthScenes
 from dgc_pose.training.photometric import PhotometricOptions, random_photometric
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.warps import WIDE, WarpOptions, random_warp
@@ -20,70 +23,83 @@ from dgc_pose.training.warps import WIDE, WarpOptions, random_warp
 class PairOptions:
     """What the training pairs are made of."""
 
-    scene_share: float = 0.5  # of the pairs: ray-cast 3D scenes; the rest are warped photographs
+    # Of the pairs: ray-cast 3D scenes, and real scenes of known depth; the rest are warped photos.
+    scene_share: float = 0.5
+    real_share: float = 0.0
     warps: WarpOptions = WIDE
     scenes: SceneOptions = field(default_factory=SceneOptions)
-    photometric: PhotometricOptions = field(default_factory=PhotometricOptions)
+    real: DepthOptions = field(default_factory=DepthOptions)
+    # None: both views in the photograph's own light.
+    photometric: PhotometricOptions | None = field(default_factory=PhotometricOptions)
     view_scale: tuple[float, float] = (0.5, 1.0)  # a warped pair's view, of the photograph's side
     view_roll_deg: float = 20.0  # standard deviation of the view's rotation in the photograph
     occluder_share: float = 0.3  # of the views of warped pairs that something stands before
 
     def __post_init__(self) -> None:
-        if not 0 <= self.scene_share <= 1:
-            raise InputError(f"scene_share must be a share of one, not {self.scene_share}")
-
-
-@dataclass(frozen=True)
-class TrainingPairs:
-    """A batch of pairs with the truth; pixels as everywhere, (0, 0) the centre of the first."""
-
-    image1: Tensor  # (B, 3, S, S) source in [0, 1]
-    image2: Tensor  # (B, 3, S, S) target in [0, 1]
-    map: Tensor  # (B, S, S, 2) for each pixel of the target its x and y in the source, pixels
-    valid: Tensor  # (B, S, S) bool, True where the target's pixel is visible in the source
+        for name in ("scene_share", "real_share", "occluder_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} must be a share of one, not {getattr(self, name)}")
+        if self.scene_share + self.real_share > 1:
+            raise InputError("scene_share and real_share must be shares of one")
 
 
 def make_pairs(
-    photos: Photos, batch: int, size: int, generator: torch.Generator, options: PairOptions
+    photos: Photos,
+    batch: int,
+    size: int,
+    generator: torch.Generator,
+    options: PairOptions,
+    real: DepthScenes | None = None,
 ) -> TrainingPairs:
     """A batch of random pairs of views of `size` pixels a side, on the device of `photos`.
 
-    The generator is a CPU one; all draws come from it.
+    generator: a CPU one; all draws come from it. real: on the device of `photos`; needed, else
+    InputError is raised, where `real_share` is not zero.
     """
-    scenes = int((torch.rand(batch, generator=generator) < options.scene_share).sum())
+    if options.real_share > 0 and real is None:
+        raise InputError("real_share is not zero, and there are no real scenes")
+    kind = torch.rand(batch, generator=generator)
+    is_scene = kind < options.scene_share
+    scenes = int(is_scene.sum())
+    reals = int((~is_scene & (kind >= 1 - options.real_share)).sum())
+    warped = batch - scenes - reals
     parts = []
-    if scenes < batch:
-        parts.append(_warped_pairs(photos, batch - scenes, size, generator, options))
+    if warped:
+        parts.append(_warped_pairs(photos, warped, size, generator, options))
     if scenes:
         parts.append(_scene_pairs(photos, scenes, size, generator, options))
-    image1, image2, truth, valid = (torch.cat(p) for p in zip(*parts, strict=True))
-    image1 = random_photometric(image1, options.photometric, generator)
-    image2 = random_photometric(image2, options.photometric, generator)
-    return TrainingPairs(image1, image2, truth, valid)
-
-
-_Parts = tuple[Tensor, Tensor, Tensor, Tensor]
+    if reals and real is not None:
+        parts.append(depth_pairs(real, reals, size, generator, options.real))
+    pairs = parts[0] if len(parts) == 1 else TrainingPairs.joined(parts)
+    if options.photometric is None:
+        return pairs
+    return replace(
+        pairs,
+        image1=random_photometric(pairs.image1, options.photometric, generator),
+        image2=random_photometric(pairs.image2, options.photometric, generator),
+    )
 
 
 def _scene_pairs(
     photos: Photos, batch: int, size: int, generator: torch.Generator, options: PairOptions
-) -> _Parts:
+) -> TrainingPairs:
     pairs = render_pairs(photos.textures, batch, size, generator, options.scenes)
-    return pairs.image1, pairs.image2, pairs.map, pairs.visible
+    return TrainingPairs(pairs.image1, pairs.image2, pairs.map, pairs.visible)
 
 
 def _warped_pairs(
     photos: Photos, batch: int, size: int, generator: torch.Generator, options: PairOptions
-) -> _Parts:
+) -> TrainingPairs:
     pixels = photos.pixels
     chosen = torch.randint(len(pixels), (batch,), generator=generator)
-    textures = pixels[chosen.to(pixels.device)].float() / 255
+    # Draws are made on the CPU; from pageable memory the copy is taken before a call returns.
+    textures = pixels[chosen.to(pixels.device, non_blocking=True)].float() / 255
     axis = (2 * torch.arange(size, device=pixels.device) + 1) / size - 1
     grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
     grid = grid.expand(batch, -1, -1)
     place = random_warp(batch, options.warps, generator)(grid)
     linear, shift = _random_views(batch, generator, options)
-    linear, shift = linear.to(grid), shift.to(grid)
+    linear, shift = linear.to(grid, non_blocking=True), shift.to(grid, non_blocking=True)
 
     def look(points: Tensor) -> Tensor:
         in_photo = (points @ linear.transpose(1, 2) + shift[:, None]).view(batch, size, size, 2)
@@ -99,7 +115,7 @@ def _warped_pairs(
     place = place.view(batch, size, size, 2)
     behind = F.grid_sample(hidden1.float(), place, mode="nearest", align_corners=False) > 0.5
     valid &= ~behind[:, 0] & ~hidden2[:, 0]
-    return image1, image2, ((place + 1) * size - 1) / 2, valid
+    return TrainingPairs(image1, image2, ((place + 1) * size - 1) / 2, valid)
 
 
 def _random_views(
@@ -121,7 +137,7 @@ def _occlude(
 ) -> tuple[Tensor, Tensor]:
     """Put an ellipse cut from another photograph before some views; also (B, 1, S, S) where."""
     batch, _, size, _ = images.shape
-    random = torch.rand(batch, 7, generator=generator).to(images)
+    random = torch.rand(batch, 7, generator=generator).to(images, non_blocking=True)
     axis = torch.linspace(-1, 1, size, device=images.device)
     y, x = torch.meshgrid(axis, axis, indexing="ij")
     centre = 2 * random[:, :2] - 1

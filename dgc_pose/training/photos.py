@@ -43,12 +43,35 @@ def load_photos(
     Which photographs are held back depends on their names alone, so that a photograph that
     validated one run never trains another. Raises ImageError where the folder holds none.
     """
-    root = Path(root)
-    paths = sorted(p for p in root.rglob("*") if p.suffix.lower() in _SUFFIXES)
-    if limit is not None:
-        paths = paths[:limit]
-    training: list[Tensor] = []
-    held_back: list[Tensor] = []
+    paths = _paths(Path(root), limit)
+    held_back = [path for path in paths if _is_held_back(path)]
+    training = [path for path in paths if not _is_held_back(path)]
+    lacking = f"{root}: {len(paths)} photographs; training needs dozens at least"
+    return _decode(training, side, lacking), _decode(held_back, side, lacking)
+
+
+def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
+    """The photographs that `load_photos` holds back, without decoding the others.
+
+    Raises ImageError where there is none.
+    """
+    paths = _paths(Path(root))
+    held_back = [path for path in paths if _is_held_back(path)]
+    lacking = f"{root}: {len(paths)} photographs, none of them held back: take dozens at least"
+    return _decode(held_back, side, lacking)
+
+
+def _paths(root: Path, limit: int | None = None) -> list[Path]:
+    return sorted(p for p in root.rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
+
+
+def _is_held_back(path: Path) -> bool:
+    digest = hashlib.sha256(path.name.encode()).digest()[0:4]
+    return int.from_bytes(digest, "big") % _HELD_BACK == 0
+
+
+def _decode(paths: list[Path], side: int, lacking: str) -> Photos:
+    squares: list[Tensor] = []
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
         if pixels is None:
@@ -56,9 +79,7 @@ def load_photos(
         shrinks = min(pixels.shape[:2]) >= side
         interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         square = cv2.resize(pixels, (side, side), interpolation=interpolation)[..., ::-1]
-        digest = hashlib.sha256(path.name.encode()).digest()[0:4]
-        chosen = held_back if int.from_bytes(digest, "big") % _HELD_BACK == 0 else training
-        chosen.append(torch.from_numpy(square.transpose(2, 0, 1).copy()))
-    if not training or not held_back:
-        raise ImageError(f"{root}: {len(paths)} photographs; training needs dozens at least")
-    return Photos.of(torch.stack(training)), Photos.of(torch.stack(held_back))
+        squares.append(torch.from_numpy(square.transpose(2, 0, 1).copy()))
+    if not squares:
+        raise ImageError(lacking)
+    return Photos.of(torch.stack(squares))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -41,6 +41,9 @@ class WarpOptions:
 
 
 PAPER = WarpOptions()
+PAPER_AFFINE = replace(PAPER, affine_share=1.0, tps_share=0.0)
+PAPER_AFFINE_TPS = replace(PAPER, affine_share=0.5, tps_share=0.5)
+PAPER_HOMOGRAPHY = replace(PAPER, affine_share=0.0, tps_share=0.0)
 WIDE = WarpOptions(
     affine_share=0.3,
     tps_share=0.15,
@@ -53,6 +56,13 @@ WIDE = WarpOptions(
     corner_shift=0.5,
     homography_scale=(0.6, 1.5),
 )
+WARPS = {
+    "paper-affine": PAPER_AFFINE,
+    "paper-affine-tps": PAPER_AFFINE_TPS,
+    "paper-homography": PAPER_HOMOGRAPHY,
+    "paper": PAPER,
+    "wide": WIDE,
+}
 
 
 def random_warp(batch: int, options: WarpOptions, generator: torch.Generator) -> Warp:
@@ -62,14 +72,19 @@ def random_warp(batch: int, options: WarpOptions, generator: torch.Generator) ->
     is_affine = kind < options.affine_share
     is_tps = ~is_affine & (kind < options.affine_share + options.tps_share)
     affine = _random_affine(draw, options)
-    spline = _random_tps(draw, options)
+    knots, targets = _random_tps(draw, options)
+    bent = is_tps.nonzero()[:, 0]
+    spline = thin_plate_spline(knots, targets[bent])
     homography = _random_homography(draw, options)
     projective = torch.where(is_affine[:, None, None], affine, homography)
 
     def warp(points: Tensor) -> Tensor:
-        plane = apply_homography(projective.to(points), points)
-        bent = spline(points)
-        return torch.where(is_tps.to(points.device)[:, None, None], bent, plane)
+        # CPU draws; from pageable memory the copy is taken before the call returns.
+        moved = apply_homography(projective.to(points, non_blocking=True), points)
+        if not len(bent):
+            return moved
+        chosen = bent.to(points.device, non_blocking=True)
+        return moved.index_copy(0, chosen, spline(points[chosen]))
 
     return warp
 
@@ -97,9 +112,10 @@ def thin_plate_spline(control: Tensor, values: Tensor) -> Warp:
     weights = torch.linalg.solve(system.double(), right.double()).to(values.dtype)
 
     def warp(points: Tensor) -> Tensor:
-        basis = _tps_kernel(torch.cdist(points, control.to(points).expand(len(points), -1, -1)))
+        knots = control.to(points, non_blocking=True).expand(len(points), -1, -1)
+        basis = _tps_kernel(torch.cdist(points, knots))
         affine = torch.cat([torch.ones_like(points[..., :1]), points], -1)
-        return torch.cat([basis, affine], -1) @ weights.to(points)
+        return torch.cat([basis, affine], -1) @ weights.to(points, non_blocking=True)
 
     return warp
 
@@ -169,10 +185,11 @@ def _homogeneous(linear: Tensor, shift: Tensor) -> Tensor:
     return matrix
 
 
-def _random_tps(draw: _Draw, options: WarpOptions) -> Warp:
+def _random_tps(draw: _Draw, options: WarpOptions) -> tuple[Tensor, Tensor]:
+    """The control points (9, 2) and where they go (B, 9, 2)."""
     axis = torch.tensor([-1.0, 0.0, 1.0])
     control = torch.cartesian_prod(axis, axis)
-    return thin_plate_spline(control, control + options.tps_sigma * draw.normal(9, 2))
+    return control, control + options.tps_sigma * draw.normal(9, 2)
 
 
 def _random_homography(draw: _Draw, options: WarpOptions) -> Tensor:

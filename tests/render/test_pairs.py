@@ -194,12 +194,38 @@ def test_scenes_of_few_kinds_of_primitives(bank):
     assert pairs.visible.float().mean() > 0.2
 
 
+def test_scenes_rendered_in_parts_are_the_same(bank, pairs, monkeypatch):
+    monkeypatch.setattr("dgc_pose.render.pairs._CPU_PIXELS", 5 * SIZE * SIZE)
+    parts = rendered(bank)
+    for field in fields(pairs):
+        assert torch.equal(getattr(parts, field.name), getattr(pairs, field.name)), field.name
+
+
+def test_layout_ranges_move_what_is_seen(bank, pairs):
+    """The same draws further off: the depth grows by the range, not by chance."""
+
+    def median(views):
+        return float(views.depth1.median())
+
+    options = SceneOptions()
+    twice = tuple(2 * value for value in options.distance)
+    assert median(rendered(bank, distance=twice)) > 1.5 * median(pairs)
+    alone = {"presence": 0.0, "min_overlap": 0.0}
+    near, far = (rendered(bank, room_margin=(m, m), **alone) for m in (0.1, 5.0))
+    assert median(far) > median(near) + 3.0
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     (
         ("rotation_deg", (20.0, 10.0)),
         ("rotation_deg", (-1.0, 10.0)),
         ("rotation_deg", (0.0, 181.0)),
+        ("distance", (0.0, 1.0)),
+        ("elevation_deg", (0.0, 90.0)),
+        ("background", (1.0, 0.5)),
+        ("room_margin", (0.0, 1.0)),
+        ("spread", -0.1),
         ("focal", (0.0, 1.0)),
         ("focal", (1.0, float("inf"))),
         ("object_size", (0.2, 0.1)),

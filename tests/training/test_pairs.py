@@ -15,7 +15,17 @@ from dgc_pose.training.photometric import PhotometricOptions, random_photometric
 from dgc_pose.training.photos import Photos
 
 _STILL = PhotometricOptions(
-    gain=0, gamma=0, contrast=0, saturation=0, shade=0, blur_share=0, noise=0
+    gain=0,
+    gamma=0,
+    contrast=0,
+    saturation=0,
+    shade=0,
+    clip=0,
+    blur_share=0,
+    motion_share=0,
+    noise=0,
+    shot_noise=0,
+    jpeg_share=0,
 )
 
 

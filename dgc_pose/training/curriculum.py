@@ -1,0 +1,68 @@
+"""From easy pairs to full ones over a run: narrow warps and small camera motion first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from dgc_pose.errors import InputError
+from dgc_pose.render import SceneOptions
+from dgc_pose.training.pairs import PairOptions
+from dgc_pose.training.warps import WarpOptions
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """Ranges grow linearly from a share of the full ones to all of them."""
+
+    start: float = 0.3  # of the full ranges, at the beginning
+    ramp: float = 0.5  # share of the run's progress after which the ranges are full
+
+    def __post_init__(self) -> None:
+        for name in ("start", "ramp"):
+            if not 0 < getattr(self, name) <= 1:
+                raise InputError(f"{name} must lie in (0, 1], not {getattr(self, name)}")
+
+    def at(self, progress: float, options: PairOptions) -> PairOptions:
+        """The options of pairs at a progress of the run from 0 to 1; `options` are the full ones.
+
+        Photometric changes, occluders and the kinds' shares stay as they are.
+        """
+        reach = min(1.0, self.start + (1 - self.start) * max(0.0, progress) / self.ramp)
+        if reach == 1:
+            return options
+        return replace(
+            options,
+            warps=_narrowed_warps(options.warps, reach),
+            scenes=_narrowed_scenes(options.scenes, reach),
+        )
+
+
+def _narrowed_warps(full: WarpOptions, reach: float) -> WarpOptions:
+    return replace(
+        full,
+        singular_values=_towards_one(full.singular_values, reach),
+        affine_rotation_deg=reach * full.affine_rotation_deg,
+        homography_rotation_deg=reach * full.homography_rotation_deg,
+        any_rotation_share=reach * full.any_rotation_share,
+        translation=reach * full.translation,
+        tps_sigma=reach * full.tps_sigma,
+        corner_shift=reach * full.corner_shift,
+        homography_scale=_towards_one(full.homography_scale, reach),
+    )
+
+
+def _narrowed_scenes(full: SceneOptions, reach: float) -> SceneOptions:
+    low, high = full.rotation_deg
+    return replace(
+        full,
+        rotation_deg=(low, low + reach * (high - low)),
+        roll_deg=reach * full.roll_deg,
+        wild_roll_share=reach * full.wild_roll_share,
+        zoom=reach * full.zoom,
+        free_share=reach * full.free_share,
+    )
+
+
+def _towards_one(limits: tuple[float, float], reach: float) -> tuple[float, float]:
+    """Factors on a logarithmic scale: their logarithms shrink to `reach`."""
+    return limits[0] ** reach, limits[1] ** reach

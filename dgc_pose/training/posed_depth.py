@@ -1,0 +1,127 @@
+"""Frames with depth and pose, and the folders of posed RGB-D that they come from.
+
+A folder holds `images/`, `depth/`, `K.txt` (3x3, pixels of the images) and `poses.txt`, line i the
+4x4 world-from-camera matrix, row by row, of the i-th file in sorted order. Depth is 16-bit PNG of
+the images' size, along the optical axis, 0 where there is none; a millimetre a step, where the
+poses are in metres.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+
+from dgc_pose.errors import ImageError, InputError
+
+_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+_PFM = re.compile(rb"Pf\s+(\d+)\s+(\d+)\s")
+_DEPTH_STEP = 1e-3  # metres
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrame:
+    """A view whose depth and pose are known. Pixels have (0, 0) at the top-left one's centre."""
+
+    image: Path
+    depth: Path  # .png or .pfm: z along the optical axis; not positive or not finite: unknown
+    depth_step: float  # the poses' unit of length for a step of the depth
+    image_K: np.ndarray  # (3, 3) float64, pixels of the image as stored
+    depth_K: np.ndarray  # (3, 3) float64, pixels of the depth as stored
+    cam_from_world: np.ndarray  # (4, 4) float64
+
+    def read_depth(self) -> np.ndarray:
+        """(h, w) float32 in the poses' unit, 0 where unknown. Raises ImageError with the path."""
+        if not self.depth.is_file():
+            raise ImageError(f"{self.depth} does not exist")
+        data = np.fromfile(self.depth, np.uint8)
+        try:
+            stored = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+        except cv2.error:
+            stored = None
+        if stored is None or stored.ndim != 2:
+            raise ImageError(f"{self.depth} is corrupt, or not a depth image of one channel")
+        depth = stored.astype(np.float32) * np.float32(self.depth_step)
+        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+
+
+def read_rgbd(root: str | Path) -> list[PosedFrame]:
+    """The frames of a posed RGB-D folder, in order.
+
+    Raises InputError, with the path, where the folder is not of that layout, its files' numbers
+    differ or its matrices are none; ImageError where a file is no image.
+    """
+    root = Path(root)
+    images = _files(root / "images", _IMAGE_SUFFIXES)
+    depths = _files(root / "depth", (".png",))
+    K = read_matrix(root / "K.txt", (3, 3))
+    check_intrinsics(K, root / "K.txt")
+    poses = read_matrix(root / "poses.txt", (-1, 16)).reshape(-1, 4, 4)
+    if not len(images) == len(depths) == len(poses):
+        counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
+        raise InputError(f"{root}: {counts}; there must be as many of each")
+    frames = []
+    for line, (image, depth, pose) in enumerate(zip(images, depths, poses, strict=True), start=1):
+        check_rigid(pose, f"{root / 'poses.txt'}:{line}")
+        if (stored_size(image) != stored_size(depth)).any():
+            raise InputError(f"{depth} is not of the size of {image.name}")
+        frames.append(PosedFrame(image, depth, _DEPTH_STEP, K, K, np.linalg.inv(pose)))
+    return frames
+
+
+def read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """A text file's numbers in that shape, float64. Raises InputError with the path."""
+    try:
+        values = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+        matrix = values.reshape(shape)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except ValueError:
+        what = f"rows of {shape[1]}" if shape[0] < 0 else f"{shape[0]}x{shape[1]}"
+        raise InputError(f"{path}: expected {what} numbers") from None
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{path}: the numbers must be finite")
+    return matrix
+
+
+def check_intrinsics(K: np.ndarray, where: str | Path) -> None:
+    """Raise InputError where K (3, 3) is no intrinsic matrix without skew."""
+    plain = np.array([[K[0, 0], 0, K[0, 2]], [0, K[1, 1], K[1, 2]], [0, 0, 1]])
+    if min(K[0, 0], K[1, 1]) <= 0 or not np.allclose(K, plain, atol=1e-6 * abs(K[0, 0])):
+        raise InputError(f"{where}: K must be fx 0 cx, 0 fy cy, 0 0 1 with fx, fy > 0")
+
+
+def check_rigid(pose: np.ndarray, where: str | Path) -> None:
+    """Raise InputError where a pose (4, 4) is no rotation and translation."""
+    R = pose[:3, :3]
+    is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0
+    if not is_rotation or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
+        raise InputError(f"{where}: a pose must be a rotation and a translation, [R t; 0 0 0 1]")
+
+
+def stored_size(path: Path) -> np.ndarray:
+    """(width, height) of an image or depth file by its header. Raises ImageError with the path."""
+    try:
+        if path.suffix == ".pfm":
+            with path.open("rb") as stream:
+                header = _PFM.match(stream.read(64))
+            if header is None:
+                raise ImageError(f"{path} is not a PFM image of one channel")
+            return np.array([int(header[1]), int(header[2])], dtype=np.float64)
+        with PIL.Image.open(path) as image:
+            return np.array(image.size, dtype=np.float64)
+    except OSError:
+        raise ImageError(f"{path} is missing, corrupt or not an image") from None
+
+
+def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    if not files:
+        raise InputError(f"{folder}: holds no {' or '.join(suffixes)}")
+    return files
