@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,8 +18,10 @@ from dgc_pose.camera import check_size
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.image import Image, load_image
-from dgc_pose.matching import Matcher
 from dgc_pose.metrics import folded, pose_auc, rotation_error_deg, translation_error_deg
+
+if TYPE_CHECKING:
+    from dgc_pose.matching import Matcher
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from dgc_pose.benchmarks.pairs import MethodSummary, PairResult
+from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import EstimationOptions
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 COLUMNS = (
     "method",
@@ -27,15 +31,18 @@ COLUMNS = (
 
 class ResultsTable:
     """Writes results.csv: the header at once, then each row as it comes, so that a run that is cut
-    short leaves all that it had finished."""
+    short leaves all that it had finished. A row is a dataclass `kind`, a column a field."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(
+        self, stream: TextIO, kind: type[DataclassInstance] = PairResult, *, header: bool = True
+    ) -> None:
         self._stream = stream
-        self._writer = csv.DictWriter(stream, [field.name for field in fields(PairResult)])
-        self._writer.writeheader()
-        stream.flush()
+        self._writer = csv.DictWriter(stream, [field.name for field in fields(kind)])
+        if header:
+            self._writer.writeheader()
+            stream.flush()
 
-    def add(self, result: PairResult) -> None:
+    def add(self, result: DataclassInstance) -> None:
         self._writer.writerow(asdict(result))
         self._stream.flush()
 
@@ -59,11 +66,18 @@ def heading(options: EstimationOptions) -> str:
     )
 
 
-def summary_table(summaries: Sequence[MethodSummary]) -> str:
-    """The summary as a table for people; angles in degrees, AUC in percent."""
-    rows = [COLUMNS, *(_cells(summary) for summary in summaries)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS))]
-    return "\n".join(_line(row, widths) for row in rows)
+def summary_table(
+    summaries: Sequence[MethodSummary], more: Mapping[str, Sequence[str]] | None = None
+) -> str:
+    """The summary as a table for people; angles in degrees, AUC in percent.
+
+    more: further columns, by heading, a cell a summary.
+    """
+    others = more or {}
+    rows: list[tuple[str, ...]] = [(*COLUMNS, *others)]
+    for summary, *cells in zip(summaries, *others.values(), strict=True):
+        rows.append((*_cells(summary), *cells))
+    return aligned(rows)
 
 
 def _cells(summary: MethodSummary) -> tuple[str, ...]:
@@ -80,14 +94,6 @@ def _cells(summary: MethodSummary) -> tuple[str, ...]:
         f"{summary.auc20:.1f}",
         f"{summary.seconds_per_pair:.2f}",
     )
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    first, *others = (
-        cell.ljust(width) if column == 0 else cell.rjust(width)
-        for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
-    )
-    return "  ".join([first, *others])
 
 
 def _finite(record: dict[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS, CorrespondenceMap, load_matcher
 from dgc_pose.matching.selection import MatchingOptions, cell_size, select_matches
 from dgc_pose.metrics import folded, pose_auc
 from dgc_pose.render import RenderedPairs, SceneOptions, render_pairs
-from dgc_pose.training.photos import load_photos
+from dgc_pose.training.photos import load_held_back
 
 _SIZE = 480  # pixels a side of the rendered views: the matcher halves them, as it does photographs
 _MATCHABILITIES = (0.2, 0.5, 0.7, 0.8, 0.9, 0.95)
@@ -36,7 +36,7 @@ _FACTORS = (0.5, 1.0, 2.0, 3.0)
 @click.option("--seed", default=7, show_default=True)
 def main(photos: Path, weights: str, pairs: int, seed: int) -> None:
     """Print pose errors by least matchability, then by the estimator's threshold."""
-    _, held_back = load_photos(photos)
+    held_back = load_held_back(photos)
     matcher = load_matcher(weights)
     generator = torch.Generator().manual_seed(seed)
     scenes = SceneOptions(rotation_deg=(5.0, 40.0), roll_deg=5.0, supersample=2, min_overlap=0.4)

@@ -37,6 +37,15 @@ SUBCOMMANDS = {
     "bench-pairs": Subcommand(
         "dgc_pose.cli.bench_pairs", "bench_pairs", "Score methods on pairs with known poses."
     ),
+    "bench-hpatches": Subcommand(
+        "dgc_pose.cli.bench_hpatches", "bench_hpatches", "Score maps on pairs with homographies."
+    ),
+    "bench-synthetic": Subcommand(
+        "dgc_pose.cli.bench_synthetic", "bench_synthetic", "Score maps on synthetic pairs."
+    ),
+    "bench-dtu": Subcommand(
+        "dgc_pose.cli.bench_dtu", "bench_dtu", "Repeat the paper's pose experiment on DTU."
+    ),
     "dtu-pairs": Subcommand(
         "dgc_pose.cli.dtu_pairs", "dtu_pairs", "Make a pair list from DTU's calibration."
     ),

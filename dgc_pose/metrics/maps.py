@@ -9,14 +9,26 @@ import numpy as np
 from dgc_pose.errors import InputError
 
 
+def endpoint_errors(
+    map: np.ndarray, truth: np.ndarray, valid: np.ndarray, per_axis: bool = False
+) -> np.ndarray:
+    """Distances (N,) float64 between map and truth at the N valid cells, in the maps' unit.
+
+    map, truth: (..., 2); valid: (...) bool. Euclidean, or max(|dx|, |dy|) with `per_axis`.
+    Raises InputError where the shapes do not agree.
+    """
+    offsets = _valid_offsets(map, truth, valid)
+    return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
+
+
 def aepe(map: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> float:
     """Average end-point error: mean Euclidean distance over the valid cells, in the maps' unit.
 
     map, truth: (..., 2); valid: (...) bool. NaN where no cell is valid.
     Raises InputError where the shapes do not agree.
     """
-    offsets = _valid_offsets(map, truth, valid)
-    return float(np.linalg.norm(offsets, axis=1).mean()) if len(offsets) else float("nan")
+    errors = endpoint_errors(map, truth, valid)
+    return float(errors.mean()) if len(errors) else float("nan")
 
 
 def pck(
@@ -34,13 +46,16 @@ def pck(
     `per_axis` it is max(|dx|, |dy|), as in the DGC-Net authors' evaluation: never stricter.
     Returns (K,), NaN where no cell is valid. Raises InputError where the shapes do not agree.
     """
-    offsets = _valid_offsets(map, truth, valid)
-    limits = np.asarray(thresholds, dtype=np.float64)
-    if len(offsets) == 0:
-        return np.full(limits.shape, np.nan)
-    errors = np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
-    # NaN sorts last, beyond every threshold: such a cell is never correct.
-    return np.searchsorted(np.sort(errors), limits, side="right") / len(errors)
+    errors = endpoint_errors(map, truth, valid, per_axis)
+    if len(errors) == 0:
+        return np.full(np.shape(thresholds), np.nan)
+    return count_within(errors, thresholds) / len(errors)
+
+
+def count_within(errors: np.ndarray, thresholds: Sequence[float] | np.ndarray) -> np.ndarray:
+    """How many of the errors (N,) are at most each threshold (K,): (K,) int. NaN never is."""
+    # NaN sorts last, beyond every threshold.
+    return np.searchsorted(np.sort(errors), np.asarray(thresholds, np.float64), side="right")
 
 
 def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +13,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.viz.figure import new_figure
 
 LIMITS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)  # where an axis may end, degrees
+_SIGNS = {"degrees": "°", "pixels": " px"}
 
 
 def cumulative_share(errors: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
@@ -37,14 +39,25 @@ def cumulative_share(errors: np.ndarray, limit: float) -> tuple[np.ndarray, np.n
 
 
 def draw_cumulative(
-    axes: Axes, errors: Mapping[str, np.ndarray], *, quantity: str, limit: float
+    axes: Axes,
+    errors: Mapping[str, np.ndarray],
+    *,
+    quantity: str,
+    limit: float,
+    unit: str = "degrees",
+    styles: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
-    """Draw one curve a method, its median in the legend; errors in degrees."""
+    """Draw one curve a method, its median in the legend.
+
+    `unit` is that of the errors, degrees or pixels; `styles` are matplotlib's properties of the
+    line of a method, where they are not to be its own choice.
+    """
     for method, values in errors.items():
         x, share = cumulative_share(values, limit)
-        label = f"{method}, median {np.median(values):.2f}°"
-        axes.step(x, 100 * share, where="post", label=label)
-    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} (degrees)", ylabel="pairs (%)")
+        label = f"{method}, median {np.median(values):.2f}{_SIGNS[unit]}"
+        style = {} if styles is None else styles[method]
+        axes.step(x, 100 * share, where="post", label=label, **style)
+    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} ({unit})", ylabel="pairs (%)")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", fontsize=9)
 
@@ -57,13 +70,14 @@ def plot_errors(
     figure = new_figure(12.0, 4.5)
     panels = (("rotation error", rotation), ("folded translation error", translation))
     for axes, (quantity, errors) in zip(figure.subplots(1, 2), panels, strict=True):
-        draw_cumulative(axes, errors, quantity=quantity, limit=_limit(errors))
+        draw_cumulative(axes, errors, quantity=quantity, limit=shown_limit(errors))
     return figure
 
 
-def _limit(errors: Mapping[str, np.ndarray]) -> float:
-    """The least limit that shows nine tenths of the errors that are finite, of all methods."""
+def shown_limit(errors: Mapping[str, np.ndarray], limits: Sequence[float] = LIMITS) -> float:
+    """The least of the limits that shows nine tenths of the errors that are finite, of all methods;
+    the last where none does."""
     values = np.concatenate(list(errors.values()))
     finite = values[np.isfinite(values)]
     most = np.quantile(finite, 0.9) if len(finite) else 0.0
-    return next(limit for limit in LIMITS if limit >= most)
+    return next((limit for limit in limits if limit >= most), limits[-1])

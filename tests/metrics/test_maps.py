@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.metrics import aepe, jaccard, pck
+from dgc_pose.metrics import aepe, count_within, endpoint_errors, jaccard, pck
 
 
 @pytest.fixture
@@ -62,6 +62,18 @@ def test_pck_counts_an_error_equal_to_the_threshold_and_never_nan() -> None:
     found = np.array([[3.0, 4.0], [np.nan, 0.0], [6.0, 8.0]])
     shares = pck(found, truth, np.ones(3, bool), [5.0, 4.99, 1e9])
     np.testing.assert_allclose(shares, [1 / 3, 0, 2 / 3])
+
+
+def test_errors_come_in_the_order_of_the_valid_cells(case) -> None:
+    offsets = cell_offsets(case)
+    np.testing.assert_allclose(endpoint_errors(*case), [math.hypot(x, y) for x, y in offsets])
+    axes = endpoint_errors(*case, per_axis=True)
+    np.testing.assert_allclose(axes, [max(abs(x), abs(y)) for x, y in offsets])
+
+
+def test_counts_are_of_errors_not_above_the_threshold() -> None:
+    errors = np.array([2.0, np.nan, 1.0, np.inf, 2.0])
+    assert count_within(errors, [0.5, 1.0, 1.9, 2.0, 1e9, np.inf]).tolist() == [0, 1, 1, 3, 3, 4]
 
 
 def test_per_axis_is_never_stricter(case) -> None:

@@ -1,0 +1,185 @@
+"""Pairs of images that a known homography relates, as they lie on a disk, and their true maps.
+
+Three layouts are known, in a folder and in the folders right below it:
+- HPatches: sequences `v_*` of 1.ppm to 6.ppm with H_1_2 to H_1_6 (no illumination, `i_*`);
+- VGG's affine-covariant sets: img1 to img6 with H1to2p to H1to6p;
+- annotated pairs: NAME_A, NAME_B and NAME_H.txt.
+A matrix H takes pixels of the first image to the second, x2 ~ H x1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from dgc_pose.errors import InputError
+from dgc_pose.image import load_image
+from dgc_pose.matching.dense import resize
+from dgc_pose.network.config import INPUT_SIZE
+from dgc_pose.training.batch import TrainingPairs
+
+VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
+_SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
+_FAR = 1e6  # pixels; where a map's place would lie beyond the horizon
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyPair:
+    """Two images of a plane. Image 1 is the source, image 2 the target."""
+
+    name: str
+    group: str  # that its figures are averaged in: a viewpoint of HPatches, or "" for none
+    path1: Path
+    path2: Path
+    H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
+    size1: tuple[int, int] | None = None  # (width, height) that H was made for, where a list says
+
+
+@dataclass(frozen=True)
+class HomographySet:
+    """The pairs of a folder or a list, and what was named there but is not on the disk."""
+
+    pairs: tuple[HomographyPair, ...]
+    missing: tuple[str, ...]  # pairs without an image or a matrix
+
+
+def find_pairs(root: str | Path) -> HomographySet:
+    """All pairs of the three layouts in a folder and the folders right below it.
+
+    Raises InputError where there is no pair, or, with the path, where a matrix is none.
+    """
+    root = Path(root)
+    if not root.is_dir():
+        raise InputError(f"{root}: no such folder")
+    folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
+    found: list[HomographyPair] = []
+    missing: list[str] = []
+    for folder in folders:
+        for pair in (*_hpatches(folder), *_vgg(folder), *_annotated(folder)):
+            if isinstance(pair, str):
+                missing.append(pair)
+            else:
+                found.append(pair)
+    if not found:
+        raise InputError(
+            f"{root}: no pairs; expected HPatches (v_*/1.ppm, v_*/H_1_2), VGG's sets (img1.ppm, "
+            f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
+        )
+    return HomographySet(tuple(found), tuple(missing))
+
+
+def load_pair(pair: HomographyPair) -> TrainingPairs:
+    """A batch of the one pair at 240x240, its true map, and where that lies in image 1.
+
+    Raises ImageError for an image that cannot be read, InputError where a list was made for a size
+    of image 1 that is not its own.
+    """
+    image1, image2 = load_image(pair.path1), load_image(pair.path2)
+    if pair.size1 is not None and pair.size1 != image1.size:
+        raise InputError(
+            f"{pair.path1}: the image is {image1.size[0]}x{image1.size[1]} and the list was made "
+            f"for {pair.size1[0]}x{pair.size1[1]}"
+        )
+    truth, valid = true_map(pair.H, image1.size, image2.size)
+    images = []
+    for image in (image1, image2):
+        square = resize(image.pixels, (INPUT_SIZE, INPUT_SIZE))
+        images.append(torch.from_numpy(square).permute(2, 0, 1)[None].float() / 255)
+    return TrainingPairs(
+        images[0],
+        images[1],
+        torch.from_numpy(truth.astype(np.float32))[None],
+        torch.from_numpy(valid)[None],
+    )
+
+
+def true_map(
+    H: np.ndarray, size1: tuple[int, int], size2: tuple[int, int], cells: int = INPUT_SIZE
+) -> tuple[np.ndarray, np.ndarray]:
+    """The map of a homography between images that are squared to `cells` x `cells` pixels.
+
+    H: (3, 3), x2 ~ H x1 in pixels of images of size1 and size2, (width, height). Returns the map
+    (cells, cells, 2) float64, for each pixel of the squared target its place in the squared source,
+    and where valid (cells, cells): both coordinates within 0 and cells - 1, which is [-1, 1] in
+    the paper's normalised coordinates. Squaring follows the half-pixel rule.
+    """
+    squared = _squaring(size2, cells) @ H @ np.linalg.inv(_squaring(size1, cells))
+    # A scale of H changes nothing but the sign of the depth: positive at the source's centre.
+    centre = np.array([(cells - 1) / 2, (cells - 1) / 2, 1.0])
+    inverse = np.linalg.inv(squared * np.sign((squared @ centre)[2] or 1.0))
+    axis = np.arange(cells, dtype=np.float64)
+    x, y = np.meshgrid(axis, axis)
+    place = np.stack([x, y, np.ones_like(x)], -1) @ inverse.T
+    ahead = place[..., 2] > 0
+    depth = np.where(ahead, place[..., 2], 1.0)
+    truth = np.where(ahead[..., None], place[..., :2] / depth[..., None], _FAR)
+    valid = ahead & ((truth >= 0) & (truth <= cells - 1)).all(-1)
+    return np.clip(truth, -_FAR, _FAR), valid
+
+
+def read_matrix(path: Path) -> np.ndarray:
+    """A homography from a text file. Raises InputError, with the path, where it is none."""
+    try:
+        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+        H = np.array([[float(field) for field in row] for row in rows if row])
+    except ValueError as error:
+        raise InputError(f"{path}: not a matrix of numbers ({error})") from None
+    return check_matrix(H, str(path))
+
+
+def check_matrix(H: np.ndarray, where: str) -> np.ndarray:
+    """H itself, if it is a homography; else InputError that begins with `where`."""
+    if H.shape != (3, 3) or not np.isfinite(H).all():
+        raise InputError(f"{where}: a homography has 3 rows of 3 finite numbers")
+    if np.linalg.matrix_rank(H) < 3:
+        raise InputError(f"{where}: the matrix has no inverse, so it is no homography")
+    return H
+
+
+def _squaring(size: tuple[int, int], cells: int) -> np.ndarray:
+    """Pixels of an image of `size` to those of the square, by the half-pixel rule: (3, 3)."""
+    sx, sy = np.divide(cells, size)
+    return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+
+
+def _hpatches(folder: Path) -> Iterator[HomographyPair | str]:
+    if not (folder.name.startswith("v_") and any(folder.glob("H_1_*"))):
+        return
+    for k, viewpoint in enumerate(VIEWPOINTS, start=2):
+        images = [_image(folder / stem) for stem in ("1", str(k))]
+        yield _pair(f"{folder.name} 1-{k}", viewpoint, images, folder / f"H_1_{k}")
+
+
+def _vgg(folder: Path) -> Iterator[HomographyPair | str]:
+    if not any(folder.glob("H1to[0-9]*p")):
+        return
+    for k in range(2, 2 + len(VIEWPOINTS)):
+        images = [_image(folder / stem) for stem in ("img1", f"img{k}")]
+        yield _pair(f"{folder.resolve().name} 1-{k}", "", images, folder / f"H1to{k}p")
+
+
+def _annotated(folder: Path) -> Iterator[HomographyPair | str]:
+    for matrix in sorted(folder.glob("*_H.txt")):
+        name = matrix.name.removesuffix("_H.txt")
+        images = [_image(folder / f"{name}_{letter}") for letter in "AB"]
+        yield _pair(f"{folder.resolve().name}/{name}", "", images, matrix)
+
+
+def _pair(
+    name: str, group: str, images: list[Path | None], matrix: Path
+) -> HomographyPair | str:
+    """The pair, or its name where a part of it is not there."""
+    first, second = images
+    if first is None or second is None or not matrix.is_file():
+        return name
+    return HomographyPair(name, group, first, second, read_matrix(matrix))
+
+
+def _image(stem: Path) -> Path | None:
+    """The file of that name with the ending of an image."""
+    paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)

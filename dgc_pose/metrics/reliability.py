@@ -1,0 +1,77 @@
+"""How well a confidence agrees with how often it is right (Guo et al., ICML 2017)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """Counts over equal bins of confidence in [0, 1]; those of several parts add up.
+
+    Bin b of B holds the confidences from b / B up to (b + 1) / B, the last one 1 as well.
+    """
+
+    counts: np.ndarray  # (B,) int, matches in the bin
+    correct: np.ndarray  # (B,) int, of them right
+    confidence: np.ndarray  # (B,) float64, sum of their confidences
+
+    @classmethod
+    def of(cls, confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> Reliability:
+        """Count matches of any shape: their confidence in [0, 1], and a bool whether right.
+
+        Raises InputError where the shapes do not agree or a confidence lies outside [0, 1].
+        """
+        if confidence.shape != correct.shape or correct.dtype != np.bool_:
+            raise InputError(
+                f"correct must be bool of the shape of confidence {confidence.shape}, "
+                f"not {correct.dtype} {correct.shape}"
+            )
+        values = confidence.astype(np.float64).ravel()
+        if not ((values >= 0) & (values <= 1)).all():
+            raise InputError("confidence must lie in [0, 1]")
+        index = np.minimum((values * bins).astype(np.intp), bins - 1)
+        return cls(
+            counts=np.bincount(index, minlength=bins),
+            correct=np.bincount(index[correct.ravel()], minlength=bins),
+            confidence=np.bincount(index, weights=values, minlength=bins),
+        )
+
+    def __add__(self, other: Reliability) -> Reliability:
+        return Reliability(
+            self.counts + other.counts,
+            self.correct + other.correct,
+            self.confidence + other.confidence,
+        )
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Edges of the bins, (B + 1,), from 0 to 1."""
+        return np.linspace(0, 1, len(self.counts) + 1)
+
+    @property
+    def share_correct(self) -> np.ndarray:
+        """Share of each bin's matches that is right, (B,); NaN where the bin is empty."""
+        return _quotient(self.correct, self.counts)
+
+    @property
+    def mean_confidence(self) -> np.ndarray:
+        """Mean confidence of each bin's matches, (B,); NaN where the bin is empty."""
+        return _quotient(self.confidence, self.counts)
+
+    @property
+    def calibration_error(self) -> float:
+        """Expected calibration error in [0, 1]: the mean over all matches of the difference between
+        their bin's mean confidence and its share of right ones. NaN without matches."""
+        total = self.counts.sum()
+        if total == 0:
+            return float("nan")
+        return float(np.abs(self.confidence - self.correct).sum() / total)
+
+
+def _quotient(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    return np.divide(sums, counts, out=np.full(len(counts), np.nan), where=counts > 0)

@@ -1,0 +1,37 @@
+"""Reliability diagrams: how often a match of some matchability is right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dgc_pose.metrics import Reliability
+from dgc_pose.viz.figure import new_figure
+
+
+def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) -> Figure:
+    """The share of right matches by bin of matchability, a curve a method beside the diagonal that
+    a calibrated one follows, and below it how many matches each bin holds.
+
+    right: what counts as right, for the label, such as "within 3 px". Empty bins are left out.
+    """
+    figure = new_figure(5.5, 6.5)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    upper.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
+    for method, own in reliabilities.items():
+        filled = own.counts > 0
+        label = f"{method}, calibration error {100 * own.calibration_error:.1f} %"
+        upper.plot(
+            own.mean_confidence[filled], own.share_correct[filled], marker="o", ms=4, label=label
+        )
+        shares = own.counts / max(own.counts.sum(), 1)
+        lower.stairs(100 * shares, own.edges, baseline=0)
+    upper.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
+    lower.set(xlabel="matchability", ylabel="matches (%)", xticks=np.linspace(0, 1, 6))
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+    if reliabilities:
+        upper.legend(loc="upper left", fontsize=9)
+    return figure

@@ -1,0 +1,146 @@
+"""Pairs with known homographies: found in every layout, and with the map that they say."""
+
+from __future__ import annotations
+
+import cv2
+import homography_scene as scene
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from dgc_pose.benchmarks.homographies import (
+    VIEWPOINTS,
+    HomographyPair,
+    find_pairs,
+    load_pair,
+    true_map,
+)
+from dgc_pose.errors import ImageError, InputError
+
+
+def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse() -> None:
+    found, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
+    (w1, h1), (w2, h2) = scene.SIZE1, scene.SIZE2
+    inverse = np.linalg.inv(scene.H)
+    seen = []
+    for y, x in [(0, 0), (7, 231), (120, 120), (200, 30), (239, 239)]:
+        X = (x + 0.5) * w2 / 240 - 0.5
+        Y = (y + 0.5) * h2 / 240 - 0.5
+        u, v, w = inverse @ [X, Y, 1.0]
+        place = [(u / w + 0.5) * 240 / w1 - 0.5, (v / w + 0.5) * 240 / h1 - 0.5]
+        np.testing.assert_allclose(found[y, x], place, atol=1e-9)
+        assert valid[y, x] == all(0 <= value <= 239 for value in place)
+        seen.append(bool(valid[y, x]))
+    assert len(set(seen)) == 2
+
+
+@pytest.mark.parametrize("factor", [1.0, -3.0])
+def test_a_factor_of_the_matrix_changes_nothing(factor: float) -> None:
+    expected, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
+    found, same = true_map(factor * scene.H, scene.SIZE1, scene.SIZE2)
+    np.testing.assert_allclose(found, expected)
+    assert (same == valid).all() and valid.any()
+
+
+def test_nothing_beyond_the_horizon_is_valid() -> None:
+    # The source's line x = 160 goes to infinity: what lies right of it is behind the plane.
+    H = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1 / 160, 0, 1.0]])
+    found, valid = true_map(H, (240, 240), (240, 240))
+    assert np.isfinite(found).all() and valid.any()
+    assert (found[valid][:, 0] < 160).all()
+    inverse = np.linalg.inv(H)
+    y, x = np.argwhere(valid)[100]
+    u, v, w = inverse @ [x, y, 1.0]
+    np.testing.assert_allclose(found[y, x], [u / w, v / w])
+
+
+def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
+    scene.write_annotated(tmp_path, "wall")
+    (pair,) = find_pairs(tmp_path).pairs
+    pairs = load_pair(pair)
+    assert pairs.image1.shape == pairs.image2.shape == (1, 3, 240, 240)
+    normalised = (2 * pairs.map + 1) / 240 - 1
+    warped = F.grid_sample(pairs.image1, normalised, align_corners=False)
+    valid = pairs.valid[:, None].expand(-1, 3, -1, -1)
+    assert 0.3 < pairs.valid.float().mean() < 0.95
+    difference = (warped - pairs.image2)[valid].abs()
+    assert difference.mean() < 0.01
+    # The picture itself varies much more than that.
+    assert (pairs.image1 - pairs.image2)[valid].abs().mean() > 0.1
+    # RGB, not BGR: as the file has it.
+    first = cv2.resize(scene.texture(), (240, 240), interpolation=cv2.INTER_AREA)[..., ::-1]
+    expected = torch.from_numpy(first.copy()).permute(2, 0, 1) / 255
+    assert (pairs.image1[0] - expected).abs().mean() < 0.01
+
+
+def test_hpatches_gives_five_viewpoints_a_sequence(tmp_path) -> None:
+    for name in ("v_wall", "v_adam", "i_dome"):
+        scene.write_sequence(tmp_path / name)
+    found = find_pairs(tmp_path)
+    assert [pair.name for pair in found.pairs[:2]] == ["v_adam 1-2", "v_adam 1-3"]
+    assert [pair.group for pair in found.pairs] == 2 * list(VIEWPOINTS)
+    assert found.missing == ()
+    np.testing.assert_array_equal(found.pairs[0].H, scene.H)
+
+
+def test_other_layouts_have_no_viewpoint(tmp_path) -> None:
+    scene.write_vgg(tmp_path / "graf")
+    scene.write_annotated(tmp_path / "graf" / "homogr", "tower", "city")
+    found = find_pairs(tmp_path / "graf")
+    names = ["graf 1-2", "graf 1-3", "homogr/city", "homogr/tower"]
+    assert [pair.name for pair in found.pairs] == names
+    assert {pair.group for pair in found.pairs} == {""}
+    assert found.missing == ("graf 1-4", "graf 1-5", "graf 1-6")
+    assert [pair.name for pair in find_pairs(tmp_path / "graf" / "homogr").pairs] == names[2:]
+
+
+def test_what_is_not_on_the_disk_is_told(tmp_path) -> None:
+    folder = scene.write_sequence(tmp_path / "v_wall")
+    (folder / "3.ppm").unlink()
+    (folder / "H_1_5").unlink()
+    found = find_pairs(tmp_path)
+    assert [pair.group for pair in found.pairs] == ["I", "III", "V"]
+    assert found.missing == ("v_wall 1-3", "v_wall 1-5")
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("1 0 0\n0 1 0\n", "3 rows"),
+        ("1 0 0\n0 1\n0 0 1\n", "matrix"),
+        ("1 0 0\n0 x 0\n0 0 1\n", "not a matrix"),
+        ("1 0 0\n0 1 0\n0 0 nan\n", "finite"),
+        ("1 2 3\n2 4 6\n0 0 1\n", "inverse"),
+        ("", "3 rows"),
+    ],
+)
+def test_a_matrix_that_is_none_is_named(tmp_path, text: str, words: str) -> None:
+    scene.write_annotated(tmp_path, "wall")
+    (tmp_path / "wall_H.txt").write_text(text)
+    with pytest.raises(InputError, match=words) as error:
+        find_pairs(tmp_path)
+    assert str(tmp_path / "wall_H.txt") in str(error.value)
+
+
+def test_a_folder_without_pairs_or_no_folder_is_refused(tmp_path) -> None:
+    scene.write_sequence(tmp_path / "i_dome")
+    with pytest.raises(InputError, match="no pairs; expected HPatches"):
+        find_pairs(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        find_pairs(tmp_path / "nowhere")
+
+
+def test_an_image_that_cannot_be_read_is_named(tmp_path) -> None:
+    scene.write_annotated(tmp_path, "wall")
+    (tmp_path / "wall_B.png").write_bytes(b"no image")
+    with pytest.raises(ImageError, match="wall_B.png"):
+        load_pair(find_pairs(tmp_path).pairs[0])
+
+
+def test_a_matrix_for_another_size_is_refused(tmp_path) -> None:
+    scene.write_annotated(tmp_path, "wall")
+    pair = find_pairs(tmp_path).pairs[0]
+    wrong = HomographyPair(pair.name, "", pair.path1, pair.path2, pair.H, (640, 480))
+    with pytest.raises(InputError, match="320x240 and the list was made for 640x480"):
+        load_pair(wrong)

@@ -1,0 +1,52 @@
+"""The ablation of refinement: a line a variant and threshold, on one list."""
+
+from __future__ import annotations
+
+import dense_scene
+import pytest
+from click.testing import CliRunner
+
+from dgc_pose.benchmarks import refinement
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pair_list(tmp_path, pairs=2)
+    scene = dense_scene.true_map(error_px=0.7)
+    monkeypatch.setattr(refinement, "load_matcher", lambda weights: dense_scene.MapMatcher(scene))
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(refinement.main, arguments)
+
+
+def test_a_line_for_each_variant_and_threshold(folder):
+    result = run("pairs.txt", "--variants", "none,map-only,map,sift", "--thresholds", "own,0.5")
+    assert result.exit_code == 0, result.output
+    rows = [line.split() for line in result.stdout.splitlines()[1:]]
+    assert [tuple(row[:4]) for row in rows] == [
+        (name, threshold, "2", "0")
+        for name in ("none", "map-only", "map", "sift")
+        for threshold in ("own", "0.5")
+    ]
+    error = {row[0]: float(row[5]) + float(row[6]) for row in rows if row[1] == "own"}
+    assert error["map"] < 0.5 * error["none"] and error["sift"] < 0.5 * error["none"]
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ((), "LIST"),
+        (("pairs.txt", "--photos", "."), "LIST"),
+        (("pairs.txt", "--variants", "magic"), "magic"),
+        (("pairs.txt", "--thresholds", "wide"), "wide"),
+        (("nosuch.txt",), "nosuch.txt"),
+    ],
+)
+def test_unusable_arguments_are_one_line(folder, arguments, words):
+    result = run(*arguments)
+    assert result.exit_code != 0
+    assert words in result.stderr and result.stderr.count("Error") == 1
+    assert isinstance(result.exception, SystemExit)

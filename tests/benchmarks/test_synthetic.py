@@ -1,0 +1,108 @@
+"""The fixed sets: what they hold, by an independent look at their maps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from dgc_pose.benchmarks.map_run import Case
+from dgc_pose.benchmarks.synthetic import SETS, synthetic_cases
+from dgc_pose.errors import InputError
+from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.photos import Photos
+
+
+@pytest.fixture(scope="module")
+def photos() -> Photos:
+    return Photos.of((255 * procedural_textures(6, 128, seed=1)).round().to(torch.uint8))
+
+
+@pytest.fixture(scope="module")
+def cases(photos: Photos) -> dict[str, Case]:
+    """The first batch of every set."""
+    return {name: next(synthetic_cases(photos, name, 4, 0)) for name in SETS}
+
+
+def affine_fit(truth: np.ndarray) -> tuple[np.ndarray, float]:
+    """(3, 2) that takes (x, y, 1) nearest to the map, and the largest distance left, pixels."""
+    places = np.arange(0, 240, 20)
+    x, y = np.meshgrid(places, places)
+    design = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    values = truth[np.ix_(places, places)].reshape(-1, 2)
+    solution = np.linalg.lstsq(design, values, rcond=None)[0]
+    return solution, float(np.linalg.norm(design @ solution - values, axis=1).max())
+
+
+def test_the_source_at_the_map_is_the_target_pixel_by_pixel(cases: dict[str, Case]) -> None:
+    """No change of light and no occluders: what is left is the sampling."""
+    for name in ("affine", "affine-tps", "homography"):
+        pairs = cases[name].pairs
+        place = (2 * pairs.map + 1) / 240 - 1
+        warped = F.grid_sample(pairs.image1, place, align_corners=False)
+        off = (warped - pairs.image2).abs().mean(1)[pairs.valid]
+        assert off.median() < 0.02, name
+        inside = (place.abs() <= 1).all(-1)
+        assert (pairs.valid == inside).all(), name
+
+
+def test_affine_maps_are_affine_and_in_the_papers_range(photos: Photos) -> None:
+    for case in synthetic_cases(photos, "affine", 12, 1):
+        for truth in case.pairs.map.double().numpy():
+            solution, residual = affine_fit(truth)
+            assert residual < 1e-2
+            values = np.linalg.svd(solution[:2], compute_uv=False)
+            assert 0.75 - 1e-3 <= values[1] <= values[0] <= 1.25 + 1e-3
+            middle = np.array([119.5, 119.5, 1]) @ solution - 119.5
+            assert np.abs(middle).max() <= 0.25 * 120 + 1e-3
+
+
+def test_half_of_affine_tps_is_no_affine_map_and_homographies_are_homographies(
+    photos: Photos,
+) -> None:
+    bent = 0
+    for case in synthetic_cases(photos, "affine-tps", 24, 0):
+        for truth in case.pairs.map.double().numpy():
+            bent += affine_fit(truth)[1] > 1
+    assert 4 <= bent <= 20
+    for case in synthetic_cases(photos, "homography", 4, 0):
+        for truth, valid in zip(case.pairs.map.double().numpy(), case.pairs.valid, strict=True):
+            # A straight line stays one: of any row, places and their chord are in line.
+            y = int(valid.sum(1).argmax())
+            row = truth[y][valid[y].numpy()]
+            chord = row[-1] - row[0]
+            offset = row - row[0]
+            cross = chord[0] * offset[:, 1] - chord[1] * offset[:, 0]
+            assert np.abs(cross).max() / np.linalg.norm(chord) < 1e-2
+
+
+def test_the_same_seed_gives_the_same_pairs_and_more_only_add(photos: Photos) -> None:
+    first = list(synthetic_cases(photos, "affine", 3, 5))
+    more = list(synthetic_cases(photos, "affine", 10, 5))
+    assert sum(len(case.names) for case in first) == 3
+    assert [name for case in more for name in case.names] == [f"affine {n}" for n in range(10)]
+    assert torch.equal(first[0].pairs.image2, more[0].pairs.image2[:3])
+    other = next(synthetic_cases(photos, "affine", 3, 6))
+    assert not torch.equal(first[0].pairs.map, other.pairs.map)
+
+
+def test_scenes_have_parallax_and_hidden_pixels(cases: dict[str, Case]) -> None:
+    case = cases["scenes"]
+    assert case.group == "scenes" and len(case.names) == len(case.pairs.map) <= 4
+    inside = ((case.pairs.map >= -0.5) & (case.pairs.map <= 239.5)).all(-1)
+    assert (case.pairs.valid & ~inside).sum() == 0
+    assert (inside & ~case.pairs.valid).any()
+
+
+def test_changed_pairs_have_the_same_kind_of_map_in_another_light(photos: Photos) -> None:
+    plain = next(synthetic_cases(photos, "affine", 4, 0)).pairs
+    changed = next(synthetic_cases(photos, "affine", 4, 0, changed=True)).pairs
+    torch.testing.assert_close(plain.map, changed.map)
+    assert (plain.image1 - changed.image1).abs().mean() > 0.03
+    assert (plain.valid & ~changed.valid).any() and not (changed.valid & ~plain.valid).any()
+
+
+def test_an_unknown_set_is_refused(photos: Photos) -> None:
+    with pytest.raises(InputError, match="there are affine, affine-tps, homography, scenes"):
+        next(synthetic_cases(photos, "tps", 1, 0))

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import csv
+import json
+import os
+
+import cv2
+import homography_scene as scene
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from map_nets import MapNet, half_sure, shifted
+
+from dgc_pose.benchmarks.homographies import true_map
+from dgc_pose.cli.main import main
+from dgc_pose.errors import WeightsError
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Two sequences; `true` says the plane's map, `still` that nothing moved, without a mask."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("v_adam", "v_wall"):
+        scene.write_sequence(tmp_path / "data" / name)
+    truth, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
+    sure = torch.from_numpy(np.where(valid, 0.99, 0.01))
+    nets = {
+        "true": MapNet(torch.from_numpy(truth), sure),
+        "still": MapNet(shifted(0, 0)),
+        "half": MapNet(shifted(0, 0), half_sure()),
+    }
+
+    def load_network(weights, device):
+        if weights not in nets:
+            raise WeightsError(f"{weights}: no such weights")
+        return nets[weights]
+
+    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_network", load_network)
+    return tmp_path
+
+
+def bench(*arguments):
+    return CliRunner().invoke(main, ["bench-hpatches", *arguments])
+
+
+def line(result, start):
+    """The fields of the first line that begins so."""
+    return next(own.split() for own in result.stdout.splitlines() if own.startswith(start))
+
+
+def still_aepe():
+    """The error of "nothing moved", by the truth alone."""
+    truth, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
+    y, x = np.nonzero(valid)
+    return np.mean(np.hypot(truth[y, x, 0] - x, truth[y, x, 1] - y))
+
+
+def test_the_table_by_viewpoint_stands_beside_published_rows(folder):
+    result = bench("--root", "data", "--methods", "true,still")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    assert "2 of HPatches' 59 sequences" in result.stdout
+    assert line(result, "true") == ["true", *["0.00"] * 6]
+    assert line(result, "still") == ["still", *[f"{still_aepe():.2f}"] * 6]
+    published = line(result, "DGC-Net (paper)")
+    assert published == ["DGC-Net", "(paper)", "1.55", "5.53", "8.98", "11.66", "16.70", "-"]
+    jaccard = result.stdout.split("Jaccard by viewpoint\n")[1].splitlines()
+    assert jaccard[1].split() == ["true", *["1.000"] * 6]
+    assert jaccard[2].split() == ["still", *["-"] * 6]
+    assert sorted(os.listdir(folder)) == ["data"]
+
+
+def test_out_holds_the_same_figures_and_the_pictures(folder):
+    outputs = ("--out", "run/new", "--json", "s.json")
+    result = bench("--root", "data", "--methods", "true,half", *outputs)
+    assert result.exit_code == 0, result.output
+    data = json.loads((folder / "s.json").read_text())
+    assert data == json.loads((folder / "run/new/summary.json").read_text())
+    assert (data["sequences"], data["missing"]) == (2, [])
+    true, half = data["methods"]
+    assert true["all"]["pairs"] == 10 and true["all"]["aepe"] < 1e-3
+    # Coarse levels are the means of cells, which a homography does not quite keep.
+    assert true["all"]["aepe15"] < 0.2
+    assert [group["group"] for group in half["groups"]] == ["I", "II", "III", "IV", "V"]
+    assert half["groups"][0]["aepe"] == pytest.approx(still_aepe(), rel=1e-4)
+    assert true["reliability"]["share_correct"][9] == 1 and data["pck_distance"] == "Euclidean"
+    names = ["pairs.csv", "pck.png", "reliability.png", "summary.json"]
+    names += ["worst_1_true.png", "worst_2_half.png"]
+    assert sorted(os.listdir("run/new")) == names
+    with open("run/new/pairs.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 20 and rows[0]["pair"] == "v_adam 1-2"
+    for name in names:
+        if name.endswith(".png"):
+            assert cv2.imread(f"run/new/{name}").std() > 1
+
+
+def test_pck_counts_per_axis_on_demand(folder):
+    shares = []
+    for extra in ((), ("--per-axis",)):
+        result = bench("--root", "data", "--methods", "still", "--json", "s.json", *extra)
+        assert result.exit_code == 0, result.output
+        data = json.loads((folder / "s.json").read_text())
+        shares.append(np.array(data["methods"][0]["all"]["pck"]))
+    assert (shares[1] >= shares[0]).all() and (shares[1] > shares[0]).any()
+    assert data["pck_distance"] == "max of |dx|, |dy|"
+
+
+def test_pairs_of_other_layouts_are_listed(folder):
+    scene.write_annotated(folder / "other" / "homogr", "tower")
+    scene.write_vgg(folder / "other" / "graf")
+    result = bench("--root", "other", "--methods", "still")
+    assert result.exit_code == 0, result.output
+    for name in ("graf 1-2", "graf 1-3", "homogr/tower"):
+        assert line(result, name)[-1] == f"{still_aepe():.2f}"
+    assert "viewpoint" not in result.stdout
+    assert result.stderr == "3 pairs missing: graf 1-4, graf 1-5, graf 1-6\n"
+
+
+def test_the_authors_lists(folder):
+    scene.write_lists(folder / "lists", ["v_wall", "v_absent"])
+    result = bench("--root", "data", "--lists", "lists", "--methods", "true", "--json", "s.json")
+    assert result.exit_code == 0, result.output
+    data = json.loads((folder / "s.json").read_text())
+    assert data["sequences"] == 1 and len(data["missing"]) == 5
+    assert data["methods"][0]["all"]["aepe"] < 1e-3
+    assert "5 pairs missing: v_absent 1-2" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--root", "nowhere"), "nowhere"),
+        (("--root", "data/v_wall/1.ppm"), "no such folder"),
+        (("--root", "data", "--methods", "true,nosuch"), "nosuch"),
+        (("--root", "data", "--methods", "true,true"), "twice"),
+        (("--root", "data", "--methods", ","), "no methods"),
+        (("--root", "data", "--lists", "data"), "hpatches_1_2.csv"),
+        (("--root", "data", "--json", "nowhere/s.json"), "nowhere/s.json"),
+        (("--root", "data", "--out", "data/v_wall/1.ppm"), "1.ppm"),
+    ],
+)
+def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
+    if "--methods" not in arguments:
+        arguments = (*arguments, "--methods", "true")
+    result = bench(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert words in result.stderr
+    assert sorted(os.listdir(folder)) == ["data"]
+
+
+def test_a_broken_image_leaves_no_files(folder):
+    (folder / "data" / "v_wall" / "6.ppm").write_bytes(b"P6 no image")
+    result = bench("--root", "data", "--methods", "true", "--out", "run", "--json", "s.json")
+    assert result.exit_code == 2 and "6.ppm" in result.stderr
+    assert os.listdir("run") == [] and not os.path.exists("s.json")

@@ -1,0 +1,49 @@
+"""Networks whose maps are known without any weights."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dgc_pose.network.config import PRESETS
+from dgc_pose.network.net import Prediction
+
+
+class MapNet(nn.Module):
+    """Says the same map and mask of every pair, at all levels.
+
+    map: (240, 240, 2) pixels of the source; matchability: (240, 240) in (0, 1), or None.
+    """
+
+    def __init__(self, map: Tensor, matchability: Tensor | None = None) -> None:
+        super().__init__()
+        self.config = PRESETS["dgcm-lite"]
+        self.anchor = nn.Parameter(torch.zeros(()))  # tells the device
+        self.map = map
+        self.matchability = matchability
+
+    def forward(self, source: Tensor, target: Tensor) -> Prediction:
+        batch = len(source)
+        normalised = ((2 * self.map + 1) / 240 - 1).movedim(-1, 0)[None].float()
+        maps = [
+            # The mean of a cell's pixels is the place of its centre for an affine map.
+            F.avg_pool2d(normalised, 240 // cells).expand(batch, -1, -1, -1)
+            for cells in (15, 30, 60, 120, 240)
+        ]
+        if self.matchability is None:
+            return Prediction(tuple(maps), ())
+        logits = self.matchability.logit().float()[None, None].expand(batch, -1, -1, -1)
+        return Prediction(tuple(maps), (logits,))
+
+
+def shifted(dx: float, dy: float) -> Tensor:
+    """The map that looks for every pixel (dx, dy) further on: (240, 240, 2)."""
+    axis = torch.arange(240.0)
+    x, y = torch.meshgrid(axis, axis, indexing="xy")
+    return torch.stack([x + dx, y + dy], -1)
+
+
+def half_sure() -> Tensor:
+    """A matchability that is 0.9 in the left half and 0.1 in the right one: (240, 240)."""
+    return torch.where(torch.arange(240) < 120, 0.9, 0.1).expand(240, 240)

@@ -1,0 +1,74 @@
+"""Counts by confidence and the calibration error, against loops over single matches."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from dgc_pose.errors import InputError
+from dgc_pose.metrics import Reliability
+
+
+@pytest.fixture
+def matches() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(5)
+    confidence = rng.random((20, 30)).astype(np.float32)
+    return confidence, rng.random((20, 30)) < confidence**2
+
+
+def test_every_bin_counts_its_own_matches(matches) -> None:
+    found = Reliability.of(*matches, bins=7)
+    counts, correct, sums = [0] * 7, [0] * 7, [0.0] * 7
+    for value, right in zip(matches[0].ravel().tolist(), matches[1].ravel().tolist(), strict=True):
+        b = next(b for b in range(7) if value * 7 < b + 1)
+        counts[b] += 1
+        correct[b] += right
+        sums[b] += value
+    assert found.counts.tolist() == counts
+    assert found.correct.tolist() == correct
+    np.testing.assert_allclose(found.mean_confidence, np.divide(sums, counts))
+    np.testing.assert_allclose(found.share_correct, np.divide(correct, counts))
+    gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
+    assert found.calibration_error == pytest.approx(sum(gaps) / sum(counts))
+    assert found.edges.tolist() == pytest.approx([b / 7 for b in range(8)])
+
+
+def test_parts_add_up_to_the_whole(matches) -> None:
+    confidence, right = matches
+    sum_of_parts = Reliability.of(confidence[:4], right[:4]) + Reliability.of(
+        confidence[4:], right[4:]
+    )
+    whole = Reliability.of(confidence, right)
+    assert sum_of_parts.counts.tolist() == whole.counts.tolist()
+    assert sum_of_parts.correct.tolist() == whole.correct.tolist()
+    assert sum_of_parts.calibration_error == pytest.approx(whole.calibration_error)
+
+
+def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
+    found = Reliability.of(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
+    assert found.counts.tolist() == [1, 0, 0, 2]
+    np.testing.assert_array_equal(found.share_correct, [0, np.nan, np.nan, 0.5])
+    assert found.calibration_error == pytest.approx(2 / 3 * 0.5)
+
+
+def test_a_confidence_that_is_always_met_is_calibrated() -> None:
+    confidence = np.full(10, 0.3)
+    assert Reliability.of(confidence, np.arange(10) < 3).calibration_error == pytest.approx(0)
+    assert Reliability.of(confidence, np.arange(10) < 9).calibration_error == pytest.approx(0.6)
+
+
+def test_nothing_has_no_calibration_error() -> None:
+    assert math.isnan(Reliability.of(np.zeros(0), np.zeros(0, bool)).calibration_error)
+
+
+def test_unusable_input_is_refused(matches) -> None:
+    confidence, right = matches
+    with pytest.raises(InputError, match="correct must be bool"):
+        Reliability.of(confidence, right.astype(float))
+    with pytest.raises(InputError, match="shape"):
+        Reliability.of(confidence, right[:3])
+    for wrong in (-0.1, 1.1, np.nan):
+        with pytest.raises(InputError, match="confidence"):
+            Reliability.of(np.array([wrong]), np.array([True]))

@@ -1,0 +1,117 @@
+"""A network's maps beside the truth: figures against loops over single pixels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from map_nets import MapNet, half_sure, shifted
+
+from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.training.validation import compare, validate
+
+
+@pytest.fixture
+def pairs() -> TrainingPairs:
+    """Two pairs whose true maps are shifts with a small bend; a disk of pixels is not visible."""
+    generator = torch.Generator().manual_seed(2)
+    image1, image2 = torch.rand(2, 2, 3, 240, 240, generator=generator)
+    bend = 0.05 * (shifted(0, 0) - 120)
+    truth = torch.stack([shifted(1, -2), shifted(0, 3) + bend])
+    inside = ((truth >= 0) & (truth <= 239)).all(-1)
+    hidden = (shifted(-100, -90).norm(dim=-1) < 40)[None]
+    return TrainingPairs(image1, image2, truth, inside & ~hidden)
+
+
+@pytest.fixture
+def net() -> MapNet:
+    return MapNet(shifted(0, 0), half_sure())
+
+
+def loop(pairs: TrainingPairs, index: int) -> list[tuple[int, int, float]]:
+    """Row, column and distance of the valid pixels of a pair, for the net that says "no shift"."""
+    rows = []
+    for y, x in pairs.valid[index].nonzero().tolist():
+        u, v = pairs.map[index, y, x].tolist()
+        rows.append((y, x, math.hypot(u - x, v - y)))
+    return rows
+
+
+def test_a_comparison_holds_the_map_in_pixels(pairs: TrainingPairs, net: MapNet) -> None:
+    first, second = compare(net, pairs)
+    assert [level.found.shape for level in first.levels] == [
+        (cells, cells, 2) for cells in (15, 30, 60, 120, 240)
+    ]
+    np.testing.assert_allclose(second.finest.found, shifted(0, 0), atol=1e-4)
+    np.testing.assert_allclose(first.levels[0].found[2, 3], [3 * 16 + 7.5, 2 * 16 + 7.5], atol=1e-4)
+    np.testing.assert_allclose(first.levels[0].truth[2, 3], [3 * 16 + 8.5, 2 * 16 + 5.5], atol=1e-4)
+    assert first.matchability is not None and first.mask is not None
+    assert first.mask[:, :120].all() and not first.mask[:, 120:].any()
+    np.testing.assert_allclose(first.matchability, half_sure(), atol=1e-6)
+
+
+def test_errors_are_distances_and_infinite_where_nothing_can_be_found(
+    pairs: TrainingPairs, net: MapNet
+) -> None:
+    errors = compare(net, pairs)[1].errors
+    expected = np.full((240, 240), np.inf)
+    for y, x, distance in loop(pairs, 1):
+        expected[y, x] = distance
+    np.testing.assert_allclose(errors, expected, rtol=1e-4)
+
+
+def test_figures_are_those_of_a_loop(pairs: TrainingPairs, net: MapNet) -> None:
+    figures = validate(net, [pairs])
+    rows = [loop(pairs, 0), loop(pairs, 1)]
+    means = [sum(d for *_, d in own) / len(own) for own in rows]
+    assert figures["aepe"] == figures["aepe240"] == pytest.approx(sum(means) / 2, rel=1e-5)
+    distances = sorted(d for own in rows for *_, d in own)
+    assert figures["epe_median"] == pytest.approx(distances[len(distances) // 2], rel=1e-4)
+    near = sum(d <= 3 for d in distances) / len(distances)
+    assert figures["pck3"] == pytest.approx(near, abs=1e-4)  # some lie at 3 px but for rounding
+    sure = [d for own in rows for _, x, d in own if x < 120]
+    sure_share = sum(d <= 3 for d in sure) / (2 * 240 * 120)
+    assert figures["sure3"] == pytest.approx(sure_share, abs=1e-4)
+    overlaps = [
+        sum(x < 120 for _, x, _ in own) / (240 * 120 + sum(x >= 120 for _, x, _ in own))
+        for own in rows
+    ]
+    assert figures["jaccard"] == pytest.approx(sum(overlaps) / 2)
+    # The shift of the first pair is the same at every level.
+    assert compare(net, pairs)[0].levels[0].aepe == pytest.approx(math.sqrt(5), rel=1e-4)
+    keys = [f"aepe{cells}" for cells in (15, 30, 60, 120, 240)]
+    assert list(figures) == ["aepe", "epe_median", "pck3", "sure3", "jaccard", *keys]
+
+
+def test_a_pair_without_valid_pixels_does_not_count(pairs: TrainingPairs, net: MapNet) -> None:
+    valid = pairs.valid.clone()
+    valid[1] = False
+    blind = TrainingPairs(pairs.image1, pairs.image2, pairs.map, valid)
+    figures = validate(net, [blind])
+    assert figures["aepe"] == pytest.approx(math.sqrt(5), rel=1e-4)
+    assert figures["aepe15"] == pytest.approx(math.sqrt(5), rel=1e-4)
+
+
+def test_the_mask_is_not_judged_where_nothing_is_known(pairs: TrainingPairs, net: MapNet) -> None:
+    """All that the mask says wrongly, to the right of nothing visible, is taken out."""
+    left = (torch.arange(240) < 120).expand(2, 240, 240)
+    known = (pairs.valid & left) | ~(pairs.valid | left)
+    part = replace(pairs, valid=pairs.valid & left, known=known)
+    assert validate(net, [replace(part, known=torch.ones_like(known))])["jaccard"] < 0.9
+    assert validate(net, [part])["jaccard"] == 1
+
+
+def test_a_net_without_a_mask_has_no_figures_of_one(pairs: TrainingPairs) -> None:
+    figures = validate(MapNet(shifted(0, 0)), [pairs])
+    assert math.isnan(figures["jaccard"]) and math.isnan(figures["sure3"])
+    assert figures["aepe"] > 0
+
+
+@pytest.mark.parametrize("training", [True, False])
+def test_a_net_is_left_in_its_mode(pairs: TrainingPairs, net: MapNet, training: bool) -> None:
+    net.train(training)
+    compare(net, pairs)
+    assert net.training is training
