@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import click
 
-from dgc_pose.benchmarks.dtu.pairs import (
-    PairOptions,
-    draw,
-    find_candidates,
-    make_pairs,
-    open_scan,
-)
+from dgc_pose.benchmarks.dtu.dataset import Layout, open_dataset
+from dgc_pose.benchmarks.dtu.pairs import PairOptions, draw, find_pairs, pair_of
+from dgc_pose.benchmarks.dtu.scene import LIGHTS
 from dgc_pose.benchmarks.pair_list import write_pairs
 from dgc_pose.cli.staging import staged
 from dgc_pose.errors import InputError
@@ -22,7 +20,14 @@ DEFAULTS = PairOptions()
 @click.argument("root", metavar="ROOT")
 @click.argument("out", metavar="OUT.txt")
 @click.option("--scan", type=int, required=True, help="Number of the scan.")
-@click.option("--light", default=3, show_default=True, help="Number of the light, 0 to 6.")
+@click.option(
+    "--layout",
+    type=click.Choice(get_args(Layout)),
+    help="How the data set lies there; found by looking, by default.",
+)
+@click.option(
+    "--light", type=click.Choice(LIGHTS), default="3", show_default=True, help="Which light."
+)
 @click.option("--pairs", default=DEFAULTS.pairs, show_default=True, help="How many pairs to draw.")
 @click.option(
     "--min-rotation",
@@ -49,7 +54,8 @@ def dtu_pairs(
     root: str,
     out: str,
     scan: int,
-    light: int,
+    layout: Layout | None,
+    light: str,
     pairs: int,
     min_rotation: float,
     max_rotation: float,
@@ -58,22 +64,23 @@ def dtu_pairs(
 ) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
-    ROOT holds Calibration/cal18 and Rectified/scanN as DTU ships them. OUT.txt is a list in
+    ROOT holds DTU as DTU ships it, or as it was prepared for MVSNet or NeuS. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
     options = PairOptions(pairs, min_rotation, max_rotation, min_overlap, seed=seed)
-    found = open_scan(root, scan, light)
-    candidates = find_candidates(found.views, options)
+    dataset = open_dataset(root, layout=layout, scenes=[scan], light=light)
+    scene = dataset.scene(scan)
+    candidates = find_pairs(dataset, options)
     if not candidates:
-        raise InputError(f"{root}: no two of {len(found.views)} views fit these limits")
+        raise InputError(f"{root}: no two of {len(scene.views)} views fit these limits")
     drawn = draw(candidates, options)
     with staged(out) as stage:
-        write_pairs(stage(out), make_pairs(found, drawn))
-    rotations = sorted(candidate.rotation_deg for candidate in drawn)
+        write_pairs(stage(out), [pair_of(dataset, pair) for pair in drawn])
+    rotations = sorted(pair.rotation_deg for pair in drawn)
     click.echo(
         f"{out}: {len(drawn)} pairs of {len(candidates)} candidates, "
-        f"rotations {rotations[0]:.1f} to {rotations[-1]:.1f} deg, {len(found.views)} views, "
-        f"{found.absent} left out for want of an image or a calibration"
+        f"rotations {rotations[0]:.1f} to {rotations[-1]:.1f} deg, {len(scene.views)} views, "
+        f"{scene.absent} left out for want of an image or a calibration"
     )
     if len(drawn) < pairs:
         click.echo(f"warning: {pairs} pairs were asked for; there are no more", err=True)

@@ -1,17 +1,40 @@
-"""A tiny scan in DTU's raw layout: views on an arc around an object, and images of any size."""
+"""Tiny scans of one scene, rendered or grey, written in each of DTU's layouts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 
 from dgc_pose.benchmarks.dtu.calibration import View
+from dgc_pose.camera import Camera
+from dgc_pose.render.bank import TextureBank
+from dgc_pose.render.cameras import Cameras
+from dgc_pose.render.demo_scene import demo_scene
+from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.render.raycast import Lighting, cast, describe, shade
 
-K = np.array([[2892.0, 0.0, 823.0], [0.0, 2883.0, 619.0], [0.0, 0.0, 1.0]])
+SIZE = (160, 120)
+# DTU's camera at a tenth of its size.
+K = Camera(np.array([[2892.0, 0, 823], [0, 2883, 619], [0, 0, 1]]), (1600, 1200)).resized(SIZE).K
 DISTANCE = 650.0  # mm from the object that all views look at
+MM_PER_UNIT = 325.0  # of the rendered scene, whose cameras stand two units from its middle
+LOOK_AT = (0.0, -1.0, 0.5)  # units
+TILT_DEG = 16.0  # of the rendered views, from above
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A scan as it is written: the files of every layout hold these matrices."""
+
+    views: Mapping[int, View]
+    images: Mapping[int, np.ndarray]  # (H, W, 3) uint8, RGB
+    depths: Mapping[int, np.ndarray]  # (H, W) mm; none of a grey scan
 
 
 def arc(degrees: Sequence[float] | np.ndarray) -> Mapping[int, View]:
@@ -24,21 +47,141 @@ def arc(degrees: Sequence[float] | np.ndarray) -> Mapping[int, View]:
     return views
 
 
-def write_raw_layout(
-    root: Path,
-    degrees: Sequence[float],
-    extension: str,
-    light: int = 3,
-    images: Sequence[np.ndarray] | None = None,
-) -> Mapping[int, View]:
-    """Write calibration and images (grey 4x3 ones by default) of scan 65 under `root`."""
+def grey_scan(degrees: Sequence[float] | np.ndarray) -> Scan:
+    """Views on an arc, with nothing in their images."""
     views = arc(degrees)
-    for folder in ("Calibration/cal18", "Rectified/scan65"):
-        (root / folder).mkdir(parents=True)
-    for number, view in views.items():
-        P = view.K @ np.column_stack([view.R, view.t])
-        np.savetxt(root / f"Calibration/cal18/pos_{number:03d}.txt", P, fmt="%.9f")
-        picture = np.full((3, 4, 3), 128, np.uint8) if images is None else images[number - 1]
-        name = f"rect_{number:03d}_{light}_r5000.{extension}"
-        cv2.imwrite(str(root / "Rectified/scan65" / name), picture)
-    return views
+    grey = np.full((SIZE[1], SIZE[0], 3), 128, np.uint8)
+    return Scan(views, dict.fromkeys(views, grey), {})
+
+
+@lru_cache(maxsize=4)
+def rendered_scan(degrees: tuple[float, ...] = (-20.0, -8.0, 0.0, 7.0, 18.0)) -> Scan:
+    """The demo's room with a laid table, ray-cast from an arc around the table's middle."""
+    scene, _, _ = demo_scene()
+    bank = _textures()
+    views, images, depths = {}, {}, {}
+    for number, on_arc in arc(degrees).items():
+        tilt = np.radians(TILT_DEG)
+        c, s = np.cos(tilt), np.sin(tilt)
+        R = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ on_arc.R
+        view = View(K, R, on_arc.t - R @ (np.array(LOOK_AT) * MM_PER_UNIT))
+        cameras = Cameras(
+            torch.tensor(view.K)[None],
+            torch.tensor(view.R)[None],
+            torch.tensor(view.t / MM_PER_UNIT)[None],
+            SIZE,
+        )
+        hits = cast(scene, cameras, cameras.pixels())
+        surface = describe(scene, cameras, hits)
+        colours = shade(
+            scene, cameras, hits, surface, bank, light=scene.light, lighting=Lighting(0.4, 0.3)
+        )
+        pixels = (colours[0].T * 255).round().clamp(0, 255).byte()
+        views[number] = view
+        images[number] = pixels.reshape(SIZE[1], SIZE[0], 3).numpy()
+        depths[number] = hits.depth.reshape(SIZE[1], SIZE[0]).numpy() * MM_PER_UNIT
+    return Scan(views, images, depths)
+
+
+def write_raw(
+    root: Path,
+    scan: Scan,
+    *,
+    number: int = 65,
+    extension: str = "png",
+    light: str = "3",
+    kind: str = "Rectified",
+) -> None:
+    """`Calibration/cal18` and `Rectified` or `Cleaned/scanN`."""
+    name = {"Rectified": "rect", "Cleaned": "clean"}[kind]
+    for position, view in scan.views.items():
+        _write_text(root / f"Calibration/cal18/pos_{position:03d}.txt", _rows(_projection(view)))
+        file = f"{name}_{position:03d}_{_light(light)}.{extension}"
+        write_image(root / kind / f"scan{number}" / file, scan.images[position])
+
+
+def write_mvsnet(
+    root: Path, scan: Scan, *, number: int = 65, extension: str = "jpg", light: str = "3"
+) -> None:
+    """A test set: `scanN/{images,cams}`."""
+    for position, view in scan.views.items():
+        folder, name = root / f"scan{number}", f"{position - 1:08d}"
+        write_cam(folder / "cams" / f"{name}_cam.txt", view)
+        write_image(folder / "images" / f"{name}.{extension}", scan.images[position])
+
+
+def write_mvsnet_training(
+    root: Path,
+    scan: Scan,
+    *,
+    number: int = 65,
+    extension: str = "png",
+    light: str = "3",
+    suffix: str = "",
+) -> None:
+    """`Cameras` and `Rectified/scanN`, or `scanN_train` with the images as they are handed over."""
+    for position, view in scan.views.items():
+        write_cam(root / "Cameras" / f"{position - 1:08d}_cam.txt", view)
+        file = f"rect_{position:03d}_{_light(light)}.{extension}"
+        write_image(root / f"Rectified/scan{number}{suffix}" / file, scan.images[position])
+
+
+def write_neus(
+    root: Path, scan: Scan, *, number: int = 65, extension: str = "png", light: str = "3"
+) -> None:
+    """`scanN/{image,cameras.npz}`."""
+    folder = root / f"scan{number}"
+    matrices = {}
+    for position, view in scan.views.items():
+        world_mat = np.eye(4)
+        world_mat[:3] = _projection(view)
+        matrices[f"world_mat_{position - 1}"] = world_mat
+        matrices[f"scale_mat_{position - 1}"] = np.diag([200.0, 200.0, 200.0, 1.0])
+        write_image(folder / "image" / f"{position - 1:06d}.{extension}", scan.images[position])
+    np.savez(folder / "cameras.npz", **matrices)
+
+
+WRITERS: Mapping[str, Callable[..., None]] = {
+    "raw": write_raw,
+    "mvsnet": write_mvsnet,
+    "neus": write_neus,
+}
+
+
+def write_cam(path: Path, view: View) -> None:
+    text = f"extrinsic\n{_rows(_extrinsic(view))}\nintrinsic\n{_rows(view.K)}\n425.0 2.5\n"
+    _write_text(path, text)
+
+
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), pixels[:, :, ::-1])
+
+
+@lru_cache(maxsize=1)
+def _textures() -> TextureBank:
+    return TextureBank.from_photos(procedural_textures(13, 192))
+
+
+def _extrinsic(view: View) -> np.ndarray:
+    extrinsic = np.eye(4)
+    extrinsic[:3, :3], extrinsic[:3, 3] = view.R, view.t
+    return extrinsic
+
+
+def _projection(view: View) -> np.ndarray:
+    return view.K @ _extrinsic(view)[:3]
+
+
+def _rows(matrix: np.ndarray) -> str:
+    """All digits, so that the numbers read back are the same to the bit."""
+    return "".join(" ".join(repr(float(value)) for value in row) + "\n" for row in matrix)
+
+
+def _light(light: str) -> str:
+    return light if light == "max" else f"{light}_r5000"
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)

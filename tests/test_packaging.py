@@ -71,7 +71,7 @@ def test_a_wheel_holds_every_module_and_data_file(wheel_files: set[str]) -> None
     for folder, package in MAPPED.items():
         target = package.replace(".", "/")
         for file in (ROOT / folder).rglob("*"):
-            data = file.parent.name in ("data", "weights") and file.suffix != ".pth"
+            data = file.parent.name in ("data", "weights", "templates") and file.suffix != ".pth"
             if file.suffix == ".py" or (file.is_file() and data):
                 expected.add(f"{target}/{file.relative_to(ROOT / folder).as_posix()}")
     assert expected <= wheel_files, sorted(expected - wheel_files)

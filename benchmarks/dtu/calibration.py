@@ -1,7 +1,8 @@
-"""DTU's calibration in the raw layout: one projection matrix a position, shared by all scans."""
+"""DTU's calibrated camera positions, from the matrices that each layout holds."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,10 +11,10 @@ import scipy.linalg
 
 from dgc_pose.errors import InputError
 
-IMAGE_SIZE = (1600, 1200)  # width, height of the images that the matrices project to, pixels
+ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leave
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """A calibrated camera position: X_cam = R X_world + t."""
 
@@ -22,7 +23,7 @@ class View:
     t: np.ndarray  # (3,) millimetres, cam_from_world
 
 
-def read_view(path: str | Path) -> View:
+def read_projection(path: Path) -> View:
     """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel.
 
     Raises:
@@ -30,32 +31,51 @@ def read_view(path: str | Path) -> View:
             matrix is no camera.
         OSError: where the file cannot be read.
     """
-    path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows = [[float(field) for field in line.split()] for line in lines if line.strip()]
-    except ValueError:
-        raise InputError(f"{path}: expected 3 rows of 4 numbers, found something else") from None
+    rows = [line.split() for line in _read_text(path).splitlines() if line.strip()]
     if [len(row) for row in rows] != [4, 4, 4]:
         counts = " + ".join(str(len(row)) for row in rows) or "none"
         raise InputError(f"{path}: expected 3 rows of 4 numbers, found {counts}")
-    P = np.array(rows)
-    if not np.isfinite(P).all():
-        raise InputError(f"{path}: the numbers must be finite")
-    try:
-        return decompose(P)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    P = _matrix([word for row in rows for word in row], (3, 4), path)
+    return decompose(P, str(path))
 
 
-def decompose(P: np.ndarray) -> View:
+def read_cam(path: Path) -> View:
+    """Read one of MVSNet's `NNNNNNNN_cam.txt`: `extrinsic`, 4x4 (world, mm, to camera),
+    `intrinsic`, 3x3, and a line of depths, which has no part in a pose.
+
+    Raises:
+        InputError: with the path, where the file is not so or its matrices are no camera.
+        OSError: where the file cannot be read.
+    """
+    words = _read_text(path).split()
+    if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
+        raise InputError(
+            f"{path}: expected the word extrinsic, 4 rows of 4 numbers, "
+            "the word intrinsic, 3 rows of 3 numbers"
+        )
+    extrinsic, K = _matrix(words[1:17], (4, 4), path), _matrix(words[18:27], (3, 3), path)
+    if not np.allclose(extrinsic[3], [0, 0, 0, 1], atol=ROTATION_TOLERANCE):
+        raise InputError(f"{path}: the last row of the extrinsic matrix must be 0 0 0 1")
+    # Through P, as in the other layouts: the same matrices give the same view to the bit.
+    view = decompose(K @ extrinsic[:3], str(path))
+    if not np.allclose(view.R, extrinsic[:3, :3], atol=ROTATION_TOLERANCE):
+        raise InputError(
+            f"{path}: the matrices are no camera: the extrinsic 3x3 must be a rotation and the "
+            "intrinsic one upper triangular with a positive diagonal"
+        )
+    return view
+
+
+def decompose(P: np.ndarray, name: str) -> View:
     """Split P ~ K [R | t] by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1.
 
-    P (3, 4) may carry any scale but zero, its sign included. Raises InputError where its left 3x3
-    is singular.
+    P (3, 4) may carry any scale but zero, its sign included. Raises InputError, naming `name`,
+    where its numbers are not finite or its left 3x3 is singular.
     """
-    if np.linalg.cond(P[:, :3]) > 1e12:
-        raise InputError("the matrix is no camera: its left 3x3 is singular")
+    if not np.isfinite(P).all():
+        raise InputError(f"{name}: the numbers must be finite")
+    if not np.linalg.cond(P[:, :3]) < 1e12:
+        raise InputError(f"{name}: the matrix is no camera: its left 3x3 is singular")
     if np.linalg.det(P[:, :3]) < 0:
         P = -P
     upper, R = scipy.linalg.rq(P[:, :3])
@@ -68,3 +88,17 @@ def relative_pose(view1: View, view2: View) -> tuple[np.ndarray, np.ndarray]:
     """cam2_from_cam1 as R (3, 3) and t (3,) in millimetres: R2 R1^T and t2 - R t1."""
     R = view2.R @ view1.R.T
     return R, view2.t - R @ view1.t
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: expected numbers as text, found something else") from None
+
+
+def _matrix(words: Sequence[str], shape: tuple[int, int], path: Path) -> np.ndarray:
+    try:
+        return np.array([float(word) for word in words]).reshape(shape)
+    except ValueError:
+        raise InputError(f"{path}: expected numbers, found something else") from None

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from pathlib import Path
+from itertools import combinations, groupby
 
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.calibration import IMAGE_SIZE, View, read_view, relative_pose
+from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
+from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.overlap import overlap
+from dgc_pose.benchmarks.dtu.scene import Scene
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
+
+_LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are the same
 
 
 @dataclass(frozen=True)
 class PairOptions:
     """Which pairs to draw."""
 
-    pairs: int = 64
+    pairs: int = 64  # over all scenes
     min_rotation: float = 5.0  # degrees
     max_rotation: float = 40.0  # degrees
     min_overlap: float = 0.4  # share of points seen by both views, 0 to 1
@@ -42,112 +44,107 @@ class PairOptions:
 
 
 @dataclass(frozen=True)
-class Scan:
-    """One scan of the raw layout, under one light."""
+class ScenePair:
+    """Two views of a scene, and what the calibration says of them."""
 
-    root: Path
-    views: Mapping[int, View]  # by view number, from 1
-    images: Mapping[int, str]  # by view number, relative to root
-    absent: int  # views left out, since the calibration or the image is not there
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Two views that may make a pair."""
-
+    scene: int
     view1: int
     view2: int
-    rotation_deg: float
+    rotation_deg: float  # of cam2_from_cam1
+    overlap: float  # share of space at the object that both views see, 0 to 1
+    baseline_mm: float  # between the camera centres, never zero
 
 
-def open_scan(root: str | Path, scan: int, light: int) -> Scan:
-    """Find the views of a scan in the raw layout.
-
-    A view is `Calibration/cal18/pos_NNN.txt` and `Rectified/scanN/rect_NNN_L_r5000.png` or `.jpg`;
-    views of which either is missing are left out and counted. Raises InputError with the path
-    where fewer than two views are left, or for a file that is no calibration.
-    """
-    root = Path(root)
-    folder = root / "Calibration" / "cal18"
-    positions = _numbered(folder, r"pos_(\d{3})\.txt")
-    name = rf"rect_(\d{{3}})_{light}_r5000\.(?:png|jpg)"
-    images = _numbered(root / "Rectified" / f"scan{scan}", name)
-    present = sorted(positions.keys() & images.keys())
-    if len(present) < 2:
-        raise InputError(
-            f"{root}: fewer than two views of scan {scan} under light {light}: "
-            f"{len(positions)} positions in Calibration/cal18, "
-            f"{len(images)} images in Rectified/scan{scan}"
-        )
-    return Scan(
-        root=root,
-        views={view: read_view(positions[view]) for view in present},
-        images={view: images[view].relative_to(root).as_posix() for view in present},
-        absent=len(positions.keys() | images.keys()) - len(present),
-    )
-
-
-def find_candidates(views: Mapping[int, View], options: PairOptions) -> list[Candidate]:
+def find_pairs(dataset: Dataset, options: PairOptions) -> list[ScenePair]:
     """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
-    candidates = []
-    for view1, view2 in combinations(sorted(views), 2):
-        R, _ = relative_pose(views[view1], views[view2])
-        rotation = rotation_error_deg(R, np.eye(3))
-        if not options.min_rotation <= rotation <= options.max_rotation:
-            continue
-        if overlap(views[view1], views[view2]) >= options.min_overlap:
-            candidates.append(Candidate(view1, view2, rotation))
-    return candidates
+    # In some layouts all scenes share their views, and what is said of them.
+    known: dict[tuple[View, View, tuple[int, int]], tuple[float, float, float]] = {}
+    found = []
+    for scene in dataset.scenes:
+        for view1, view2 in combinations(sorted(scene.views), 2):
+            key = (scene.views[view1], scene.views[view2], scene.size)
+            if key not in known:
+                known[key] = _facts(*key)
+            pair = ScenePair(scene.number, view1, view2, *known[key])
+            if (
+                options.min_rotation <= pair.rotation_deg <= options.max_rotation
+                and pair.overlap >= options.min_overlap
+                and pair.baseline_mm > _LEAST_BASELINE_MM
+            ):
+                found.append(pair)
+    return found
 
 
-def draw(candidates: list[Candidate], options: PairOptions) -> list[Candidate]:
-    """Draw pairs at random, one from each rotation bin in turn.
+def draw(candidates: Sequence[ScenePair], options: PairOptions) -> list[ScenePair]:
+    """Draw pairs at random: from each scene in turn, and within a scene from each rotation bin.
 
-    So every start of the list is spread over the rotations. The same seed draws the same pairs.
-    Bins that run out are passed over: fewer pairs than asked for come back only where there are
-    fewer candidates.
+    So they are balanced over scenes, and those of a scene spread over the rotations. The same seed
+    draws the same pairs. Scenes and bins that run out are passed over: fewer pairs than asked for
+    come back only where there are fewer candidates. They come scene by scene.
     """
     rng = np.random.default_rng(options.seed)
-    edges = np.linspace(options.min_rotation, options.max_rotation, options.bins + 1)
-    places = np.digitize([c.rotation_deg for c in candidates], edges[1:-1])
-    queues: list[list[Candidate]] = [[] for _ in range(options.bins)]
-    for candidate, place in zip(candidates, places, strict=True):
-        queues[place].append(candidate)
-    for queue in queues:
-        rng.shuffle(queue)
-    drawn: list[Candidate] = []
-    while len(drawn) < min(options.pairs, len(candidates)):
-        drawn.extend(queue.pop() for queue in queues if queue)
-    return drawn[: options.pairs]
+    ordered = []
+    by_scene = sorted(candidates, key=lambda pair: pair.scene)
+    for scene, pairs in groupby(by_scene, lambda pair: pair.scene):
+        spread = _spread_over_rotations(list(pairs), options, rng)
+        ordered += [(turn, scene, pair) for turn, pair in enumerate(spread)]
+    drawn = sorted(ordered, key=lambda one: one[:2])[: options.pairs]
+    return [pair for _, _, pair in sorted(drawn, key=lambda one: (one[1], one[0]))]
 
 
-def make_pairs(scan: Scan, drawn: list[Candidate]) -> list[Pair]:
-    """The pairs with their cameras and true poses (t in millimetres), as a pair list takes them."""
-    return [_pair(scan, candidate.view1, candidate.view2) for candidate in drawn]
+def scene_pair(scene: Scene, view1: int, view2: int) -> ScenePair:
+    """Two views by their numbers.
+
+    Raises InputError where one is not there, both are the same or both have the same centre.
+    """
+    for number in (view1, view2):
+        scene.require(number)
+    facts = _facts(scene.views[view1], scene.views[view2], scene.size)
+    pair = ScenePair(scene.number, view1, view2, *facts)
+    if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:
+        raise InputError(f"views {view1} and {view2} of {scene.name} have one and the same centre")
+    return pair
 
 
-def _pair(scan: Scan, number1: int, number2: int) -> Pair:
-    view1, view2 = scan.views[number1], scan.views[number2]
+def pair_of(dataset: Dataset, pair: ScenePair) -> Pair:
+    """Images, cameras and true pose (t in millimetres), as a pair list takes them."""
+    scene = dataset.scene(pair.scene)
+    view1, view2 = scene.views[pair.view1], scene.views[pair.view2]
     R, t = relative_pose(view1, view2)
+    name1, name2 = (
+        scene.images[number].relative_to(dataset.root).as_posix()
+        for number in (pair.view1, pair.view2)
+    )
     return Pair(
-        name1=scan.images[number1],
-        name2=scan.images[number2],
-        root=scan.root,
-        camera1=Camera(K=view1.K, size=IMAGE_SIZE),
-        camera2=Camera(K=view2.K, size=IMAGE_SIZE),
+        name1=name1,
+        name2=name2,
+        root=dataset.root,
+        camera1=Camera(K=view1.K, size=scene.size),
+        camera2=Camera(K=view2.K, size=scene.size),
         R=R,
         t=t,
     )
 
 
-def _numbered(folder: Path, pattern: str) -> dict[int, Path]:
-    """The files of a folder whose names match, by the number in the name; of a png and a jpg with
-    the same number, the png."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; expected DTU's raw layout")
-    found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
-        match = re.fullmatch(pattern, path.name)
-        if match:  # in sorted order, so a png comes after a jpg and replaces it
-            found[int(match[1])] = path
-    return found
+def _facts(view1: View, view2: View, size: tuple[int, int]) -> tuple[float, float, float]:
+    """Rotation, overlap and baseline, as ScenePair has them."""
+    R, t = relative_pose(view1, view2)
+    shared = overlap(view1, view2, size)
+    return rotation_error_deg(R, np.eye(3)), shared, float(np.linalg.norm(t))
+
+
+def _spread_over_rotations(
+    pairs: Sequence[ScenePair], options: PairOptions, rng: np.random.Generator
+) -> list[ScenePair]:
+    """All of them in random order, but one from each rotation bin in turn."""
+    edges = np.linspace(options.min_rotation, options.max_rotation, options.bins + 1)
+    places = np.digitize([pair.rotation_deg for pair in pairs], edges[1:-1])
+    queues: list[list[ScenePair]] = [[] for _ in range(options.bins)]
+    for pair, place in zip(pairs, places, strict=True):
+        queues[place].append(pair)
+    for queue in queues:
+        rng.shuffle(queue)
+    spread: list[ScenePair] = []
+    while len(spread) < len(pairs):
+        spread.extend(queue.pop() for queue in queues if queue)
+    return spread

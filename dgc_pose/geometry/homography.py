@@ -26,7 +26,7 @@ def fit_homography(
     params.confidence = 0.9999
     params.score = cv2.SCORE_METHOD_MAGSAC
     params.loMethod = cv2.LOCAL_OPTIM_SIGMA
-    params.randomGeneratorState = seed
+    params.randomGeneratorState = seed % 2**31  # a C int
     try:
         H, _ = cv2.findHomography(points1 * _PIXELS, points2 * _PIXELS, params)
         if H is None or not np.isfinite(H).all():

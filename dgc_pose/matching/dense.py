@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.network.config import INPUT_SIZE
@@ -21,13 +23,29 @@ from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import DEFAULT, load_network
 
+# The encoder's features of an image, the object and not its content, by quarter turns of it.
+FeatureCache = BoundedCache[tuple[Image, int], list[Tensor]]
+
+
+def feature_cache() -> FeatureCache:
+    """A cache of the usual size; the images that it keeps alive count."""
+    return BoundedCache(
+        lambda key, features: key[0].pixels.nbytes + sum(level.nbytes for level in features)
+    )
+
 
 class DenseMatcher:
     """Matches by a frozen `DGCNet`; image 1 is its source, image 2 its target."""
 
-    def __init__(self, net: DGCNet, options: MatchingOptions | None = None) -> None:
+    def __init__(
+        self,
+        net: DGCNet,
+        options: MatchingOptions | None = None,
+        cache: FeatureCache | None = None,
+    ) -> None:
         self.net = net.eval().requires_grad_(False)
         self.options = options or MatchingOptions()
+        self.cache = cache
 
     @property
     def name(self) -> str:
@@ -37,14 +55,20 @@ class DenseMatcher:
         """The matches that pass the options, in pixels of the original images."""
         return self.select(self.correspond(image1, image2))
 
-    @torch.no_grad()
     def correspond(self, image1: Image, image2: Image) -> CorrespondenceMap:
         """The dense map at 240x240 cells; with the way back where the options ask for a cycle."""
-        source = self.net.pyramid(self._input(image1.pixels))
-        found = self._at_roll(source, image1, image2, 0)
-        if found.matchability.mean() < self.options.roll_share:
-            turned = [self._at_roll(source, image1, image2, roll) for roll in (1, 2, 3)]
-            found = max((found, *turned), key=lambda c: float(c.matchability.mean()))
+        return self.correspond_batch([(image1, image2)])[0]
+
+    @torch.no_grad()
+    def correspond_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
+        """As `correspond` for each pair, decoded together; images are encoded one by one, so that
+        what the encoder makes of an image does not hang on those beside it."""
+        found = self._at_roll(pairs, 0)
+        least = self.options.roll_share
+        weak = [i for i, one in enumerate(found) if one.matchability.mean() < least]
+        for roll in (1, 2, 3) if weak else ():
+            for i, turned in zip(weak, self._at_roll([pairs[i] for i in weak], roll), strict=True):
+                found[i] = max((found[i], turned), key=lambda c: float(c.matchability.mean()))
         return found
 
     def select(self, correspondences: CorrespondenceMap) -> Matches:
@@ -52,18 +76,30 @@ class DenseMatcher:
         return select_matches(correspondences, self.options)
 
     def _at_roll(
-        self, source: list[Tensor], image1: Image, image2: Image, roll: int
+        self, pairs: Sequence[tuple[Image, Image]], roll: int
+    ) -> list[CorrespondenceMap]:
+        """The maps to images 2 turned by `roll` times 90 degrees, on the grids of images 2 as they
+        are."""
+        source = _stacked([self._features(first, 0) for first, _ in pairs])
+        target = _stacked([self._features(second, roll) for _, second in pairs])
+        there = _split(self.net.decode(source, target))
+        back: Sequence[Prediction | None] = [None] * len(pairs)
+        if self.options.cycle_px is not None:
+            back = _split(self.net.decode(target, source))
+        return [
+            self._found(*pair, roll, there_, back_)
+            for pair, there_, back_ in zip(pairs, there, back, strict=True)
+        ]
+
+    def _found(
+        self, image1: Image, image2: Image, roll: int, there: Prediction, back: Prediction | None
     ) -> CorrespondenceMap:
-        """The map to image 2 turned by `roll` times 90 degrees, on the grid of image 2 as it is."""
-        turned = np.ascontiguousarray(np.rot90(image2.pixels, roll))
-        target = self.net.pyramid(self._input(turned))
-        there = self.net.decode(source, target)
+        """The map of one pair from the predictions with image 2 turned."""
         place = self._cells(there)
         cycle = None
-        if self.options.cycle_px is not None:
-            size = (turned.shape[1], turned.shape[0])
-            cycle = self._cycle(place, self._cells(self.net.decode(target, source)), size)
-            cycle = np.rot90(cycle, -roll)
+        if back is not None:
+            size = image2.size if roll % 2 == 0 else image2.size[::-1]
+            cycle = np.rot90(self._cycle(place, self._cells(back), size), -roll)
         axis = np.arange(INPUT_SIZE, dtype=np.float64)
         return CorrespondenceMap(
             map=_to_original(np.rot90(place[0].cpu().numpy(), -roll), image1.size),
@@ -73,6 +109,15 @@ class DenseMatcher:
             size2=image2.size,
             cycle=cycle,
         )
+
+    def _features(self, image: Image, roll: int) -> list[Tensor]:
+        """The encoder's features of an image turned by `roll` times 90 degrees."""
+
+        def encode() -> list[Tensor]:
+            turned = np.ascontiguousarray(np.rot90(image.pixels, roll))
+            return self.net.features(self._input(turned))
+
+        return encode() if self.cache is None else self.cache.get((image, roll), encode)
 
     def _input(self, image: np.ndarray) -> Tensor:
         pixels = torch.from_numpy(resize(image, (INPUT_SIZE, INPUT_SIZE)))
@@ -101,12 +146,13 @@ def load_matcher(
     *,
     device: str = "auto",
     options: MatchingOptions | None = None,
+    cache: FeatureCache | None = None,
 ) -> DenseMatcher:
     """A matcher with shipped weights, by name, or with those of a file (see `load_network`).
 
     Raises WeightsError where the weights cannot be had, InputError where the device cannot.
     """
-    return DenseMatcher(load_network(weights, choose_device(device)), options)
+    return DenseMatcher(load_network(weights, choose_device(device)), options, cache)
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -127,6 +173,24 @@ def _to_original(cells: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Places in cells of the 240 grid to pixels of the original image, by the half-pixel rule."""
     scale = np.divide(size, INPUT_SIZE)
     return ((cells + 0.5) * scale - 0.5).astype(np.float32)
+
+
+def _stacked(features: Sequence[list[Tensor]]) -> list[Tensor]:
+    """The features of several images as those of one batch, level by level."""
+    if len(features) == 1:
+        return features[0]
+    return [torch.cat(level) for level in zip(*features, strict=True)]
+
+
+def _split(prediction: Prediction) -> list[Prediction]:
+    """The predictions of a batch, each as that of a batch of one."""
+    return [
+        Prediction(
+            tuple(level[i : i + 1] for level in prediction.maps),
+            tuple(level[i : i + 1] for level in prediction.logits),
+        )
+        for i in range(len(prediction.maps[0]))
+    ]
 
 
 def _matchability(prediction: Prediction) -> np.ndarray:

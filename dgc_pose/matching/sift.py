@@ -9,8 +9,9 @@ import numpy as np
 
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import BoundedCache
 
-_ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
+ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
 
 
 @dataclass(frozen=True)
@@ -21,11 +22,25 @@ class SiftOptions:
     ratio: float = 0.8  # largest distance to the best neighbour, of that to the second best
 
 
+# Key points (N, 2) and descriptors (N, 128) of an image, the object and not its content.
+KeyPointCache = BoundedCache[Image, tuple[np.ndarray, np.ndarray]]
+
+
+def key_point_cache() -> KeyPointCache:
+    """A cache of the usual size; the images that it keeps alive count."""
+    return BoundedCache(
+        lambda image, found: image.pixels.nbytes + found[0].nbytes + found[1].nbytes
+    )
+
+
 class SiftMatcher:
     """Matches by SIFT key points on the original images."""
 
-    def __init__(self, options: SiftOptions | None = None) -> None:
+    def __init__(
+        self, options: SiftOptions | None = None, cache: KeyPointCache | None = None
+    ) -> None:
         self.options = options or SiftOptions()
+        self.cache = cache
 
     @property
     def name(self) -> str:
@@ -33,10 +48,10 @@ class SiftMatcher:
 
     def match(self, image1: Image, image2: Image) -> Matches:
         """Mutual nearest neighbours that pass the ratio test; confidence 1 - distance ratio."""
-        points1, descriptors1 = self._detect(image1)
-        points2, descriptors2 = self._detect(image2)
+        points1, descriptors1 = self.key_points(image1)
+        points2, descriptors2 = self.key_points(image2)
         if len(points1) < 2 or len(points2) < 2:
-            return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), _ERROR_PX)
+            return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), ERROR_PX)
         matcher = cv2.BFMatcher(cv2.NORM_L2)
         forward = matcher.knnMatch(descriptors1, descriptors2, k=2)
         backward = {m.queryIdx: m.trainIdx for m in matcher.match(descriptors2, descriptors1)}
@@ -48,7 +63,13 @@ class SiftMatcher:
         ]
         table = np.array(kept, dtype=np.float64).reshape(-1, 3)
         first, second = table[:, 0].astype(int), table[:, 1].astype(int)
-        return Matches(points1[first], points2[second], table[:, 2], _ERROR_PX)
+        return Matches(points1[first], points2[second], table[:, 2], ERROR_PX)
+
+    def key_points(self, image: Image) -> tuple[np.ndarray, np.ndarray]:
+        """Key points (N, 2), pixels of the image, and their descriptors (N, 128) float32."""
+        if self.cache is None:
+            return self._detect(image)
+        return self.cache.get(image, lambda: self._detect(image))
 
     def _detect(self, image: Image) -> tuple[np.ndarray, np.ndarray]:
         detector = cv2.SIFT.create(nfeatures=self.options.features)

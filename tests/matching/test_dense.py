@@ -151,3 +151,25 @@ def test_weights_and_devices_that_are_not_there() -> None:
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="CUDA"):
             load_matcher(device="cuda")
+
+
+def test_a_batch_gives_what_its_pairs_give_alone() -> None:
+    """Of several sizes, with the way back, and with those turned that match badly upright."""
+    torch.manual_seed(0)
+    options = MatchingOptions(matchability=0.0, cycle_px=5.0)
+    matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), options)
+    pairs = [
+        (_image(200, 150, 1), _image(180, 240, 2)),
+        (_image(100, 100, 3), _image(300, 100, 4)),
+        (_image(90, 120, 5), _image(160, 120, 6)),
+    ]
+    means = [float(matcher.correspond(*pair).matchability.mean()) for pair in pairs]
+    weakest = replace(options, roll_share=(sorted(means)[0] + sorted(means)[1]) / 2)
+    matcher = DenseMatcher(matcher.net, weakest)
+    for pair, found in zip(pairs, matcher.correspond_batch(pairs), strict=True):
+        alone = matcher.correspond(*pair)
+        np.testing.assert_allclose(found.map, alone.map, atol=0.02)
+        np.testing.assert_allclose(found.matchability, alone.matchability, atol=1e-4)
+        assert found.cycle is not None and alone.cycle is not None
+        np.testing.assert_allclose(found.cycle, alone.cycle, atol=0.05)
+        assert (found.size1, found.size2) == (pair[0].size, pair[1].size)

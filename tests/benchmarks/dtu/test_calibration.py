@@ -2,9 +2,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dtu_layout import write_cam
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.dtu.calibration import View, decompose, read_view, relative_pose
+from dgc_pose.benchmarks.dtu.calibration import (
+    View,
+    decompose,
+    read_cam,
+    read_projection,
+    relative_pose,
+)
 from dgc_pose.errors import InputError
 
 # The first position of DTU's calibration, as published.
@@ -23,7 +30,7 @@ def random_view(seed):
 def test_the_published_first_position(tmp_path):
     path = tmp_path / "pos_001.txt"
     path.write_text(POS_001)
-    view = read_view(path)
+    view = read_projection(path)
     assert np.allclose(view.K, [[2892.33, 0, 823.205], [0, 2883.18, 619.071], [0, 0, 1]], atol=6e-3)
     assert np.linalg.det(view.R) == pytest.approx(1, abs=1e-9)
     centre = -view.R.T @ view.t
@@ -34,7 +41,7 @@ def test_the_published_first_position(tmp_path):
 @pytest.mark.parametrize("seed", range(4))
 def test_any_scale_of_a_projection_matrix_gives_its_camera(seed, scale):
     view = random_view(seed)
-    found = decompose(scale * view.K @ np.column_stack([view.R, view.t]))
+    found = decompose(scale * view.K @ np.column_stack([view.R, view.t]), "P")
     assert np.allclose(found.K, view.K, atol=1e-8)
     assert np.allclose(found.R, view.R, atol=1e-11)
     assert np.allclose(found.t, view.t, atol=1e-8)
@@ -50,22 +57,75 @@ def test_relative_pose_moves_points_from_one_camera_to_the_other():
         assert np.allclose(R @ in1 + t, in2, atol=1e-9)
 
 
-BAD_FILES = {
+@pytest.mark.parametrize("seed", range(4))
+def test_a_cam_file_gives_its_camera(tmp_path, seed):
+    view = random_view(seed)
+    write_cam(tmp_path / "0_cam.txt", view)
+    found = read_cam(tmp_path / "0_cam.txt")
+    assert np.allclose(found.K, view.K, atol=1e-8)
+    assert np.allclose(found.R, view.R, atol=1e-11)
+    assert np.allclose(found.t, view.t, atol=1e-8)
+
+
+# As published, with the last line in each of its forms.
+CAM = """extrinsic
+0.970263 0.00747983 0.241939 -191.02
+-0.0147429 0.999493 0.0282234 3.28832
+-0.241605 -0.030951 0.969881 22.5401
+0.0 0.0 0.0 1.0
+
+intrinsic
+2892.33 0 823.205
+0 2883.18 619.071
+0 0 1
+
+"""
+
+
+@pytest.mark.parametrize("depths", ["425 2.5\n", "425 2.5 192 933.8\n", ""])
+def test_the_published_first_cam_file_is_the_first_position(tmp_path, depths):
+    (tmp_path / "cam.txt").write_text(CAM + depths)
+    (tmp_path / "pos.txt").write_text(POS_001)
+    cam, position = read_cam(tmp_path / "cam.txt"), read_projection(tmp_path / "pos.txt")
+    assert np.allclose(cam.K, position.K, atol=0.02)
+    assert np.allclose(cam.R, position.R, atol=2e-6)
+    assert np.allclose(cam.t, position.t, atol=0.01)
+    assert np.allclose(cam.R @ cam.R.T, np.eye(3), atol=1e-14)  # though the file is rounded
+
+
+BAD_PROJECTIONS = {
     "short": ("1 2 3 4\n5 6 7 8\n", r"expected 3 rows of 4 numbers, found 4 \+ 4"),
     "empty": ("", "found none"),
     "ragged": ("1 2 3 4\n5 6 7 8\n9 10 11\n", r"found 4 \+ 4 \+ 3"),
-    "words": ("P = 1 2 3\n", "found something else"),
+    "words": ("P = 1 2\n" * 3, "found something else"),
     "binary": (b"\xff\xfe\x80", "found something else"),
     "infinite": ("1 0 0 0\n0 1 0 0\n0 0 inf 1\n", "must be finite"),
     "singular": ("1 0 0 0\n0 1 0 0\n1 1 0 1\n", "no camera"),
+    "zero": ("0 0 0 0\n" * 3, "no camera"),
+}
+BAD_CAMS = {
+    "short": (CAM[:60], "expected the word extrinsic"),
+    "empty": ("", "expected the word extrinsic"),
+    "binary": (b"\xff\xfe\x80", "found something else"),
+    "words": (CAM.replace("2892.33", "fx"), "found something else"),
+    "infinite": (CAM.replace("-191.02", "nan"), "must be finite"),
+    "no rotation": (CAM.replace("0.970263", "0.90"), "no camera"),
+    "mirrored": (CAM.replace("2892.33", "-2892.33"), "no camera"),
+    "not triangular": (CAM.replace("0 2883.18", "90 2883.18"), "no camera"),
+    "singular": (CAM.replace("2892.33", "0"), "no camera"),
+    "last row": (CAM.replace("0.0 0.0 0.0 1.0", "0.0 0.0 1.0 0.0"), "last row"),
 }
 
 
-@pytest.mark.parametrize("case", BAD_FILES)
-def test_a_bad_file_is_an_error_with_its_path(tmp_path, case):
-    content, message = BAD_FILES[case]
-    path = tmp_path / "pos_007.txt"
+@pytest.mark.parametrize(
+    "read, content, message",
+    [(read_projection, *case) for case in BAD_PROJECTIONS.values()]
+    + [(read_cam, *case) for case in BAD_CAMS.values()],
+    ids=[*BAD_PROJECTIONS, *(f"cam {name}" for name in BAD_CAMS)],
+)
+def test_a_bad_file_is_an_error_with_its_path(tmp_path, read, content, message):
+    path = tmp_path / "calibration.txt"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError, match=message) as caught:
-        read_view(path)
+        read(path)
     assert str(caught.value).startswith(f"{path}: ")

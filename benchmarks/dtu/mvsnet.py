@@ -1,0 +1,88 @@
+"""DTU as it was prepared for MVSNet, its training set and its test sets.
+
+Training: `Cameras/NNNNNNNN_cam.txt` for images of 1600x1200, `Rectified/scanN` with such images and
+`Rectified/scanN_train` with their half-size crops, names from 1 and cameras from 0. Where both are
+there, the full size is taken. Test: `scanN/{images,cams}`, both from 0, one light, K as it is in
+pixels of the images.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from dgc_pose.benchmarks.dtu.calibration import View, read_cam
+from dgc_pose.benchmarks.dtu.scene import light_suffix, numbered_folders
+from dgc_pose.camera import Camera
+
+EXPECTED = "Cameras/00000000_cam.txt and Rectified/scan1, or scan1/cams/00000000_cam.txt"
+FULL_SIZE, HALF_SIZE = (1600, 1200), (800, 600)  # width, height, pixels
+CROP_SIZE = (640, 512)
+CROP_CORNER = (80, 44)  # x, y in the half-size image of the crop's top-left pixel: its middle part
+
+
+@dataclass(frozen=True)
+class MvsnetReader:
+    """See SceneReader."""
+
+    root: Path
+    light: str  # one of LIGHTS; test sets have one light alone
+    _views: dict[tuple[Path, bool], View] = field(default_factory=dict)
+
+    def numbers(self) -> list[int]:
+        folder = self.root / "Rectified"
+        return sorted({*self.test_scenes(), *numbered_folders(folder, r"scan(\d+)(?:_train)?")})
+
+    def image_stem(self, scene: int, position: int) -> Path:
+        if self._is_test(scene):
+            return self.root / f"scan{scene}" / "images" / f"{position - 1:08d}"
+        folder = f"scan{scene}_train" if self._is_cropped(scene) else f"scan{scene}"
+        name = f"rect_{position:03d}_{light_suffix(self.light)}"
+        return self.root / "Rectified" / folder / name
+
+    def image_size(self, scene: int) -> tuple[int, int] | None:
+        return CROP_SIZE if self._is_cropped(scene) else None
+
+    def view(self, scene: int, position: int) -> View | None:
+        path, cropped = self._path(scene, position), self._is_cropped(scene)
+        if (path, cropped) not in self._views and path.is_file():
+            view = read_cam(path)
+            self._views[path, cropped] = crop(view) if cropped else view
+        return self._views.get((path, cropped))
+
+    def calibration_name(self, scene: int, position: int) -> str:
+        return str(self._path(scene, position))
+
+    def _path(self, scene: int, position: int) -> Path:
+        name = f"{position - 1:08d}_cam.txt"
+        if self._is_test(scene):
+            return self.root / f"scan{scene}" / "cams" / name
+        return self.root / "Cameras" / name
+
+    def test_scenes(self) -> list[int]:
+        """The scenes that lie there as test sets do."""
+        return [n for n in numbered_folders(self.root, r"scan(\d+)") if self._is_test(n)]
+
+    def _is_test(self, scene: int) -> bool:
+        return (self.root / f"scan{scene}" / "cams").is_dir()
+
+    def _is_cropped(self, scene: int) -> bool:
+        folder = self.root / "Rectified"
+        return (
+            not self._is_test(scene)
+            and not (folder / f"scan{scene}").is_dir()
+            and (folder / f"scan{scene}_train").is_dir()
+        )
+
+
+def crop(view: View) -> View:
+    """The camera of an image of `FULL_SIZE` after it is halved and cropped for training."""
+    K = Camera(view.K, FULL_SIZE).resized(HALF_SIZE).K.copy()
+    K[:2, 2] -= CROP_CORNER
+    return replace(view, K=K)
+
+
+def find(root: Path, light: str) -> MvsnetReader | None:
+    """A reader, or None where `root` is of another layout."""
+    reader = MvsnetReader(root, light)
+    return reader if (root / "Cameras").is_dir() or reader.test_scenes() else None

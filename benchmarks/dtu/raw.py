@@ -1,0 +1,58 @@
+"""DTU as DTU ships it: `Calibration/cal18/pos_NNN.txt`, and `Rectified` or `Cleaned/scanN`.
+
+The sample set has all of it in a folder `MVS Data`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dgc_pose.benchmarks.dtu.calibration import View, read_projection
+from dgc_pose.benchmarks.dtu.scene import light_suffix, numbered_folders
+
+EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
+_KINDS = {"Rectified": "rect", "Cleaned": "clean"}  # folder: how its images' names begin
+
+
+@dataclass(frozen=True)
+class RawReader:
+    """See SceneReader."""
+
+    root: Path
+    light: str  # one of LIGHTS
+    _views: dict[int, View] = field(default_factory=dict)  # shared by all scenes
+
+    def numbers(self) -> list[int]:
+        found = [numbered_folders(self.root / kind, r"scan(\d+)") for kind in _KINDS]
+        return sorted({number for folders in found for number in folders})
+
+    def image_stem(self, scene: int, position: int) -> Path:
+        kind = "Rectified"
+        if not (self.root / kind / f"scan{scene}").is_dir():
+            kind = "Cleaned" if (self.root / "Cleaned" / f"scan{scene}").is_dir() else kind
+        name = f"{_KINDS[kind]}_{position:03d}_{light_suffix(self.light)}"
+        return self.root / kind / f"scan{scene}" / name
+
+    def image_size(self, scene: int) -> None:
+        return None
+
+    def view(self, scene: int, position: int) -> View | None:
+        path = self._path(position)
+        if position not in self._views and path.is_file():
+            self._views[position] = read_projection(path)
+        return self._views.get(position)
+
+    def calibration_name(self, scene: int, position: int) -> str:
+        return str(self._path(position))
+
+    def _path(self, position: int) -> Path:
+        return self.root / "Calibration" / "cal18" / f"pos_{position:03d}.txt"
+
+
+def find(root: Path, light: str) -> RawReader | None:
+    """A reader, or None where `root` is of another layout."""
+    for folder in (root, root / "MVS Data"):
+        if (folder / "Calibration" / "cal18").is_dir():
+            return RawReader(folder, light)
+    return None

@@ -1,0 +1,69 @@
+"""The pairs that a method got worst, as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from dgc_pose.benchmarks.dtu.protocols import ShownPair
+from dgc_pose.benchmarks.dtu.records import DtuResult
+from dgc_pose.benchmarks.dtu.samples import MatchSample
+from dgc_pose.viz.figure import new_figure
+from dgc_pose.viz.panels import show_matches
+
+COUNT = 10
+_COLUMNS = 2
+_WIDTH = 14.0  # inches
+
+
+def pair_error(row: DtuResult) -> float:
+    """The larger of rotation and folded translation error, degrees; infinite without a pose."""
+    return max(row.rotation_error_deg, row.translation_folded_deg)
+
+
+def worst_pairs(rows: Sequence[DtuResult], count: int = COUNT) -> list[DtuResult]:
+    """The rows of one method with the largest `pair_error`, the worst first; equal ones in the
+    order of their keys."""
+    return sorted(rows, key=lambda row: (-pair_error(row), row.key))[:count]
+
+
+def plot_worst(
+    rows: Sequence[DtuResult], shown: Sequence[ShownPair], samples: Sequence[MatchSample]
+) -> Figure:
+    """Pairs of one method side by side with what it matched: yellow where the estimated pose
+    agrees, dark where it does not. rows, shown and samples: one each a pair, at least one."""
+    lines = -(-len(rows) // _COLUMNS)
+    height = max(_WIDTH / _COLUMNS / _aspect(pair) for pair in shown)
+    # A very tall picture would make a figure that no screen shows.
+    figure = new_figure(_WIDTH, lines * (min(height, 6.0) + 0.45) + 0.5)
+    figure.suptitle(f"{rows[0].method}: the {len(rows)} worst pairs, {rows[0].protocol} protocol")
+    panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+    for axes in panels[len(rows) :]:
+        axes.set_axis_off()
+    for axes, row, pair, sample in zip(panels, rows, shown, samples, strict=False):
+        show_matches(
+            axes,
+            pair.image1.pixels,
+            pair.image2.pixels,
+            sample.points1,
+            sample.points2,
+            sample.inliers.astype(np.float64),
+            _title(row),
+        )
+    return figure
+
+
+def _title(row: DtuResult) -> str:
+    motion = f"{row.true_rotation_deg:.0f}°, {row.true_baseline_mm:.0f} mm"
+    error = f"R off {row.rotation_error_deg:.1f}°, t off {row.translation_error_deg:.1f}°"
+    if not row.success:
+        error = f"no pose ({row.status})"
+    counts = f"{row.num_inliers} of {row.num_matches} matches are inliers"
+    return f"scan{row.scene}, views {row.view1} and {row.view2} ({motion}): {error}\n{counts}"
+
+
+def _aspect(pair: ShownPair) -> float:
+    """Width over height of both images side by side at one height."""
+    return sum(image.size[0] / image.size[1] for image in (pair.image1, pair.image2))

@@ -1,0 +1,359 @@
+from __future__ import annotations
+
+from itertools import combinations
+
+import cv2
+import numpy as np
+import pytest
+from dtu_layout import (
+    SIZE,
+    WRITERS,
+    Scan,
+    grey_scan,
+    rendered_scan,
+    write_image,
+    write_mvsnet_training,
+    write_neus,
+    write_raw,
+)
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
+from dgc_pose.benchmarks.dtu.dataset import open_dataset
+from dgc_pose.benchmarks.dtu.mvsnet import crop
+from dgc_pose.errors import ImageError, InputError
+
+LAYOUTS = list(WRITERS)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("extension", ["png", "jpg"])
+def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
+    scan = grey_scan([0, 10, 20])
+    for number in (118, 4):
+        WRITERS[layout](tmp_path, scan, number=number, extension=extension)
+    dataset = open_dataset(tmp_path)
+    assert (dataset.layout, dataset.root, dataset.left_out) == (layout, tmp_path, ())
+    assert [(scene.name, scene.number) for scene in dataset.scenes] == [
+        ("scan4", 4),
+        ("scan118", 118),
+    ]
+    for scene, views in zip(dataset.scenes, (49, 64), strict=True):
+        assert sorted(scene.views) == sorted(scene.images) == [1, 2, 3]
+        assert all(path.is_file() for path in scene.images.values())
+        assert {path.suffix for path in scene.images.values()} == {f".{extension}"}
+        assert len(set(scene.images.values())) == 3
+        assert scene.size == SIZE
+        assert scene.absent == views - 3
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_views_are_those_of_their_images(tmp_path, layout):
+    """A surface point has one colour, whichever image it is looked up in."""
+    scan = rendered_scan()
+    WRITERS[layout](tmp_path, scan, extension="png")
+    (scene,) = open_dataset(tmp_path).scenes
+    images = {n: cv2.imread(str(path)).astype(float) for n, path in scene.images.items()}
+    for one, two in combinations(scene.views, 2):
+        R, t = relative_pose(scene.views[one], scene.views[two])
+        y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(scene.views[one].K).T
+        points = rays * scan.depths[one][..., None] @ R.T + t
+        projected = points @ scene.views[two].K.T
+        place = (projected[..., :2] / projected[..., 2:]).astype(np.float32)
+        seen = (place > 0).all(-1) & (place < np.array(SIZE) - 1).all(-1)
+        there = cv2.remap(images[two], place[..., 0], place[..., 1], cv2.INTER_LINEAR)
+        difference = np.abs(there - images[one]).mean(-1)[seen]
+        moved = np.abs(images[two] - images[one]).mean(-1)[seen]
+        assert np.median(difference) < 0.4 * np.median(moved)
+
+
+def test_the_same_matrices_are_the_same_views_in_every_layout(tmp_path):
+    scan = random_scan()
+    read = []
+    for layout, write in WRITERS.items():
+        write(tmp_path / layout, scan, extension="png")
+        read.append(open_dataset(tmp_path / layout).scenes[0].views)
+    for views in read:
+        for number, written in scan.views.items():
+            for name in ("K", "R", "t"):
+                value = getattr(views[number], name)
+                assert np.array_equal(value, getattr(read[0][number], name))
+                assert np.allclose(value, getattr(written, name), rtol=1e-9, atol=1e-9)
+
+
+def random_scan() -> Scan:
+    """Cameras with nothing simple about their numbers."""
+    rng = np.random.default_rng(3)
+    grey = grey_scan([0] * 6)
+    views = {}
+    for number, view in grey.views.items():
+        K = view.K + np.triu(rng.normal(size=(3, 3))) * [[3, 1e-3, 3], [0, 3, 3], [0, 0, 0]]
+        R = Rotation.random(random_state=number).as_matrix()
+        views[number] = View(K, R, rng.normal(size=3) * 600)
+    return Scan(views, grey.images, {})
+
+
+def full_size_scan(degrees) -> Scan:
+    """Cameras for images of 1600x1200, each image with one soft spot at its middle's point."""
+    K = np.array([[2892.33, 0, 823.205], [0, 2883.18, 619.071], [0, 0, 1]])
+    views = {n: View(K, v.R, v.t + [n, 2.0, 0]) for n, v in grey_scan(degrees).views.items()}
+    y, x = np.mgrid[:1200, :1600].astype(float)
+    images = {}
+    for number, view in views.items():
+        u, v, w = view.K @ view.t  # the world's origin
+        spot = 255 * np.exp(-((x - u / w) ** 2 + (y - v / w) ** 2) / (2 * 12**2))
+        images[number] = np.repeat(spot.round().astype(np.uint8)[..., None], 3, axis=2)
+    return Scan(views, images, {})
+
+
+def centroid(image: np.ndarray) -> np.ndarray:
+    weights = image[..., 0].astype(float)
+    y, x = np.mgrid[: weights.shape[0], : weights.shape[1]]
+    return np.array([(weights * x).sum(), (weights * y).sum()]) / weights.sum()
+
+
+def test_half_size_crops_come_with_their_own_camera(tmp_path):
+    scan = full_size_scan([-9, 5])
+    crops = {}
+    for number, image in scan.images.items():
+        half = cv2.resize(image, (800, 600), interpolation=cv2.INTER_AREA)
+        crops[number] = half[44 : 44 + 512, 80 : 80 + 640]
+    write_mvsnet_training(tmp_path, Scan(scan.views, crops, {}), suffix="_train")
+    (scene,) = open_dataset(tmp_path).scenes
+    assert scene.size == (640, 512)
+    for number, view in scene.views.items():
+        assert scene.images[number].parent.name == "scan65_train"
+        u, v, w = view.K @ view.t
+        assert np.allclose((u / w, v / w), centroid(crops[number]), atol=0.02)
+        assert np.allclose(view.R, scan.views[number].R, atol=1e-12)
+        # What MVSNet's own Cameras/train say at a quarter of this size, but for half a pixel.
+        assert np.allclose(view.K[:2, 2] / 4, [82.900625, 66.383875], atol=0.07)
+        assert np.allclose(view.K[[0, 1], [0, 1]] / 4, [361.54125, 360.3975], atol=1e-9)
+
+
+def test_full_size_images_are_taken_where_both_are_there(tmp_path):
+    write_mvsnet_training(tmp_path, grey_scan([0, 10]), suffix="_train")
+    write_mvsnet_training(tmp_path, grey_scan([0, 10]))
+    (scene,) = open_dataset(tmp_path).scenes
+    assert scene.images[1].parent.name == "scan65"
+    assert scene.size == SIZE
+
+
+def test_a_crop_of_another_size_is_refused(tmp_path):
+    write_mvsnet_training(tmp_path, grey_scan([0, 10]), suffix="_train")
+    with pytest.raises(InputError, match=r"rect_001_3_r5000\.png: expected 640 x 512 .* 160 x 120"):
+        open_dataset(tmp_path)
+
+
+def test_cropping_keeps_what_it_was_given():
+    view = grey_scan([0]).views[1]
+    before = view.K.copy()
+    crop(view)
+    assert np.array_equal(view.K, before)
+
+
+def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
+    write_raw(tmp_path / "MVS Data", grey_scan([0, 10]))
+    dataset = open_dataset(tmp_path)
+    assert dataset.root == tmp_path / "MVS Data"
+    assert len(dataset.scenes[0].views) == 2
+
+
+@pytest.mark.parametrize("light", ["5", "max"])
+def test_another_light_is_another_image(tmp_path, light):
+    write_raw(tmp_path, grey_scan([0, 10]), light=light)
+    assert len(open_dataset(tmp_path, light=light).scenes) == 1
+    with pytest.raises(InputError, match=r"no views of scan65 .* expected .*rect_001_3_r5000"):
+        open_dataset(tmp_path)
+
+
+def test_cleaned_images_serve_where_there_are_no_rectified_ones(tmp_path):
+    write_raw(tmp_path, grey_scan([0, 10]), number=1, kind="Cleaned", light="max")
+    write_raw(tmp_path, grey_scan([0, 10]), number=2, kind="Cleaned", light="max")
+    write_raw(tmp_path, grey_scan([0, 10]), number=2, light="max")
+    names = [scene.images[2] for scene in open_dataset(tmp_path, light="max").scenes]
+    assert names == [
+        tmp_path / "Cleaned/scan1/clean_002_max.png",
+        tmp_path / "Rectified/scan2/rect_002_max.png",
+    ]
+
+
+def test_of_two_files_of_a_view_the_png_is_taken(tmp_path):
+    write_raw(tmp_path, grey_scan([0, 10]))
+    (tmp_path / "Rectified/scan65/rect_001_3_r5000.jpg").write_bytes(b"")
+    assert open_dataset(tmp_path).scenes[0].images[1].suffix == ".png"
+
+
+def test_neus_names_of_folder_and_cameras(tmp_path):
+    write_neus(tmp_path, grey_scan([0, 10]))
+    folder = (tmp_path / "scan65").rename(tmp_path / "dtu_scan65")
+    (folder / "cameras.npz").rename(folder / "cameras_sphere.npz")
+    assert sorted(open_dataset(tmp_path).scenes[0].views) == [1, 2]
+
+
+IMAGE_2 = {
+    "raw": "Rectified/scan65/rect_002_3_r5000.png",
+    "mvsnet": "scan65/images/00000001.png",
+    "neus": "scan65/image/000001.png",
+}
+CALIBRATION_4 = {
+    "raw": "Calibration/cal18/pos_004.txt",
+    "mvsnet": "scan65/cams/00000003_cam.txt",
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_views_that_are_not_there_are_left_out_and_named(tmp_path, layout):
+    scan = grey_scan([0, 10, 20, 30, 40])
+    WRITERS[layout](tmp_path, scan, extension="png")
+    (tmp_path / IMAGE_2[layout]).unlink()
+    if layout == "neus":
+        path = tmp_path / "scan65/cameras.npz"
+        with np.load(path) as file:
+            kept = {name: file[name] for name in file.files if name != "world_mat_3"}
+        np.savez(path, **kept)
+        calibration = f"{path}: world_mat_3"
+    else:
+        calibration = str(tmp_path / CALIBRATION_4[layout])
+        (tmp_path / calibration).unlink()
+    (scene,) = open_dataset(tmp_path).scenes
+    assert sorted(scene.views) == sorted(scene.images) == [1, 3, 5]
+    assert scene.absent == 46
+    stem = str(tmp_path / IMAGE_2[layout]).removesuffix(".png")
+    assert scene.missing[2] == f"{stem}.png or .jpg"
+    assert scene.missing[4] == calibration
+    scene.require(3)
+    with pytest.raises(InputError, match="view 4 of scan65 is not there: expected ") as caught:
+        scene.require(4)
+    assert calibration in str(caught.value)
+    with pytest.raises(InputError, match="scan65 has views 1 to 49, not 50"):
+        scene.require(50)
+
+
+def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_path):
+    write_raw(tmp_path, grey_scan([0, 10]), number=7)
+    write_raw(tmp_path, grey_scan([0]), number=8)
+    dataset = open_dataset(tmp_path)
+    assert [scene.number for scene in dataset.scenes] == [7]
+    assert dataset.left_out == (8,)
+    with pytest.raises(InputError, match="scan8 is not there: found scan7"):
+        dataset.scene(8)
+    with pytest.raises(InputError, match="1 view of scan8 .* expected .*rect_002_3_r5000"):
+        open_dataset(tmp_path, scenes=[7, 8])
+    with pytest.raises(InputError, match="no views of scan9 .* expected .*scan9/rect_001_3_r5000"):
+        open_dataset(tmp_path, scenes=[9])
+    assert len(open_dataset(tmp_path, scenes=[7, 7]).scenes) == 1
+
+
+def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
+    with pytest.raises(InputError, match="no known layout, .*cal18.*_cam.txt.*cameras.npz"):
+        open_dataset(tmp_path)
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        open_dataset(tmp_path / "nowhere")
+    write_raw(tmp_path, grey_scan([0, 10]))
+    with pytest.raises(InputError, match="not in the neus layout, expected .*cameras.npz"):
+        open_dataset(tmp_path, layout="neus")
+    with pytest.raises(InputError, match="light must be one of 0, 1"):
+        open_dataset(tmp_path, light=7)
+
+
+def test_a_folder_with_calibration_alone_says_which_images_it_wants(tmp_path):
+    (tmp_path / "Calibration/cal18").mkdir(parents=True)
+    with pytest.raises(InputError, match="no scene, expected .*Rectified/scan1"):
+        open_dataset(tmp_path)
+
+
+def test_of_several_layouts_one_must_be_named(tmp_path):
+    write_raw(tmp_path, grey_scan([0, 10]))
+    write_neus(tmp_path, grey_scan([0, 10, 20]))
+    with pytest.raises(InputError, match="layouts raw and neus: say which by --layout"):
+        open_dataset(tmp_path)
+    assert len(open_dataset(tmp_path, layout="raw").scenes[0].views) == 2
+    assert len(open_dataset(tmp_path, layout="neus").scenes[0].views) == 3
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_calibration_of_another_image_size_is_refused(tmp_path, layout):
+    scan = grey_scan([0, 10])
+    small = dict.fromkeys(scan.views, np.zeros((60, 80, 3), np.uint8))
+    WRITERS[layout](tmp_path, Scan(scan.views, small, {}), extension="png")
+    with pytest.raises(InputError, match=r"\.png has its principal point .* outside the image"):
+        open_dataset(tmp_path)
+
+
+def test_images_of_several_sizes_are_refused(tmp_path):
+    write_raw(tmp_path, grey_scan([0, 10]))
+    path = tmp_path / "Rectified/scan65/rect_002_3_r5000.png"
+    write_image(path, np.zeros((130, 160, 3), np.uint8))
+    with pytest.raises(InputError, match=f"{path}: expected 160 x 120 pixels, found 160 x 130"):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"", b"no image"])
+def test_a_file_that_is_no_image_is_an_error_with_its_path(tmp_path, content):
+    write_raw(tmp_path, grey_scan([0, 10]))
+    path = tmp_path / "Rectified/scan65/rect_002_3_r5000.png"
+    path.write_bytes(content)
+    with pytest.raises(ImageError, match=str(path)):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "layout, file",
+    [("raw", "Calibration/cal18/pos_002.txt"), ("mvsnet", "scan65/cams/00000001_cam.txt")],
+)
+def test_a_short_calibration_is_an_error_with_its_path(tmp_path, layout, file):
+    WRITERS[layout](tmp_path, grey_scan([0, 10]))
+    (tmp_path / file).write_text("1 2 3 4\n")
+    with pytest.raises(InputError, match=f"{file}: expected .* rows of 4 numbers"):
+        open_dataset(tmp_path)
+
+
+def _npz(**matrices):
+    return lambda path: np.savez(path, **matrices)
+
+
+def _cut(path):
+    path.write_bytes(path.read_bytes()[:300])
+
+
+def _flipped(path):
+    np.savez_compressed(path, world_mat_0=np.random.default_rng(0).normal(size=(4, 4)))
+    data = bytearray(path.read_bytes())
+    data[60:90] = bytes(30)
+    path.write_bytes(data)
+
+
+P = np.diag([100.0, 100, 1, 1])
+BAD_NPZ = {
+    "text": (lambda path: path.write_text("P"), "expected an .npz"),
+    "empty": (lambda path: path.write_bytes(b""), "expected an .npz"),
+    "cut": (_cut, "expected an .npz"),
+    "damaged": (_flipped, "expected an .npz"),
+    "objects": (_npz(world_mat_0=np.array([{}, None])), "expected an .npz"),
+    "3x4": (_npz(world_mat_0=P[:3]), "world_mat_0: expected 4x4 numbers"),
+    "words": (_npz(world_mat_0=np.full((4, 4), "1")), "world_mat_0: expected 4x4 numbers"),
+    "singular": (_npz(world_mat_0=np.zeros((4, 4))), "world_mat_0: the matrix is no camera"),
+    "infinite": (_npz(world_mat_0=np.full((4, 4), np.inf)), "the numbers must be finite"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_NPZ)
+def test_a_bad_npz_is_an_error_with_its_path(tmp_path, case):
+    spoil, message = BAD_NPZ[case]
+    write_neus(tmp_path, grey_scan([0, 10]))
+    path = tmp_path / "scan65/cameras.npz"
+    spoil(path)
+    with pytest.raises(InputError, match=message) as caught:
+        open_dataset(tmp_path)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_an_array_file_by_the_name_of_an_npz_is_refused(tmp_path):
+    write_neus(tmp_path, grey_scan([0, 10]))
+    path = tmp_path / "scan65/cameras.npz"
+    with path.open("wb") as stream:
+        np.save(stream, P)
+    with pytest.raises(InputError, match="expected an .npz"):
+        open_dataset(tmp_path)

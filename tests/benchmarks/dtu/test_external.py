@@ -1,0 +1,169 @@
+"""Files of other programs: every format says the same as the map it was written from."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks.dtu.external import ExternalMatches
+from dgc_pose.benchmarks.dtu.flow import pixel_grid
+from dgc_pose.benchmarks.dtu.protocols import ShownPair
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import CorrespondenceMap
+
+STORED = (80, 60)  # width, height of both views as stored
+SHOWN = (40, 20)  # and as shown to the methods
+STEM = "scan65_3_7"
+
+
+def _shown(size: tuple[int, int] = SHOWN) -> ShownPair:
+    image = Image(np.zeros((size[1], size[0], 3), np.uint8))
+    camera = Camera(np.diag([50.0, 50.0, 1.0]))
+    pair = Pair("1.png", "2.png", Path(), camera, camera, np.eye(3), np.array([1.0, 0, 0]))
+    return ShownPair(65, 3, 7, image, image, STORED, STORED, pair)
+
+
+def _flow(size: tuple[int, int] = STORED) -> np.ndarray:
+    """Smooth, and a multiple of 1/64, so that KITTI's format holds it exactly."""
+    x, y = np.moveaxis(pixel_grid(size), -1, 0)
+    return np.round(np.stack([3 + 0.05 * x - 0.02 * y, -2 + 0.04 * y], -1) * 64) / 64
+
+
+def _write_flo(path: Path, flow: np.ndarray) -> None:
+    """As Middlebury's page describes the format."""
+    height, width = flow.shape[:2]
+    with path.open("wb") as stream:
+        stream.write(struct.pack("<fii", 202021.25, width, height))
+        for row in flow:
+            for u, v in row:
+                stream.write(struct.pack("<ff", u, v))
+
+
+def _write_kitti(path: Path, flow: np.ndarray) -> None:
+    """As KITTI's development kit: u and v times 64 plus 2^15, and whether they are valid."""
+    known = np.isfinite(flow).all(-1)
+    stored = np.nan_to_num(flow) * 64 + 2**15
+    rgb = np.dstack([stored, known]).astype(np.uint16)
+    cv2.imwrite(str(path), rgb[..., ::-1])
+
+
+WRITERS = {
+    "flow.flo": lambda path, flow: _write_flo(path, np.nan_to_num(flow, nan=1e10)),
+    "flow.png": _write_kitti,
+    "flow.npy": np.save,
+    "planes.npy": lambda path, flow: np.save(path, np.moveaxis(flow, -1, 0)[None]),
+    "flow.npz": lambda path, flow: np.savez(path, flow=flow),
+    "map.npz": lambda path, flow: np.savez(path, map=pixel_grid(STORED) + flow),
+    "grid.npz": lambda path, flow: np.savez(
+        path, map=pixel_grid(STORED) + flow, grid=pixel_grid(STORED)
+    ),
+}
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_a_format_gives_the_places_of_its_flow(tmp_path, writer) -> None:
+    """Each cell's map is its grid place moved by the flow there, in pixels of the shown images."""
+    flow = _flow()
+    flow[10:14, 20:25] = np.nan
+    WRITERS[writer](tmp_path / f"{STEM}{Path(writer).suffix}", flow)
+    found = ExternalMatches(tmp_path).find(_shown())
+    assert isinstance(found, CorrespondenceMap)
+    assert (found.size1, found.size2) == (SHOWN, SHOWN)
+    assert found.matchability.shape == (20, 27)  # every third cell, the images shown being 40 x 20
+    scale = np.divide(SHOWN, STORED)
+    unknown = 0
+    for place, cell, trust in zip(
+        found.map.reshape(-1, 2), found.grid.reshape(-1, 2), found.matchability.ravel(), strict=True
+    ):
+        x, y = np.rint((cell + 0.5) / scale - 0.5).astype(int)
+        if np.isnan(flow[y, x]).any():
+            unknown += 1
+            assert trust == 0 and np.isneginf(place).all()
+        else:
+            expected = (np.array([x, y]) + flow[y, x] + 0.5) * scale - 0.5
+            assert trust == 1 and np.allclose(place, expected, atol=1e-4)
+    assert unknown > 0
+
+
+def test_a_flow_of_any_size_is_that_of_the_resized_views(tmp_path) -> None:
+    flow = np.zeros((60, 40, 2))
+    flow[..., 0] = 4.0
+    np.save(tmp_path / f"{STEM}.npy", flow)
+    found = ExternalMatches(tmp_path).find(_shown(STORED))
+    assert isinstance(found, CorrespondenceMap) and found.map.shape == (60, 40, 2)
+    assert np.allclose(found.map - found.grid, (8.0, 0.0), atol=1e-4)  # 4 of 40 is 8 of 80
+    assert np.allclose(found.grid[0, 0], (0.5, 0.0)) and np.allclose(found.grid[-1, -1], (78.5, 59))
+
+
+def test_matchability_and_certainty_are_taken(tmp_path) -> None:
+    trust = np.random.default_rng(0).random((60, 80)).astype(np.float32)
+    for key in ("matchability", "certainty"):
+        np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), **{key: trust})
+        found = ExternalMatches(tmp_path).find(_shown(STORED))
+        assert isinstance(found, CorrespondenceMap)
+        assert np.array_equal(found.matchability, trust)
+
+
+def test_points_go_to_the_pixels_shown(tmp_path) -> None:
+    points1 = np.array([[-0.5, -0.5], [79.5, 59.5], [39.5, 29.5]])
+    np.savez(tmp_path / f"{STEM}.npz", points1=points1, points2=points1[::-1], error_px=3.0)
+    found = ExternalMatches(tmp_path).find(_shown())
+    assert isinstance(found, Matches)
+    assert np.allclose(found.points1, [[-0.5, -0.5], [39.5, 19.5], [19.5, 9.5]])
+    assert np.allclose(found.points2, found.points1[::-1])
+    assert found.error_px == pytest.approx(3.0 * np.sqrt(0.5 / 3))
+    assert np.array_equal(found.confidence, np.ones(3))
+
+
+def _bad_archive(**arrays: np.ndarray):
+    return lambda path: np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "write", "reason"),
+    [
+        (".flo", lambda path: path.write_bytes(b"PIEH" + b"\0" * 4), "202021.25"),
+        (".flo", lambda path: _write_flo(path, _flow()) or _cut(path), "bytes are not those"),
+        (".npy", lambda path: path.write_bytes(b"\x93NUMPY"), "cannot be read"),
+        (".npy", lambda path: np.save(path, np.zeros((4, 5, 3))), r"\(H, W, 2\)"),
+        (".npy", lambda path: np.save(path, np.array([["a", "b"]])), "must be numbers"),
+        (".npz", lambda path: path.write_bytes(b"PK\x03\x04 no archive"), "cannot be read"),
+        (".npz", _bad_archive(other=np.zeros(3)), "found other"),
+        (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), matchability=np.ones((5, 4))), r"\(5, 4\)"),
+        (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), certainty=np.full((4, 5), 2.0)), "0 to 1"),
+        (".npz", _bad_archive(map=np.zeros((4, 5, 2)), grid=np.zeros((4, 4, 2))), "grid"),
+        (".npz", _bad_archive(points1=np.zeros((4, 2)), points2=np.zeros((3, 2))), r"\(N, 2\)"),
+        (".png", lambda path: cv2.imwrite(str(path), np.zeros((4, 5, 3), np.uint8)), "16-bit"),
+    ],
+)
+def test_a_file_that_is_no_map_is_named(tmp_path, suffix, write, reason) -> None:
+    path = tmp_path / f"{STEM}{suffix}"
+    write(path)
+    with pytest.raises(InputError, match=reason) as caught:
+        ExternalMatches(tmp_path).find(_shown())
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-8])
+
+
+def test_each_pair_needs_one_file(tmp_path) -> None:
+    files = ExternalMatches(tmp_path)
+    np.save(tmp_path / "scan65_3_7.npy", _flow())
+    files.require([(65, 3, 7)])
+    with pytest.raises(InputError, match=r"scan65_7_3: no such file .*\.flo"):
+        files.require([(65, 3, 7), (65, 7, 3)])
+    np.savez(tmp_path / "scan65_3_7.npz", flow=_flow())
+    with pytest.raises(InputError, match="2 files"):
+        files.require([(65, 3, 7)])
+    with pytest.raises(InputError, match="no such folder"):
+        ExternalMatches(tmp_path / "nowhere").require([])

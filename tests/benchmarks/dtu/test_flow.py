@@ -1,0 +1,82 @@
+"""Optical flow as a matcher, against images drawn from a formula, whose map is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks.dtu.flow import FLOWS, FlowMatcher, agreement, pixel_grid, scaled_map
+from dgc_pose.errors import InputError
+from dgc_pose.image import Image
+
+
+def _picture(x: np.ndarray, y: np.ndarray) -> Image:
+    """Waves of many directions and lengths, seen at places (H, W) of a plane 200 wide."""
+    rng = np.random.default_rng(0)
+    value = np.zeros_like(x)
+    for _ in range(40):
+        angle, length, phase = rng.uniform(0, 2 * np.pi), rng.uniform(8, 60), rng.uniform(0, 6)
+        value += np.sin(2 * np.pi * (np.cos(angle) * x + np.sin(angle) * y) / length + phase)
+    grey = np.clip(128 + 14 * value, 0, 255).round().astype(np.uint8)
+    return Image(np.ascontiguousarray(np.repeat(grey[..., None], 3, 2)))
+
+
+def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the pixels of an image of that size lie on a plane of width x height."""
+    places = (pixel_grid(size) + 0.5) * np.divide((width, height), size)
+    return places[..., 0], places[..., 1]
+
+
+@pytest.mark.parametrize("name", FLOWS)
+@pytest.mark.parametrize(
+    ("sizes", "plane"),
+    [
+        (((200, 160), (200, 160)), (200, 160)),
+        (((100, 160), (200, 160)), (200, 160)),
+        (((1280, 1024), (960, 768)), (640, 512)),
+    ],
+)
+def test_the_map_leads_from_image_2_into_image_1(name, sizes, plane) -> None:
+    """Image 2 shows the plane shifted and turned a little; large images are shrunk and their maps
+    scaled, each axis of each image by its own factor."""
+    turn, shift = 0.01, (4.0, -2.5)
+    x, y = _plane(sizes[1], *plane)
+    moved = (x - turn * y + shift[0], y + turn * x + shift[1])
+    found = FlowMatcher(name).correspond(_picture(*_plane(sizes[0], *plane)), _picture(*moved))
+    assert (found.size1, found.size2) == sizes
+    # From the grid by the formula above, in plane units and back to pixels of image 1.
+    unit1, unit2 = np.divide(sizes[0], plane), np.divide(sizes[1], plane)
+    u, v = np.moveaxis((found.grid + 0.5) / unit2, -1, 0)
+    expected = np.stack([u - turn * v + shift[0], v + turn * u + shift[1]], -1) * unit1 - 0.5
+    off = np.linalg.norm((found.map - expected) / unit1, axis=-1)[16:-16, 16:-16]
+    assert np.median(off) < 0.3  # without the flow it would be 4
+    trusted = found.matchability[16:-16, 16:-16] == 1
+    assert trusted.mean() > 0.8
+    assert off[trusted].mean() < off.mean() + 1e-6
+
+
+def test_agreement_is_the_formula() -> None:
+    """A constant flow and a constant flow back: |f + b|^2 < 0.01 (|f|^2 + |b|^2) + 0.5."""
+    flow = np.zeros((20, 30, 2), np.float32)
+    flow[..., 0] = 10
+    for back, agrees in ((-10.0, 1), (-8.4, 0), (-8.8, 1), (-11.2, 1), (-11.8, 0)):
+        returned = np.zeros_like(flow)
+        returned[..., 0] = back
+        limit = 0.01 * (100 + back**2) + 0.5
+        assert ((10 + back) ** 2 < limit) == agrees
+        found = agreement(flow, returned)
+        assert (found[:, :20] == agrees).all()
+        assert not found[:, 20:].any()  # the flow leaves the image
+
+
+def test_scaled_map_follows_the_half_pixel_rule() -> None:
+    found = scaled_map(pixel_grid((40, 30)), np.ones((30, 40)), (400, 600), (80, 15))
+    assert np.allclose(found.map[0, 0], (4.5, 9.5))
+    assert np.allclose(found.map[-1, -1], (394.5, 589.5))
+    assert np.allclose(found.grid[0, 0], (0.5, -0.25))
+    assert np.allclose(found.grid[-1, -1], (78.5, 14.25))
+
+
+def test_another_flow_is_refused() -> None:
+    with pytest.raises(InputError, match="dis, farneback"):
+        FlowMatcher("pwc")  # type: ignore[arg-type]

@@ -1,0 +1,165 @@
+"""A page in headless Chromium, clicked and asked as a user would, over the DevTools protocol.
+
+Chromium reads commands from its descriptor 3 and answers on 4 (--remote-debugging-pipe), so that
+no driver and no port are needed.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_SIZE = (1400, 1600)
+
+
+def find_chromium() -> str | None:
+    """The browser's path: $CHROMIUM, or the first of its usual names; None without one."""
+    for name in (os.environ.get("CHROMIUM", ""), *NAMES):
+        if name and (path := shutil.which(name)):
+            return path
+    return None
+
+
+class Page:
+    """One tab. Raises AssertionError where a script of the page fails."""
+
+    def __init__(self, commands: Any, answers: Any) -> None:
+        self._commands, self._answers = commands, answers
+        self._number = 0
+        self._session: str | None = None
+        self.errors: list[str] = []  # of the page, and requests that it made of the network
+        target = self._call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self._call(f"{domain}.enable")
+        size = {"width": _SIZE[0], "height": _SIZE[1]}
+        self._call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=False)
+
+    def open(self, url: str) -> None:
+        """Load a page, and wait until its scripts have run."""
+        self._call("Page.navigate", url=url)
+        self.evaluate(
+            "new Promise((done) => document.readyState === 'complete' ? done()"
+            " : addEventListener('load', done))"
+        )
+
+    def evaluate(self, expression: str) -> Any:
+        """The value of a JavaScript expression, awaited where it is a promise."""
+        answer = self._call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def click(self, selector: str, at: tuple[float, float] | None = None) -> None:
+        """Press the mouse on an element: on its middle, or on shares of its width and height."""
+        x, y = self.middle(selector, at or (0.5, 0.5))
+        self._mouse("mousePressed", x, y, button="left", clickCount=1)
+        self._mouse("mouseReleased", x, y, button="left", clickCount=1)
+
+    def hover(self, selector: str) -> None:
+        self._mouse("mouseMoved", *self.middle(selector, (0.5, 0.5)))
+
+    def press(self, key: str) -> None:
+        """A key of those that are named, such as ArrowDown or Enter."""
+        for kind in ("keyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, key=key)
+
+    def middle(self, selector: str, at: tuple[float, float]) -> tuple[float, float]:
+        """A place of an element in the window, scrolled to where it is seen."""
+        left, top, width, height = self.evaluate(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            "e.scrollIntoView({block: 'center', behavior: 'instant'});"
+            "const r = e.getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()"
+        )
+        return left + at[0] * width, top + at[1] * height
+
+    def screenshot(self, path: Path) -> None:
+        """The whole page as a PNG."""
+        shot = self._call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(shot["data"]))
+
+    def _mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        self._commands.write(json.dumps(message).encode() + b"\0")
+        self._commands.flush()
+        while True:
+            answer = self._read()
+            if answer.get("id") == self._number:
+                assert "error" not in answer, (method, answer["error"])
+                return answer["result"]
+            self._note(answer)
+
+    def _note(self, event: dict[str, Any]) -> None:
+        method, parameters = event.get("method"), event.get("params", {})
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(parameters["exceptionDetails"]))
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+            self.errors.append(parameters["entry"]["text"])
+        elif method == "Network.requestWillBeSent":
+            url = parameters["request"]["url"]
+            if not url.startswith(("data:", "file:", "about:")):
+                self.errors.append(f"a request for {url}")
+
+    def _read(self) -> dict[str, Any]:
+        received = bytearray()
+        while (byte := self._answers.read(1)) != b"\0":
+            assert byte, "Chromium ended"
+            received += byte
+        return json.loads(received)
+
+
+@contextmanager
+def chromium_page(executable: str) -> Iterator[Page]:
+    """Start the browser with a profile of its own, and end it afterwards."""
+    command_out, command_in = os.pipe()
+    answer_out, answer_in = os.pipe()
+
+    def as_3_and_4() -> None:
+        # Through high numbers first: the pipes may be 3 and 4 themselves.
+        high = os.dup2(command_out, 100), os.dup2(answer_in, 101)
+        os.dup2(high[0], 3)
+        os.dup2(high[1], 4)
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        process = subprocess.Popen(
+            [
+                executable,
+                "--headless=new",
+                "--no-sandbox",  # which a container without user namespaces cannot have
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--no-first-run",
+                f"--user-data-dir={profile}",
+                "--remote-debugging-pipe",
+                "about:blank",
+            ],
+            preexec_fn=as_3_and_4,
+            close_fds=False,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(command_out)
+        os.close(answer_in)
+        try:
+            with os.fdopen(command_in, "wb") as commands, os.fdopen(answer_out, "rb") as answers:
+                yield Page(commands, answers)
+        finally:
+            process.kill()
+            process.wait()

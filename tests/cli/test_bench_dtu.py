@@ -1,0 +1,196 @@
+"""bench-dtu from a scan on the disk to the report, in every layout and both protocols."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+from pathlib import Path
+
+import dtu_layout
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+
+from dgc_pose.cli.main import main
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import save_weights
+
+FAST = ("--runs", "1", "--iterations", "100")
+
+
+@pytest.fixture(scope="module")
+def dtu(tmp_path_factory) -> Path:
+    """A rendered scan in the raw layout."""
+    root = tmp_path_factory.mktemp("dtu")
+    dtu_layout.write_raw(root, dtu_layout.rendered_scan())
+    return root
+
+
+@pytest.fixture(scope="module")
+def flows(tmp_path_factory) -> Path:
+    """The true flows of all pairs of the rendered scan, where the views see the same points."""
+    folder = tmp_path_factory.mktemp("flows")
+    scan = dtu_layout.rendered_scan()
+    for view1 in scan.views:
+        for view2 in scan.views:
+            if view1 < view2:
+                np.save(folder / f"scan65_{view1}_{view2}.npy", _true_flow(scan, view1, view2))
+    return folder
+
+
+def _true_flow(scan: dtu_layout.Scan, number1: int, number2: int) -> np.ndarray:
+    """Each pixel of view 2 into space by its depth, and into view 1; NaN where that is hidden."""
+    one, two = scan.views[number1], scan.views[number2]
+    height, width = scan.depths[number2].shape
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(two.K).T
+    world = (rays * scan.depths[number2][..., None] - two.t) @ two.R
+    seen = (world @ one.R.T + one.t) @ one.K.T
+    place = seen[..., :2] / seen[..., 2:]
+    u, v = np.clip(np.rint(place), 0, (width - 1, height - 1)).astype(int).transpose(2, 0, 1)
+    hidden = np.abs(scan.depths[number1][v, u] / seen[..., 2] - 1) > 0.02
+    flow = place - np.stack([x, y], -1)
+    flow[hidden] = np.nan
+    return flow
+
+
+def bench(*arguments: object, code: int = 0) -> str:
+    result = CliRunner().invoke(main, ["bench-dtu", *map(str, arguments), *FAST])
+    assert result.exit_code == code, result.output
+    return result.stdout if code == 0 else result.stderr
+
+
+def table(folder: Path, *, but: tuple[str, ...] = ()) -> list[dict[str, str]]:
+    with (folder / "results.csv").open(newline="") as stream:
+        return [{k: v for k, v in row.items() if k not in but} for row in csv.DictReader(stream)]
+
+
+def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
+    torch.manual_seed(0)
+    weights = tmp_path / "net.safetensors"
+    save_weights(DGCNet(preset("dgcm-lite")), weights)
+    out = tmp_path / "runs/one"
+    methods = f"{weights},{weights}/all,sift,dis"
+    text = bench(
+        "--root", dtu, "--out", out, "--pairs", 3, "--methods", methods, "--protocol", "native"
+    )
+    names = methods.split(",")
+    rows = table(out)
+    assert [row["method"] for row in rows] == names * 3
+    assert {row["protocol"] for row in rows} == {"native"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["protocol"] == "native" and summary["run"]["pairs"] == "3"
+    assert [method["method"] for method in summary["methods"]] == names
+    for method in summary["methods"]:
+        assert method["pairs"] == 3 and method["pose_seconds_per_pair"] > 0
+        assert (method["median_epipolar_px"] is None) == (method["method"] == "sift")
+    pairs = (out / "pairs.csv").read_text().splitlines()
+    assert pairs[0].startswith("scene,view1,view2") and len(pairs) == 4
+    for name in ("rotation", "translation", "epipolar"):
+        assert {f"{name}.png", f"{name}.svg"} <= set(os.listdir(out))
+    page = (out / "report.html").read_text()
+    assert "native" in page and str(weights) in page
+    assert "native protocol: images as stored" in text and "raw layout: 1 scenes, 5 views" in text
+    assert text.splitlines()[-2].startswith("dis ")
+    views = {row[view] for row in rows for view in ("image1", "image2")}
+    # Untrained, it matches nothing; then image 2 is tried in all four orientations.
+    found = re.search(r"(\d+) encoder passes instead of (\d+), (\d+) % saved", text)
+    assert found is not None
+    made, asked, saved = (int(number) for number in found.groups())
+    assert len(views) <= made <= 4 * len(views) and made < asked and 6 <= asked <= 3 * 5
+    assert saved == round(100 * (1 - made / asked))
+
+
+@pytest.mark.parametrize("protocol", ["paper", "native"])
+def test_true_flows_give_the_true_poses(dtu, flows, tmp_path, protocol) -> None:
+    """All the way from files to errors: cameras, scales and the direction of the map are right."""
+    bench(
+        *("--root", dtu, "--out", tmp_path / "run", "--pairs", 4, "--protocol", protocol),
+        *("--methods", "true/all,true", "--matches", f"true={flows}"),
+    )
+    for row in table(tmp_path / "run"):
+        assert row["success"] == "True" and row["protocol"] == protocol
+        assert float(row["rotation_error_deg"]) < 0.5
+        assert float(row["translation_error_deg"]) < 1.5
+        assert float(row["epipolar_confident_px"]) < 0.02
+        assert int(row["num_matches"]) > 1500
+
+
+def test_every_layout_gives_the_same_table(dtu, tmp_path) -> None:
+    scan = dtu_layout.rendered_scan()
+    tables = []
+    for layout, write in dtu_layout.WRITERS.items():
+        write(tmp_path / layout, scan, extension="png")
+        out = tmp_path / f"{layout}-run"
+        where = ("--root", tmp_path / layout, "--out", out)
+        text = bench(*where, "--pairs", 3, "--methods", "dis,sift")
+        assert text.startswith(f"{layout} layout")
+        tables.append(table(out, but=("image1", "image2")))
+    assert len(tables) == 3 and tables[0] == tables[1] == tables[2]
+    assert len(tables[0]) == 6
+
+
+def test_the_list_of_a_run_gives_that_run_again(dtu, tmp_path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    common = ("--root", dtu, "--methods", "dis", "--protocol", "native")
+    bench(*common, "--out", one, "--pairs", 3)
+    bench(*common, "--out", two, "--pairs", one / "pairs.csv")
+    assert (one / "results.csv").read_bytes() == (two / "results.csv").read_bytes()
+    assert (one / "pairs.csv").read_bytes() == (two / "pairs.csv").read_bytes()
+
+
+def test_a_finished_run_is_only_shown_again(dtu, tmp_path) -> None:
+    out = tmp_path / "run"
+    common = ("--root", dtu, "--out", out, "--pairs", 2, "--methods", "sift")
+    bench(*common)
+    rows, times = (out / "results.csv").read_bytes(), (out / "timings.csv").read_bytes()
+    (out / "report.html").unlink()
+    assert "2 of 2 pairs are done already" in bench(*common, "--resume")
+    assert (out / "results.csv").read_bytes() == rows
+    assert (out / "timings.csv").read_bytes() == times
+    assert (out / "report.html").is_file()
+    assert "--resume goes on" in bench(*common, code=2)
+    assert "protocol" in bench(*common, "--resume", "--protocol", "native", code=2)
+    assert "seed" in bench(*common, "--resume", "--seed", "1", "--pairs", out / "pairs.csv", code=2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("--scenes", "six"), "--scenes takes numbers"),
+        (("--scenes", "66"), "66"),
+        (("--pairs", "0"), "at least 1"),
+        (("--pairs", "nowhere.csv"), "nowhere.csv"),
+        (("--methods", "dis,dis"), "'dis' is named twice"),
+        (("--methods", "sift/all"), "key points alone"),
+        (("--methods", ""), "no methods"),
+        (("--methods", "nowhere.pth"), "nowhere.pth: no such weights"),
+        (("--matches", "raft"), "NAME=DIR"),
+        (("--matches", "raft=nowhere"), "nowhere: no such folder"),
+        (("--matches", "dis=."), "already"),
+        (("--matchability", "2"), "matchability"),
+        (("--layout", "neus"), "not in the neus layout"),
+    ],
+)
+def test_what_cannot_be_run_leaves_nothing(dtu, tmp_path, monkeypatch, arguments, reason) -> None:
+    monkeypatch.chdir(tmp_path)
+    methods = () if "--methods" in arguments else ("--methods", "dis")
+    error = bench("--root", dtu, "--out", "run", *methods, *arguments, code=2)
+    assert error.startswith("error: ") and reason in error and error.count("\n") == 1
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_file_for_every_pair_is_asked_for_first(dtu, flows, tmp_path) -> None:
+    (tmp_path / "some").mkdir()
+    np.save(tmp_path / "some/scan65_1_2.npy", np.load(flows / "scan65_1_2.npy"))
+    error = bench(
+        *("--root", dtu, "--out", tmp_path / "run", "--methods", "dis"),
+        *("--matches", f"raft={tmp_path / 'some'}"),
+        code=2,
+    )
+    assert "some/scan65_" in error and "no such file" in error
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,111 @@
+"""A finished DTU run made up for its report: true matches and made-up errors, nothing estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, product
+from pathlib import Path
+
+import cv2
+import dtu_layout
+import numpy as np
+
+from dgc_pose.benchmarks.dtu.calibration import relative_pose
+from dgc_pose.benchmarks.dtu.entries import Entry
+from dgc_pose.benchmarks.dtu.records import DtuResult, DtuTiming
+from dgc_pose.benchmarks.dtu.samples import MatchSample, write_sample
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.camera import Camera
+from dgc_pose.metrics import rotation_error_deg
+
+METHODS = ("net", "net/all", "points")  # the last one without a map
+DEGREES = (-20.0, -12.0, -5.0, 0.0, 8.0, 19.0)
+COUNT = 24  # matches of a sample
+OUTLIERS = 6
+SCENE = 65
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """What `write_report` takes."""
+
+    out: Path
+    entries: list[Entry]
+    rows: list[DtuResult]  # pair after pair, a method each
+    timings: list[DtuTiming]
+    samples: dict[tuple[str, int, int, int], MatchSample]
+
+
+def finished_run(
+    folder: Path, *, methods: tuple[str, ...] = METHODS, pairs: int = 15
+) -> FinishedRun:
+    """All pairs of six views on an arc; every seventh row is a failure."""
+    entries = _entries(folder)[:pairs]
+    out = folder / "run"
+    out.mkdir()
+    rng = np.random.default_rng(5)
+    rows, timings, samples = [], [], {}
+    for number, (entry, method) in enumerate(product(entries, methods)):
+        key = (method, entry.scene, entry.view1, entry.view2)
+        samples[key] = _sample(entry.pair, rng)
+        write_sample(out, key, samples[key])
+        rows.append(_row(entry, method, rng, success=number % 7 != 3))
+        timings.append(DtuTiming(*key, match_seconds=0.2, pose_seconds=round(rng.random(), 4)))
+    return FinishedRun(out, entries, rows, timings, samples)
+
+
+def _entries(folder: Path) -> list[Entry]:
+    views = dtu_layout.arc(DEGREES)
+    camera = Camera(dtu_layout.K, dtu_layout.SIZE)
+    rng = np.random.default_rng(2)
+    for number in views:
+        coarse = rng.integers(0, 256, (12, 16, 3), dtype=np.uint8)
+        pixels = cv2.resize(coarse, dtu_layout.SIZE, interpolation=cv2.INTER_CUBIC)
+        assert cv2.imwrite(str(folder / f"{number}.png"), pixels)
+    entries = []
+    for one, two in combinations(views, 2):
+        R, t = relative_pose(views[one], views[two])
+        pair = Pair(f"{one}.png", f"{two}.png", folder, camera, camera, R, t)
+        entries.append(Entry(SCENE, one, two, overlap=0.9 - 0.1 * (two - one), pair=pair))
+    return entries
+
+
+def _sample(pair: Pair, rng: np.random.Generator) -> MatchSample:
+    """Places of points in both views, to a hundredth of a pixel, but for the outliers."""
+    width, height = dtu_layout.SIZE
+    points1 = (rng.random((COUNT, 2)) * (0.5 * width, 0.5 * height)) + (0.25 * width, 0.25 * height)
+    depths = rng.uniform(600, 700, (COUNT, 1))
+    places = np.column_stack([points1, np.ones(COUNT)]) @ np.linalg.inv(pair.camera1.K).T * depths
+    seen = (places @ pair.R.T + pair.t) @ pair.camera2.K.T
+    points2 = seen[:, :2] / seen[:, 2:]
+    inliers = np.arange(COUNT) >= OUTLIERS
+    points2[~inliers] = rng.random((OUTLIERS, 2)) * (width - 1, height - 1)
+    return MatchSample(points1.round(2), points2.round(2), inliers)
+
+
+def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) -> DtuResult:
+    rotation, translation = (np.round(rng.gamma(1.5, 6, 2), 4) if success else (np.inf, np.inf))
+    return DtuResult(
+        method=method,
+        scene=entry.scene,
+        view1=entry.view1,
+        view2=entry.view2,
+        image1=entry.pair.name1,
+        image2=entry.pair.name2,
+        protocol="native",
+        true_rotation_deg=round(rotation_error_deg(entry.pair.R, np.eye(3)), 4),
+        true_baseline_mm=round(float(np.linalg.norm(entry.pair.t)), 4),
+        overlap=entry.overlap,
+        status="ok" if success else "no_model",
+        success=success,
+        num_matches=int(rng.integers(100, 2000)),
+        num_inliers=int(rng.integers(10, 100)),
+        inlier_ratio=0.3,
+        rotation_error_deg=float(rotation),
+        translation_error_deg=float(translation),
+        translation_folded_deg=float(min(translation, 180 - translation) if success else np.inf),
+        epipolar_all_px=np.nan if method == "points" else round(rng.gamma(2.0, 3.0), 4),
+        epipolar_confident_px=round(rng.gamma(2.0, 1.0), 4),
+        epipolar_all_mean_px=np.nan if method == "points" else 5.0,
+        epipolar_confident_mean_px=2.0,
+    )

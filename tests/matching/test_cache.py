@@ -1,0 +1,80 @@
+"""The cache: what it keeps, what it drops, and that a matcher with one finds the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from dgc_pose.image import Image
+from dgc_pose.matching import DenseMatcher, MatchingOptions
+from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.dense import feature_cache
+from dgc_pose.matching.sift import SiftMatcher, key_point_cache
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+
+
+def _cache(limit: int) -> BoundedCache[str, bytes]:
+    return BoundedCache(lambda key, value: len(value), limit)
+
+
+def test_what_was_not_asked_for_longest_is_dropped() -> None:
+    cache = _cache(limit=30)
+    for key in ("a", "b", "c", "a", "d", "b", "a"):
+        assert cache.get(key, lambda: 10 * b".") == 10 * b"."
+        assert cache.held_bytes <= 30
+    # a, b, c are made; a is there; d is made and drops b; b is made and drops c; a is there.
+    assert (cache.asked, cache.made) == (7, 5)
+
+
+def test_one_value_beyond_the_limit_is_kept_alone() -> None:
+    cache = _cache(limit=30)
+    cache.get("small", lambda: b"..")
+    cache.get("large", lambda: 100 * b".")
+    assert cache.get("large", lambda: b"other") == 100 * b"."
+    assert cache.held_bytes == 100
+    cache.get("small", lambda: b"..")
+    assert cache.held_bytes == 2
+
+
+def _images(count: int) -> list[Image]:
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(0, 256, (count, 90, 120, 3), dtype=np.uint8)
+    return [Image(one) for one in pixels]
+
+
+def test_the_encoder_runs_once_an_image_and_a_turn() -> None:
+    torch.manual_seed(0)
+    net = DGCNet(preset("dgcm-lite"))
+    options = MatchingOptions(matchability=0.0, roll_share=0.0)
+    plain, cached = DenseMatcher(net, options), DenseMatcher(net, options, feature_cache())
+    images = _images(3)
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        expected = plain.correspond(images[first], images[second])
+        found = cached.correspond(images[first], images[second])
+        assert np.array_equal(found.map, expected.map)
+        assert np.array_equal(found.matchability, expected.matchability)
+    assert cached.cache is not None and (cached.cache.asked, cached.cache.made) == (6, 3)
+
+
+def test_turned_images_have_features_of_their_own() -> None:
+    """Where every roll is tried, features are made for image 1 and four turns of image 2."""
+    torch.manual_seed(0)
+    options = MatchingOptions(matchability=0.0, roll_share=1.0)
+    matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), options, feature_cache())
+    plain = DenseMatcher(matcher.net, options)
+    images = _images(2)
+    assert np.array_equal(matcher.correspond(*images).map, plain.correspond(*images).map)
+    assert matcher.cache is not None and matcher.cache.made == 5
+
+
+def test_sift_detects_once_an_image() -> None:
+    cache = key_point_cache()
+    images = _images(3)
+    plain, cached = SiftMatcher(), SiftMatcher(cache=cache)
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        expected, found = (
+            matcher.match(images[first], images[second]) for matcher in (plain, cached)
+        )
+        assert np.array_equal(found.points1, expected.points1)
+    assert (cache.asked, cache.made) == (6, 3)
