@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from dgc_pose.errors import WeightsError
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import PRESETS, preset
 from dgc_pose.network.net import DGCNet
 
@@ -101,8 +101,12 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
     except (SafetensorError, OSError, json.JSONDecodeError) as error:
         raise WeightsError(f"{path}: not a safetensors file ({_line(error)})") from error
     name = metadata.get("preset", "")
-    if name not in PRESETS:
-        raise WeightsError(f"{path}: its header names no preset of ours ({name or 'nothing'})")
+    try:
+        preset(name)
+    except InputError:
+        raise WeightsError(
+            f"{path}: its header names no preset of ours ({name or 'nothing'})"
+        ) from None
     return name, state
 
 

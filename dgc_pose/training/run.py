@@ -2,28 +2,44 @@
 
 from __future__ import annotations
 
-import csv
+import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from contextlib import AbstractContextManager, nullcontext
+from copy import deepcopy
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
+from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_checkpoint, save_weights
-from dgc_pose.training.pairs import PairOptions, TrainingPairs, make_pairs
+from dgc_pose.training.average import MovingAverage
+from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.training.compact import expanded
+from dgc_pose.training.curriculum import Curriculum
+from dgc_pose.training.depth_scenes import DepthScenes
+from dgc_pose.training.draws import Draws, seeded
+from dgc_pose.training.log import Meter, Row, append
+from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos
+from dgc_pose.training.processes import agreed, join_batch_norms, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.start import adopt, take_up
+from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
+_STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
+_LARGEST_GRADIENT = 5.0  # norm over all parameters
 
 
 @dataclass(frozen=True)
@@ -35,18 +51,38 @@ class RunOptions:
     seed: int = 0
     schedule: Schedule = field(default_factory=Schedule)
     pairs: PairOptions = field(default_factory=PairOptions)
+    curriculum: Curriculum | None = None  # None: the full ranges from the start
     validation_count: int = 64  # pairs
     validate_minutes: float = 5.0  # between validations
     save_minutes: float = 1.0  # between checkpoints
-    batch: int | None = None  # pairs; None: the stage's own
+    batch: int | None = None  # pairs of all processes together; None: the stage's own
+    # The batch is made in so many parts, each with random numbers of its own; None: one a process.
+    # One process with two parts trains as two processes do.
+    parts: int | None = None
+    rate: float = 1.0  # times the stages' own learning rates; less for trained weights
+    # Convolutions in bfloat16, all else in single precision.
+    half_precision: bool = False
+    average_decay: float = 0.998  # at most, of the exponential moving average of the weights
+    init: str | None = None  # weights to start from; None: random ones
+    teacher: str | None = None  # weights of a net to learn from, or none
+    teacher_weight: float = 0.5  # of the teacher's map in the loss, beside the truth's 1
 
     def __post_init__(self) -> None:
         preset(self.preset)
-        if not self.minutes > 0:
-            raise InputError(f"minutes must be positive, not {self.minutes}")
+        for name in ("minutes", "rate"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} must be positive, not {getattr(self, name)}")
+        if not 0 <= self.average_decay < 1:
+            raise InputError(f"average_decay must lie in [0, 1), not {self.average_decay}")
+        if self.teacher_weight < 0:
+            raise InputError(f"teacher_weight must not be negative, not {self.teacher_weight}")
+        for name in ("batch", "parts", "validation_count"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(f"{name} must be at least 1, not {value}")
 
 
-Report = Callable[[dict[str, Any]], None]
+Report = Callable[[Row], None]
 
 
 class Trainer:
@@ -55,7 +91,11 @@ class Trainer:
     `out` then holds checkpoint.pt (everything a resumed run needs), for each stage the logs
     `<stage>_steps_log.csv` and `<stage>_validation_log.csv` and, at the end,
     `<preset>.safetensors`. Raises InputError where `out` already holds a run and `resume` is
-    False, WeightsError where a checkpoint belongs to another preset.
+    False, or a batch cannot be shared out evenly; WeightsError where a checkpoint belongs to
+    another preset, or weights to start from or learn from are of no use.
+
+    Where torchrun started several processes, each trains on its part of every batch; the first
+    alone writes and reports.
     """
 
     def __init__(
@@ -64,172 +104,275 @@ class Trainer:
         out: str | Path,
         options: RunOptions,
         *,
+        real: DepthScenes | None = None,
         device: torch.device | str = "cpu",
         resume: bool = False,
     ) -> None:
         self.options = options
         self.out = Path(out)
-        self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
             raise InputError(f"{path} is there already: --resume goes on with it")
         self.device = torch.device(device)
+        self._share_out()
+        torch.manual_seed(options.seed)
+        self.net = DGCNet(preset(options.preset))
+        if options.init is not None:
+            adopt(self.net, options.init)
+        self.net.to(self.device).half_precision = options.half_precision
+        self._teacher = None
+        if options.teacher is not None:
+            self._teacher = Teacher.load(
+                options.teacher, options.teacher_weight, self.device, options.half_precision
+            )
+        self.out.mkdir(parents=True, exist_ok=True)
         self.photos, held_back = (p.to(self.device) for p in photos)
+        self.real = None if real is None else real.to(self.device)
+        self._validation = validation_pairs(
+            held_back,
+            options.validation_count,
+            min(8, options.validation_count),
+            replace(options.pairs, real_share=0.0),
+        )
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0
         self.stage: StageName | None = None
-        self._validation = validation_pairs(
-            held_back, options.validation_count, min(8, options.validation_count), options.pairs
-        )
-        torch.manual_seed(options.seed)
-        self.generator = torch.Generator().manual_seed(options.seed)
-        self.net = DGCNet(preset(options.preset)).to(self.device)
+        self._meter = Meter(self.device)
+        self.parameters: list[nn.Parameter]  # those that the stage trains
+        self._module: EncoderStage | DecoderStage
+        self._average: MovingAverage[EncoderStage | DecoderStage]
         self._enter("encoder" if options.schedule.encoder > 0 else "decoders")
         if path.exists():
             self._load(path)
 
-    def run(self, report: Report = lambda row: None) -> DGCNet:
-        """Train until the minutes are spent. `report` gets a row after each step."""
-        last_saved = last_validated = self.elapsed
-        budget = 60 * self.options.minutes
-        while self.elapsed < budget:
-            started = time.perf_counter()
-            row = self.train_step(self.elapsed / budget)
-            self.elapsed += time.perf_counter() - started
-            row |= {
-                "minutes": self.elapsed / 60,
-                "pairs_per_second": row.pop("pairs") / row["seconds"],
-            }
-            done = self.elapsed >= budget
-            if done or self.elapsed - last_validated > 60 * self.options.validate_minutes:
-                row |= self.validate()
-                last_validated = self.elapsed
-            report(row)
-            self._log(row)
-            if done or self.elapsed - last_saved > 60 * self.options.save_minutes:
-                self.save()
-                last_saved = self.elapsed
-        self.export()
-        return self.net
+    @property
+    def complete(self) -> bool:
+        return self.elapsed >= 60 * self.options.minutes
 
-    def train_step(self, progress: float) -> dict[str, Any]:
-        """One optimiser step at a progress of the whole run (0 to 1): its figures."""
-        started = time.perf_counter()
+    def run(self, report: Report = lambda row: None, minutes: float | None = None) -> DGCNet:
+        """Train until the run's minutes are spent, or so many more `minutes` of them.
+
+        `report` gets a row every few steps. Returns the network by its averaged weights; a complete
+        run's weights are written too. Raises DgcPoseError where training has diverged.
+        """
+        budget = 60 * self.options.minutes
+        end = budget if minutes is None else min(budget, self.elapsed + 60 * minutes)
+        last_saved = last_validated = self.elapsed
+        origin = time.perf_counter() - self.elapsed
+        while self.elapsed < end:
+            self.train_step(self.elapsed / budget)
+            self.elapsed = agreed(time.perf_counter() - origin)
+            done = self.elapsed >= end
+            validates = done or self.elapsed - last_validated > 60 * self.options.validate_minutes
+            if validates or self.step % _STEPS_A_ROW == 0:
+                row = self._row()
+                paused = time.perf_counter()
+                if validates:
+                    row |= self.validate()
+                    last_validated = self.elapsed
+                if rank() == 0:
+                    report(row)
+                    kind = "validation" if validates else "steps"
+                    append(self.out / f"{self.stage}_{kind}_log.csv", row)
+                if done or self.elapsed - last_saved > 60 * self.options.save_minutes:
+                    self.save()
+                    last_saved = self.elapsed
+                origin += time.perf_counter() - paused
+        net = self.averaged()
+        if self.complete and rank() == 0:
+            save_weights(net, self.weights_path)
+        return net
+
+    @property
+    def weights_path(self) -> Path:
+        """Where a complete run's weights lie."""
+        return self.out / f"{self.options.preset}.safetensors"
+
+    def train_step(self, progress: float) -> dict[str, Tensor]:
+        """One optimiser step at a progress of the whole run (0 to 1): its loss and figures.
+
+        They are this process's parts of the joint ones, still on the device.
+        """
         stage, within = self.options.schedule.at(progress)
         if stage != self.stage:
-            self._leave()
+            self.net.load_state_dict(self.averaged().state_dict())
             self._enter(stage)
-        stage_options = STAGES[stage]
-        rate = learning_rate(stage_options, within)
+        self._learning_rate = self.options.rate * learning_rate(STAGES[stage], within)
         for group in self._optimizer.param_groups:
-            group["lr"] = rate
-        batch = self.options.batch or stage_options.batch
-        size = stage_options.size
-        pairs = make_pairs(self.photos, batch, size, self.generator, self.options.pairs)
-        made = time.perf_counter()
-        loss, figures = self._loss(pairs, within)
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._parameters, 5.0)
+            group["lr"] = self._learning_rate
+        began = self._meter.mark()
+        pairs = self._make_pairs(progress)
+        made = self._meter.mark()
+        with _convolving(self.device):
+            loss, figures = self._loss(pairs, within)
+            self._optimizer.zero_grad(set_to_none=True)
+            # Gradients are averaged over the processes, and the loss is the sum of their parts.
+            (loss * process_count()).backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters, _LARGEST_GRADIENT)
         self._optimizer.step()
+        self._average.update(self._module)
         self.step += 1
-        now = time.perf_counter()
-        return {
-            "step": self.step,
-            "stage": stage,
-            "rate": rate,
-            "loss": float(loss.detach()),
-            "pairs": batch,
-            "seconds": now - started,
-            "seconds_making_pairs": made - started,
-            **figures,
-        }
+        figures = {"loss": loss.detach(), "gradient": norm / process_count(), **figures}
+        self._meter.add(self._batch(stage), (began, made, self._meter.mark()), figures)
+        return figures
 
     def validate(self) -> dict[str, float]:
-        """Figures on the held-back photographs, each named `val_...`."""
-        if isinstance(self._module, EncoderStage):
-            generator = torch.Generator().manual_seed(0)
-            self._module.eval()
-            with torch.no_grad():
-                rows = [self._module.loss(pairs, generator)[1] for pairs in self._validation]
-            self._module.train()
-            return {f"val_{k}": sum(r[k] for r in rows) / len(rows) for k in rows[0]}
-        return {f"val_{k}": v for k, v in validate(self.net, self._validation).items()}
+        """Figures of the averaged weights on the held-back photographs, each named `val_...`."""
+        module = self._average.module
+        if isinstance(module, DecoderStage):
+            return {f"val_{k}": v for k, v in validate(module.net, self._validation).items()}
+        draws = Draws(seeded("validation"), self.device)
+        with torch.no_grad():
+            rows = [module(pairs, draws)[1] for pairs in self._validation]
+        # The same pairs in every process, so that none waits in vain for the others' counts.
+        sums = {key: torch.stack([row[key] for row in rows]).mean() for key in rows[0]}
+        return {f"val_{key}": float(joint_sum(value)) for key, value in sums.items()}
 
-    def export(self) -> Path:
-        """Write the network's weights, half precision, beside the checkpoint."""
-        self._leave()
-        path = self.out / f"{self.options.preset}.safetensors"
-        save_weights(self.net, path)
-        return path
+    def averaged(self) -> DGCNet:
+        """A copy of the network by the averaged weights of the stage."""
+        module = self._average.module
+        if isinstance(module, DecoderStage):
+            return deepcopy(module.net)
+        net = deepcopy(self.net)
+        module.write(net)
+        return net
 
     def save(self) -> None:
         """Write the checkpoint: to a temporary file first, so that a kill leaves a whole one."""
-        state = {
+        if rank() > 0:
+            return
+        temporary = self.out / (CHECKPOINT + ".part")
+        torch.save(self.state(), temporary)
+        os.replace(temporary, self.out / CHECKPOINT)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that a resumed run needs, as tensors and plain values.
+
+        The decoders' stages hold the whole network; in the encoder's, all but the encoder is as
+        the seed, or the weights to start from, made it.
+        """
+        return {
             "preset": self.options.preset,
             "options": asdict(self.options),
             "elapsed": self.elapsed,
             "step": self.step,
             "stage": self.stage,
-            "net": self.net.state_dict(),
             "module": self._module.state_dict(),
+            "average": self._average.state_dict(),
             "optimizer": self._optimizer.state_dict(),
-            "generator": self.generator.get_state(),
         }
-        temporary = self.out / (CHECKPOINT + ".part")
-        torch.save(state, temporary)
-        os.replace(temporary, self.out / CHECKPOINT)
 
     def _load(self, path: Path) -> None:
-        state = load_checkpoint(path, self.device)
+        state = expanded(load_checkpoint(path, self.device))
         if state["preset"] != self.options.preset:
             raise WeightsError(
                 f"{path}: a run of preset {state['preset']}, not {self.options.preset}"
             )
-        self.net.load_state_dict(state["net"])
-        self._enter(state["stage"])
-        self._module.load_state_dict(state["module"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self.generator.set_state(state["generator"].cpu())
+        try:
+            self._enter(state["stage"])
+            self._module.load_state_dict(state["module"])
+            if "average" in state:
+                self._average.load_state_dict(state["average"])
+            else:
+                self._average = MovingAverage(self._module, self.options.average_decay)
+            self._optimizer.load_state_dict(state["optimizer"])
+        except (RuntimeError, ValueError) as error:
+            raise WeightsError(
+                f"{path}: its weights do not fit the present {self.options.preset}"
+            ) from error
         self.elapsed, self.step = state["elapsed"], state["step"]
 
     def _enter(self, stage: StageName) -> None:
         self.stage = stage
         options = STAGES[stage]
-        self._module: EncoderStage | DecoderStage
         if stage == "encoder":
             self._module = EncoderStage(self.net).to(self.device)
-            self._parameters = list(self._module.parameters())
+            if self.options.init is not None:
+                take_up(self.net, self._module, normalise(self._validation[0].image1))
+            self.parameters = list(self._module.parameters())
         else:
             self._module = DecoderStage(self.net, end_to_end=stage == "polish")
-            self._parameters = self._module.trainable()
+            self.parameters = self._module.trainable()
         self._module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._module.train()
+        self._shared: nn.Module = self._module
+        if process_count() > 1:
+            join_batch_norms(self._module)
+            self._shared = DistributedDataParallel(self._module)
         self._optimizer = torch.optim.AdamW(
-            self._parameters, lr=options.learning_rate, weight_decay=options.weight_decay
+            self.parameters, lr=options.learning_rate, weight_decay=options.weight_decay
         )
+        self._average = MovingAverage(self._module, self.options.average_decay)
 
-    def _leave(self) -> None:
-        """Put what the stage has trained beside the network into the network."""
-        if isinstance(self._module, EncoderStage):
-            self._module.write(self.net)
+    def _batch(self, stage: StageName) -> int:
+        options = STAGES[stage]
+        own = options.gpu_batch if self.device.type == "cuda" else options.batch
+        return self.options.batch or own
 
-    def _loss(self, pairs: TrainingPairs, within: float) -> tuple[Tensor, dict[str, float]]:
+    def _share_out(self) -> None:
+        """Raise InputError where a stage's batch does not divide into equal parts."""
+        parts = self.options.parts or process_count()
+        if parts % process_count():
+            raise InputError(f"{process_count()} processes cannot share {parts} parts of a batch")
+        for stage in STAGES:
+            if self._batch(stage) % parts:
+                raise InputError(f"{self._batch(stage)} pairs do not divide into {parts} parts")
+
+    def _make_pairs(self, progress: float) -> TrainingPairs:
+        """This process's pairs of the step."""
+        assert self.stage is not None
+        options = self.options.pairs
+        if self.options.curriculum is not None:
+            options = self.options.curriculum.at(progress, options)
+        parts = self.options.parts or process_count()
+        each, own = self._batch(self.stage) // parts, parts // process_count()
+        size = STAGES[self.stage].size
+        made = []
+        for part in range(rank() * own, (rank() + 1) * own):
+            generator = seeded(self.options.seed, self.step, "pairs", part)
+            made.append(make_pairs(self.photos, each, size, generator, options, self.real))
+        return made[0] if own == 1 else TrainingPairs.joined(made)
+
+    def _loss(self, pairs: TrainingPairs, within: float) -> tuple[Tensor, dict[str, Tensor]]:
+        draws = Draws(seeded(self.options.seed, self.step, "stage"), self.device)
         if isinstance(self._module, EncoderStage):
-            return self._module.loss(pairs, self.generator)
+            result: tuple[Tensor, dict[str, Tensor]] = self._shared(pairs, draws)
+            return result
         noise_share = 0.0 if self.stage == "polish" else max(0.1, 0.6 * (1 - 2 * within))
-        return self._module.loss(pairs, self.generator, noise_share)
+        lesson = None
+        if self._teacher is not None:
+            pairs, lesson = self._teacher.teach(pairs)
+        result = self._shared(pairs, draws, noise_share, lesson)
+        return result
 
-    def _log(self, row: dict[str, Any]) -> None:
-        """Append a row; a file a stage, since each stage has columns of its own."""
-        validated = any(key.startswith("val_") for key in row)
-        if not validated and self.step % 10:
-            return
-        kind = "validation" if validated else "steps"
-        path = self.out / f"{self.stage}_{kind}_log.csv"
-        is_new = not path.exists()
-        with path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(row))
-            if is_new:
-                writer.writeheader()
-            writer.writerow(row)
+    def _row(self) -> Row:
+        """Raises DgcPoseError where a step has gone wrong, before anything of it is saved."""
+        row = self._whole_row()
+        if not (math.isfinite(row["loss"]) and math.isfinite(row["gradient"])):
+            raise DgcPoseError(
+                f"{self.out}: the loss or its gradient is no number at step {self.step} of the "
+                f"{self.stage} stage; the checkpoint is from before"
+            )
+        return row
+
+    def _whole_row(self) -> Row:
+        return {
+            "step": self.step,
+            "stage": self.stage,
+            "minutes": self.elapsed / 60,
+            "rate": self._learning_rate,
+            **self._meter.row(),
+        }
+
+
+def _convolving(device: torch.device) -> AbstractContextManager[None]:
+    """cuDNN free to choose for the network's shapes, which stay the same from step to step.
+
+    TF32 for its convolutions only: matrix products make places, which need all their digits.
+    """
+    if device.type != "cuda":
+        return nullcontext()
+    context: AbstractContextManager[None] = torch.backends.cudnn.flags(
+        enabled=True, benchmark=True, allow_tf32=True
+    )
+    return context

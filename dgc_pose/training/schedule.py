@@ -16,7 +16,8 @@ _WARM_UP = 0.02  # of a stage
 class StageOptions:
     """One stage's batches and rates."""
 
-    batch: int  # pairs
+    batch: int  # pairs a step on a CPU
+    gpu_batch: int  # pairs a step on GPUs, all together
     size: int  # pixels a side of the views
     learning_rate: float  # at its highest
     weight_decay: float
@@ -52,9 +53,13 @@ class Schedule:
 
 
 STAGES: dict[StageName, StageOptions] = {
-    "encoder": StageOptions(batch=16, size=160, learning_rate=2e-3, weight_decay=1e-4),
-    "decoders": StageOptions(batch=8, size=240, learning_rate=1e-3, weight_decay=1e-4),
-    "polish": StageOptions(batch=8, size=240, learning_rate=1e-4, weight_decay=1e-4),
+    "encoder": StageOptions(
+        batch=16, gpu_batch=128, size=160, learning_rate=2e-3, weight_decay=1e-4
+    ),
+    "decoders": StageOptions(
+        batch=8, gpu_batch=64, size=240, learning_rate=1e-3, weight_decay=1e-4
+    ),
+    "polish": StageOptions(batch=8, gpu_batch=64, size=240, learning_rate=1e-4, weight_decay=1e-4),
 }
 
 

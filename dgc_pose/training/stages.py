@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -14,11 +14,28 @@ from dgc_pose.network.correlation import l2_normalise
 from dgc_pose.network.net import DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
-from dgc_pose.training.losses import contrastive_loss, level_truth, map_loss, mask_loss
-from dgc_pose.training.pairs import TrainingPairs
+from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.training.draws import Draws
+from dgc_pose.training.losses import (
+    contrastive_loss,
+    joint_mean,
+    level_known,
+    level_truth,
+    map_loss,
+    mask_loss,
+)
 
 _CONTRASTED = (COARSEST, 3, 2)  # levels that the contrastive loss runs on
 _QUERIES = 400  # target cells a pair at level 2, where all would be thousands
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What a teacher says of a batch of pairs, as a further target of the map."""
+
+    map: Tensor  # (B, 240, 240, 2) pixels
+    sure: Tensor  # (B, 240, 240) bool, where it is to be believed
+    weight: float  # of the loss, beside that of the truth
 
 
 class EncoderStage(nn.Module):
@@ -34,27 +51,32 @@ class EncoderStage(nn.Module):
         for module in self.pyramid.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+        self.half_precision = net.half_precision
         self.log_scale = nn.Parameter(torch.full((len(_CONTRASTED),), 2.5))
 
-    def loss(
-        self, pairs: TrainingPairs, generator: torch.Generator
-    ) -> tuple[Tensor, dict[str, float]]:
-        """The contrastive loss of a batch, and the share of cells found at each level."""
+    def forward(
+        self, pairs: TrainingPairs, draws: Draws
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The contrastive loss of a batch, and the share of cells found at each level.
+
+        As all figures of the stages, they are this process's parts of the joint means.
+        """
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
-        features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.half_precision):
+            features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
         total = images.new_zeros(())
         shares = {}
         for index, level in enumerate(_CONTRASTED):
-            source, target = l2_normalise(features[level]).chunk(2)
+            source, target = l2_normalise(features[level].float()).chunk(2)
             stride = 2**level
             truth, valid = level_truth(pairs.map, pairs.valid, source.shape[-1])
             scale = self.log_scale[index].exp().clamp(max=60)
             queries = _QUERIES if level == 2 else None
             part, share = contrastive_loss(
-                source, target, truth, valid, scale, stride, queries, generator
+                source, target, truth, valid, scale, stride, queries, draws
             )
             total = total + part
-            shares[f"found{level}"] = float(share)
+            shares[f"found{level}"] = share
         return total, shares
 
     def write(self, net: DGCNet) -> None:
@@ -77,6 +99,7 @@ class DecoderStage(nn.Module):
     ) -> None:
         super().__init__()
         self.net = net
+        self.net.pyramid.requires_grad_(False)
         self.end_to_end = end_to_end
         self.robust_cells = robust_cells
 
@@ -87,84 +110,111 @@ class DecoderStage(nn.Module):
 
     def trainable(self) -> list[nn.Parameter]:
         """Every parameter but the pyramid's."""
-        frozen = {id(p) for p in self.net.pyramid.parameters()}
-        return [p for p in self.net.parameters() if id(p) not in frozen]
+        return [p for p in self.net.parameters() if p.requires_grad]
 
-    def loss(
-        self, pairs: TrainingPairs, generator: torch.Generator, noise_share: float = 0.0
-    ) -> tuple[Tensor, dict[str, float]]:
+    def forward(
+        self,
+        pairs: TrainingPairs,
+        draws: Draws,
+        noise_share: float = 0.0,
+        lesson: Lesson | None = None,
+    ) -> tuple[Tensor, dict[str, Tensor]]:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
         with torch.no_grad():
             images = normalise(torch.cat([pairs.image1, pairs.image2]))
-            features = self.net.pyramid(images.contiguous(memory_format=torch.channels_last))
+            features = self.net.features(images.contiguous(memory_format=torch.channels_last))
         source = [f.chunk(2)[0] for f in features]
         target = [f.chunk(2)[1] for f in features]
-        batch = len(pairs.map)
-        noisy = torch.rand(batch, generator=generator).to(images) < noise_share
-        offset = torch.randint(0, LEVEL_SIZES[1] // 2 + 1, (2,), generator=generator).tolist()
+        noisy = draws.uniform(len(pairs.map)) < noise_share
+        offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)
         state = self.net.coarsest(source[COARSEST], target[COARSEST])
-        truth = _level_truth(COARSEST, pairs, _window(COARSEST, offset))
-        total, error = self._level_loss(COARSEST, state, *truth)
+        total, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), lesson)
         errors = {f"epe{LEVEL_SIZES[COARSEST]}": error}
         for level in range(COARSEST - 1, -1, -1):
             window = _window(level, offset)
             previous = upsample(state if self.end_to_end else state.detach())
             if level == 1:
                 previous = previous[:, :, window[0], window[1]]
-            truth = _level_truth(level, pairs, window)
             if noise_share > 0:
-                noised = self._noisy_truth(level, previous, truth[0], generator)
+                noised = self._noisy_truth(level, previous, pairs, window, draws)
                 previous = torch.where(noisy[:, None, None, None], noised, previous)
             warped = self.net.warp(source[level], previous)
             seen = target[level][:, :, window[0], window[1]]
             state = self.net.refine(level, warped, seen, previous, window)
-            part, error = self._level_loss(level, state, *truth)
+            part, error = self._level_loss(level, state, pairs, window, lesson)
             total = total + part
             errors[f"epe{LEVEL_SIZES[level]}"] = error
         if self.net.config.matchability == "network":
-            logits = self.net.matchability_net(torch.cat([warped, seen], 1))
-            total = total + mask_loss(logits, pairs.valid[:, window[0], window[1]])
+            rows, columns = window
+            seen_valid, known = pairs.valid[:, rows, columns], pairs.known[:, rows, columns]
+            total = total + mask_loss(self.net.mask(warped, seen), seen_valid, known)
         return total, errors
 
     def _level_loss(
-        self, level: int, state: Tensor, truth: Tensor, valid: Tensor
-    ) -> tuple[Tensor, float]:
+        self,
+        level: int,
+        state: Tensor,
+        pairs: TrainingPairs,
+        window: tuple[slice, slice],
+        lesson: Lesson | None,
+    ) -> tuple[Tensor, Tensor]:
         """The loss of a level's state, and its mean error in pixels."""
-        stride = INPUT_SIZE // LEVEL_SIZES[level]
         config = self.net.config
+        stride = INPUT_SIZE // LEVEL_SIZES[level]
         found = to_pixels(state[:, :2].movedim(1, -1), (INPUT_SIZE,) * 2, config.align_corners)
-        error = found - truth
+        error, valid = _error(level, found, pairs.map, pairs.valid, window)
         total = map_loss(error / stride, valid, self.robust_cells)
-        with torch.no_grad():
-            distance = error.norm(dim=-1)
-            mean = torch.where(valid, distance, 0).sum() / valid.sum().clamp(min=1)
+        if lesson is not None:
+            off, sure = _error(level, found, lesson.map, lesson.sure, window)
+            total = total + lesson.weight * map_loss(off / stride, sure, self.robust_cells)
+        distance = error.detach().norm(dim=-1)
         if config.matchability == "decoder":
             # A match is as good as its place: visible, and found to within what the next level
             # (or, at the end, an estimator) can use.
             good = valid & (distance < max(4.0, 1.5 * stride))
-            total = total + mask_loss(state[:, 2:], good)
-        return total, float(mean)
+            known = level_known(pairs.known, LEVEL_SIZES[level])[:, window[0], window[1]]
+            total = total + mask_loss(state[:, 2:], good, known)
+        return total, joint_mean(distance, valid)
 
     def _noisy_truth(
-        self, level: int, previous: Tensor, truth: Tensor, generator: torch.Generator
+        self,
+        level: int,
+        previous: Tensor,
+        pairs: TrainingPairs,
+        window: tuple[slice, slice],
+        draws: Draws,
     ) -> Tensor:
-        """The true map plus smooth noise of up to two cells, the mask channel as it was."""
-        batch, height, width, _ = truth.shape
-        coarse = torch.randn(batch, 2, height // 4, width // 4, generator=generator).to(truth)
+        """The true map plus smooth noise of up to two cells, the mask channel as it was.
+
+        Where the truth is not known, the previous map plus that noise.
+        """
+        config = self.net.config
+        size = (INPUT_SIZE, INPUT_SIZE)
+        batch, _, height, width = previous.shape
+        coarse = draws.normal(batch, 2, height // 4, width // 4)
         smooth = F.interpolate(coarse, (height, width), mode="bicubic", align_corners=False)
-        size = 0.2 + 1.3 * torch.rand(batch, 1, 1, 1, generator=generator).to(truth)
-        noise = (smooth * size).movedim(1, -1) * (INPUT_SIZE / LEVEL_SIZES[level])
-        bounded = (truth + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
-        place = to_normalised(bounded, (INPUT_SIZE,) * 2, self.net.config.align_corners)
+        extent = 0.2 + 1.3 * draws.uniform(batch, 1, 1, 1)
+        noise = (smooth * extent).movedim(1, -1) * (INPUT_SIZE / LEVEL_SIZES[level])
+        rows, columns = window
+        cells = LEVEL_SIZES[level]
+        truth = level_truth(pairs.map, pairs.valid, cells)[0][:, rows, columns]
+        known = level_known(pairs.known, cells)[:, rows, columns, None]
+        place = to_pixels(previous.detach()[:, :2].movedim(1, -1), size, config.align_corners)
+        bounded = (torch.where(known, truth, place) + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
+        place = to_normalised(bounded, size, config.align_corners)
         return torch.cat([place.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
 
-def _level_truth(
-    level: int, pairs: TrainingPairs, window: tuple[slice, slice]
+def _error(
+    level: int, found: Tensor, truth: Tensor, valid: Tensor, window: tuple[slice, slice]
 ) -> tuple[Tensor, Tensor]:
-    """The true map and where it holds, at the cells of a level that the window names."""
-    truth, valid = level_truth(pairs.map, pairs.valid, LEVEL_SIZES[level])
-    return truth[:, window[0], window[1]], valid[:, window[0], window[1]]
+    """Of a level's places (B, H, W, 2): what they are off by, pixels, and where that counts.
+
+    It is 0 elsewhere: what stands there in `truth` must reach no gradient.
+    """
+    truth, valid = level_truth(truth, valid, LEVEL_SIZES[level])
+    truth, valid = truth[:, window[0], window[1]], valid[:, window[0], window[1]]
+    return torch.where(valid[..., None], found - truth, 0), valid
 
 
 def _window(level: int, offset: list[int]) -> tuple[slice, slice]:

@@ -11,6 +11,8 @@ from click.testing import CliRunner
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
 from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.photo_pack import pack_photos
+from dgc_pose.training.photos import load_photos
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +40,36 @@ def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path:
     assert resumed.exit_code == 0, resumed.stderr
 
 
+def test_an_ablation_goes_by_its_name_from_the_pack_to_the_weights(
+    photos: Path, tmp_path: Path
+) -> None:
+    pack = tmp_path / "photos.safetensors"
+    pack_photos(load_photos(photos), pack, 2**22)
+    out = tmp_path / "run"
+    words = ["train", "--photos", str(pack), "--out", str(out), "--minutes", "0.02", "--batch", "1"]
+    words += ["--scene-share", "0", "--validation-pairs", "1", "--split", "0,100,0"]
+    words += ["--ablation", "flow", "--ablation", "no-l2", "--warps", "paper", "--curriculum"]
+    stopped = CliRunner().invoke(main, [*words, "--stop-after", "0.0001"])
+    assert stopped.exit_code == 0, stopped.stderr
+    assert "of 0.02 minutes" in stopped.output and not list(out.glob("*.safetensors"))
+    done = CliRunner().invoke(main, [*words, "--resume"])
+    assert done.exit_code == 0, done.stderr
+    config = load_network(out / "dgcm-lite+flow+no-l2.safetensors").config
+    assert config.output == "displacement" and not config.normalise_features
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [
+        (["--ablation", "no-l3"], "no ablation 'no-l3'; there are no-l2, flow"),
+        (["--warps", "narrow"], "paper-affine"),
+        (["--real-share", "0.2"], "needs --rgbd"),
+        (["--rgbd", "nowhere"], "nowhere"),
+        (["--init", "nowhere.pth"], "nowhere.pth"),
+        (["--teacher", "nowhere.pth"], "nowhere.pth"),
+        (["--rate", "0"], "rate must be positive"),
+        (["--batch", "0"], "batch must be at least 1"),
+        (["--stop-after", "-1"], "must be positive"),
         (["--preset", "vgg"], "vgg"),
         (["--minutes", "0"], "minutes"),
         (["--split", "50,50"], "three percentages"),

@@ -84,8 +84,20 @@ def test_map_loss_is_the_mean_over_valid_cells() -> None:
     assert float(map_loss(error, torch.zeros_like(valid), None)) == 0.0
 
 
-def test_mask_loss_is_cross_entropy() -> None:
-    logits = torch.tensor([[[[0.3, -1.2]]]])
-    target = torch.tensor([[[True, False]]])
+def test_nothing_flows_back_from_what_is_not_valid() -> None:
+    """NaN in the truth where it does not hold reaches neither the loss nor the gradient."""
+    source, target = torch.randn(2, 1, 6, 4, 4, requires_grad=True)
+    truth = 31 * torch.rand(1, 4, 4, 2)
+    valid = torch.rand(1, 4, 4) < 0.5
+    truth[~valid] = torch.nan
+    loss, share = contrastive_loss(source, target, truth, valid, torch.tensor(7.0), 8)
+    (gradient,) = torch.autograd.grad(loss, source)
+    assert loss.isfinite() and share.isfinite() and gradient.isfinite().all()
+
+
+def test_mask_loss_is_cross_entropy_where_the_truth_is_known() -> None:
+    logits = torch.tensor([[[[0.3, -1.2, 5.0]]]])
+    target = torch.tensor([[[True, False, False]]])
+    known = torch.tensor([[[True, True, False]]])
     expected = F.softplus(torch.tensor([-0.3, -1.2])).mean()
-    torch.testing.assert_close(mask_loss(logits, target), expected)
+    torch.testing.assert_close(mask_loss(logits, target, known), expected)

@@ -11,12 +11,13 @@ from pathlib import Path
 import pytest
 import torch
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.draws import Draws
 from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos, load_photos
 from dgc_pose.training.run import RunOptions, Trainer
@@ -39,6 +40,10 @@ def _options(**changes: object) -> RunOptions:
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
+def _draws(seed: int = 1) -> Draws:
+    return Draws(torch.Generator().manual_seed(seed), torch.device("cpu"))
+
+
 def test_encoder_loss_falls_on_a_fixed_batch(photos: Photos) -> None:
     torch.manual_seed(0)
     generator = torch.Generator().manual_seed(0)
@@ -47,7 +52,7 @@ def test_encoder_loss_falls_on_a_fixed_batch(photos: Photos) -> None:
     optimizer = torch.optim.AdamW(stage.parameters(), lr=2e-3)
     losses = []
     for _ in range(12):
-        loss, shares = stage.loss(pairs, torch.Generator().manual_seed(1))
+        loss, shares = stage(pairs, _draws())
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -67,7 +72,7 @@ def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> 
     optimizer = torch.optim.AdamW(stage.trainable(), lr=1e-3)
     losses = []
     for _ in range(6 if name == "dgcm-lite" else 3):
-        loss, errors = stage.loss(pairs, torch.Generator().manual_seed(1), noise_share=1.0)
+        loss, errors = stage(pairs, _draws(), noise_share=1.0)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -86,9 +91,7 @@ def test_the_noised_truth_is_near_the_truth(photos: Photos) -> None:
         torch.nn.init.zeros_(net.get_submodule(f"reg_{level}.final").bias)
     pairs = make_pairs(photos, 2, 240, torch.Generator().manual_seed(5), _WARPS_ONLY)
     with torch.no_grad():
-        _, errors = DecoderStage(net).eval().loss(
-            pairs, torch.Generator().manual_seed(1), noise_share=1.0
-        )
+        _, errors = DecoderStage(net).eval()(pairs, _draws(), noise_share=1.0)
     assert 0.2 < errors["epe240"] < 4 and 0.4 < errors["epe120"] < 8 and errors["epe15"] > 20
 
 
@@ -100,7 +103,7 @@ def test_polish_reaches_the_coarsest_decoder_from_the_finest_loss(photos: Photos
         stage = DecoderStage(net, end_to_end=end_to_end)
         stage.train()
         net.zero_grad()
-        loss, _ = stage.loss(pairs, torch.Generator().manual_seed(1))
+        loss, _ = stage(pairs, _draws())
         loss.backward()
         gradients[end_to_end] = net.get_submodule("reg_4.final").weight.grad.clone()
     assert not torch.equal(gradients[False], gradients[True])
@@ -126,7 +129,7 @@ def test_a_killed_run_resumes_to_the_same_loss(
     photos: Photos, tmp_path: Path, progress: float
 ) -> None:
     def losses(trainer: Trainer, steps: int) -> list[float]:
-        return [trainer.train_step(progress)["loss"] for _ in range(steps)]
+        return [float(trainer.train_step(progress)["loss"]) for _ in range(steps)]
 
     whole = Trainer((photos, photos), tmp_path / "whole", _options())
     expected = losses(whole, 4)
@@ -137,6 +140,66 @@ def test_a_killed_run_resumes_to_the_same_loss(
     second = Trainer((photos, photos), tmp_path / "killed", _options(), resume=True)
     assert second.step == 2
     assert found + losses(second, 2) == pytest.approx(expected, rel=1e-5)
+    wanted = whole.averaged().state_dict()
+    for key, value in second.averaged().state_dict().items():
+        torch.testing.assert_close(value, wanted[key], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("progress", [0.2, 0.7])
+def test_half_precision_trains_as_single_precision_does(
+    photos: Photos, tmp_path: Path, progress: float
+) -> None:
+    """The same pairs and draws: losses a percent or two apart, gradients along each other."""
+    losses, gradients = [], []
+    for half in (False, True):
+        options = _options(half_precision=half, init=None)
+        trainer = Trainer((photos, photos), tmp_path / str(half), options)
+        losses.append(float(trainer.train_step(progress)["loss"]))
+        gradients.append(torch.cat([p.grad.flatten() for p in trainer.parameters]))
+        assert all(p.dtype == torch.float32 for p in trainer.parameters)
+    assert losses[0] != losses[1] == pytest.approx(losses[0], rel=0.05)
+    assert torch.cosine_similarity(*gradients, dim=0) > 0.8
+
+
+def test_a_run_begins_with_the_weights_it_is_given(photos: Photos, tmp_path: Path) -> None:
+    torch.manual_seed(5)
+    given = DGCNet(preset("dgcm-lite"))
+    path = str(tmp_path / "given.safetensors")
+    save_weights(given, path)
+    given = load_network(path)
+    for encoder_share in (0.5, 0.0):
+        schedule = Schedule(encoder_share, 1 - encoder_share, 0.0)
+        options = _options(init=path, rate=1e-6, schedule=schedule, teacher=path)
+        trainer = Trainer((photos, photos), tmp_path / str(encoder_share), options)
+        net = trainer.averaged().eval()
+        images = normalise(trainer._validation[0].image1)  # what the norms were set by
+        with torch.no_grad():
+            for found, expected in zip(net.features(images), given.features(images), strict=True):
+                assert (found - expected).norm() < 0.01 * expected.norm()
+        for level in range(5):
+            for key, value in given.get_submodule(f"reg_{level}").state_dict().items():
+                assert torch.equal(net.get_submodule(f"reg_{level}").state_dict()[key], value)
+        trainer.train_step(0.9)  # with a lesson
+        for key, value in given.named_parameters():
+            torch.testing.assert_close(
+                dict(trainer.averaged().named_parameters())[key], value, rtol=0.05, atol=2e-3
+            )
+
+
+def test_a_run_stops_when_told_and_goes_on_later(
+    photos: Photos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = itertools.count()
+    monkeypatch.setattr("dgc_pose.training.run.time.perf_counter", lambda: float(next(ticks)))
+    options = _options(minutes=0.5)
+    first = Trainer((photos, photos), tmp_path, options)
+    first.run(minutes=0.2)
+    assert 12 <= first.elapsed < 30 and not first.complete
+    assert not first.weights_path.exists()
+    second = Trainer((photos, photos), tmp_path, options, resume=True)
+    assert second.elapsed == first.elapsed
+    second.run()
+    assert second.complete and second.weights_path.exists()
 
 
 def test_a_run_writes_weights_that_load_and_a_log(
@@ -158,6 +221,17 @@ def test_a_run_writes_weights_that_load_and_a_log(
     with next(tmp_path.glob("polish_validation_*.csv")).open() as file:
         last = list(csv.DictReader(file))[-1]
     assert float(last["val_aepe"]) > 0 and int(last["step"]) == rows[-1]["step"]
+
+
+def test_a_run_that_diverges_stops_and_saves_nothing_of_it(photos: Photos, tmp_path: Path) -> None:
+    trainer = Trainer((photos, photos), tmp_path, _options())
+    trainer.save()
+    before = (tmp_path / "checkpoint.pt").read_bytes()
+    with torch.no_grad():
+        trainer.parameters[1].fill_(torch.nan)
+    with pytest.raises(DgcPoseError, match="no number at step"):
+        trainer.run(minutes=1e-6)
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before
 
 
 def test_runs_are_not_overwritten_or_mixed(photos: Photos, tmp_path: Path) -> None:

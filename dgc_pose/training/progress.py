@@ -1,0 +1,36 @@
+"""The line that a run prints of itself now and then."""
+
+from __future__ import annotations
+
+import sys
+
+from dgc_pose.training.log import Row
+
+
+class ProgressLine:
+    """A line every half minute: the stage, the rates, the losses and, when measured, validation."""
+
+    def __init__(self, minutes: float) -> None:
+        self._minutes = minutes
+        self._next = 0.0
+
+    def __call__(self, row: Row) -> None:
+        validation = {k[4:]: v for k, v in row.items() if k.startswith("val_")}
+        if row["minutes"] < self._next and not validation:
+            return
+        self._next = row["minutes"] + 0.5
+        details = {k: v for k, v in row.items() if k.startswith(("found", "epe"))}
+        text = (
+            f"{row['minutes']:6.1f}/{self._minutes:g} min  {row['stage']:8s} "
+            f"step {row['step']:6d}  "
+            f"{row['pairs_per_second']:6.1f} pairs/s "
+            f"(made {row['made_per_second']:.1f}, trained {row['trained_per_second']:.1f})  "
+            f"loss {row['loss']:.3f}  " + _join(details)
+        )
+        if validation:
+            text += "\n    validation  " + _join(validation)
+        print(text, file=sys.stderr, flush=True)
+
+
+def _join(figures: dict[str, float]) -> str:
+    return "  ".join(f"{name} {value:.3f}" for name, value in figures.items())

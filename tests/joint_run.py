@@ -1,0 +1,73 @@
+"""A few steps of each stage, alone or under torchrun: what the losses and the weights come to."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.pairs import PairOptions
+from dgc_pose.training.photos import Photos
+from dgc_pose.training.processes import (
+    join_batch_norms,
+    joint_sum,
+    process_count,
+    process_group,
+    rank,
+)
+from dgc_pose.training.run import RunOptions, Trainer
+
+PROGRESS = {"encoder": 0.2, "decoders": 0.6}  # of the schedule
+
+
+def joint_run(out: Path) -> dict[str, dict[str, object]]:
+    """Of each stage, from the same random weights: figures of two steps, gradients of the first.
+
+    A batch is two pairs, made as two parts whatever the number of processes.
+    """
+    photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
+    pairs = PairOptions(scene_share=0.0)
+    options = RunOptions("dgcm-lite", 1.0, pairs=pairs, validation_count=1, batch=2, parts=2)
+    results: dict[str, dict[str, object]] = {}
+    for stage, progress in PROGRESS.items():
+        trainer = Trainer((photos, photos), out / stage, options)
+        first = _figures(trainer, progress)
+        gradients = [p.grad.clone() for p in trainer.parameters if p.grad is not None]
+        second = _figures(trainer, progress)
+        net = trainer.averaged().state_dict()
+        results[stage] = {"first": first, "second": second, "gradients": gradients, "net": net}
+    return results
+
+
+def joint_norm() -> dict[str, torch.Tensor]:
+    """A batch norm's output for this process's half of a batch, and all that follows of it."""
+    generator = torch.Generator().manual_seed(3)
+    images = 3 * torch.rand(4, 2, 5, 5, generator=generator, dtype=torch.float64) + 1
+    weights = torch.rand(4, 2, 5, 5, generator=generator, dtype=torch.float64)
+    own = images.chunk(process_count())[rank()].requires_grad_()
+    layers = nn.Sequential(nn.BatchNorm2d(2).double())
+    join_batch_norms(layers)
+    output = layers(own)
+    (output.square() * weights.chunk(process_count())[rank()]).sum().backward()
+    gradients = {key: joint_sum(value.grad) for key, value in layers.named_parameters()}
+    buffers = dict(layers.named_buffers())
+    return {"output": output.detach(), "input": own.grad, **gradients, **buffers}
+
+
+def _figures(trainer: Trainer, progress: float) -> dict[str, float]:
+    figures = trainer.train_step(progress)
+    figures.pop("gradient")  # compared as it is
+    return {name: float(joint_sum(part)) for name, part in figures.items()}
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    folder = Path(sys.argv[1])
+    with process_group(torch.device("cpu")):
+        torch.save(joint_norm(), folder / f"norm{rank()}.pt")
+        result = joint_run(folder / "run")
+        if rank() == 0:
+            torch.save(result, folder / "result.pt")

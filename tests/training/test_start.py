@@ -1,0 +1,60 @@
+"""Starting from trained weights: features stay what they were, and the right weights are taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from dgc_pose.errors import WeightsError
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import save_weights
+from dgc_pose.training.stages import EncoderStage
+from dgc_pose.training.start import adopt, take_up
+
+
+@pytest.mark.parametrize("name", ["dgcm-lite", "dgcm"])
+@pytest.mark.parametrize("training", [False, True])
+def test_an_unfolded_pyramid_gives_the_same_features(name: str, training: bool) -> None:
+    torch.manual_seed(0)
+    net = DGCNet(preset(name))
+    stage = EncoderStage(net)
+    images = torch.randn(2, 3, 48, 48)
+    take_up(net, stage, images)
+    stage.train(training)
+    with torch.no_grad():
+        expected, found = net.pyramid(images), stage.pyramid(images)
+    for level in range(5):
+        scale = float(expected[level].abs().max())
+        torch.testing.assert_close(found[level], expected[level], rtol=1e-3, atol=2e-3 * scale)
+    if name == "dgcm-lite":
+        scales = stage.log_scale.exp()
+        torch.testing.assert_close(scales, net.get_buffer("correlation_scale").expand(3))
+
+
+def _differs(net: DGCNet, other: DGCNet, prefix: str) -> bool:
+    states = net.state_dict(), other.state_dict()
+    keys = [key for key in states[0] if key.startswith(prefix) and key.endswith("weight")]
+    return any(not torch.allclose(states[0][k], states[1][k], atol=2e-3) for k in keys)
+
+
+def test_an_ablation_takes_the_pyramid_and_a_twin_takes_all(tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    trained = DGCNet(preset("dgcm-lite"))
+    trained.get_buffer("correlation_scale").fill_(33.0)
+    save_weights(trained, tmp_path / "w.safetensors")
+    for name, decoders_differ in (("dgcm-lite", False), ("dgcm-lite+flow", True)):
+        net = DGCNet(preset(name))
+        assert _differs(net, trained, "pyramid.")
+        adopt(net, tmp_path / "w.safetensors")
+        assert not _differs(net, trained, "pyramid.")
+        assert _differs(net, trained, "reg_3.") == decoders_differ
+        assert float(net.get_buffer("correlation_scale")) == 33.0
+
+
+def test_another_pyramid_is_refused(tmp_path: Path) -> None:
+    save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
+    with pytest.raises(WeightsError, match=r"w\.safetensors: weights of dgcm-lite.*dgc "):
+        adopt(DGCNet(preset("dgc")), tmp_path / "w.safetensors")
