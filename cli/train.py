@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     multiple=True,
     help="no-l2, flow, no-dilation or local-correlation; may be given several times.",
 )
-@click.option("--minutes", required=True, type=float, help="Of training; a complete schedule.")
+@click.option("--minutes", type=float, help="Of training: a complete schedule in so many.")
+@click.option("--steps", type=int, help="The same in steps; such a run repeats exactly.")
 @click.option(
     "--out", required=True, type=click.Path(path_type=Path), help="Folder of the run's files."
 )
@@ -100,7 +101,8 @@ def train(
     photos: Path,
     preset: str,
     ablations: tuple[str, ...],
-    minutes: float,
+    minutes: float | None,
+    steps: int | None,
     out: Path,
     resume: bool,
     stop_after: float | None,
@@ -149,6 +151,7 @@ def train(
     options = RunOptions(
         preset="+".join([preset, *ablations]),
         minutes=minutes,
+        steps=steps,
         seed=seed,
         schedule=Schedule(*_percent(split)),
         pairs=PairOptions(
@@ -178,13 +181,15 @@ def train(
             device=own_device,
             resume=resume,
         )
-        trainer.run(ProgressLine(minutes), stop_after)
+        trainer.run(ProgressLine(options), stop_after)
         if rank() > 0:
             return
     if trainer.complete:
         click.echo(f"wrote {trainer.weights_path}")
     else:
-        click.echo(f"stopped after {trainer.elapsed / 60:.1f} of {minutes:g} minutes")
+        length = f"{steps} steps" if minutes is None else f"{minutes:g} minutes"
+        done = trainer.step if minutes is None else f"{trainer.elapsed / 60:.1f}"
+        click.echo(f"stopped after {done} of {length}")
 
 
 def _warps(name: str) -> WarpOptions:

@@ -47,7 +47,10 @@ class RunOptions:
     """What a run trains, for how long, and how often it looks and saves."""
 
     preset: str
-    minutes: float  # of training; the schedule is complete after them
+    # The schedule is complete after so many minutes of training, or after so many steps: then a
+    # run repeats, whatever else the machine does. One of the two.
+    minutes: float | None = None
+    steps: int | None = None
     seed: int = 0
     schedule: Schedule = field(default_factory=Schedule)
     pairs: PairOptions = field(default_factory=PairOptions)
@@ -69,14 +72,17 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         preset(self.preset)
+        if (self.minutes is None) == (self.steps is None):
+            raise InputError("a run needs its length, in minutes or in steps, and one of them only")
         for name in ("minutes", "rate"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} must be positive, not {getattr(self, name)}")
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InputError(f"{name} must be positive, not {value}")
         if not 0 <= self.average_decay < 1:
             raise InputError(f"average_decay must lie in [0, 1), not {self.average_decay}")
         if self.teacher_weight < 0:
             raise InputError(f"teacher_weight must not be negative, not {self.teacher_weight}")
-        for name in ("batch", "parts", "validation_count"):
+        for name in ("steps", "batch", "parts", "validation_count"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise InputError(f"{name} must be at least 1, not {value}")
@@ -147,22 +153,29 @@ class Trainer:
 
     @property
     def complete(self) -> bool:
-        return self.elapsed >= 60 * self.options.minutes
+        return self.progress >= 1
+
+    @property
+    def progress(self) -> float:
+        """How much of the whole run is done, 0 to 1."""
+        if self.options.minutes is None:
+            assert self.options.steps is not None
+            return self.step / self.options.steps
+        return self.elapsed / (60 * self.options.minutes)
 
     def run(self, report: Report = lambda row: None, minutes: float | None = None) -> DGCNet:
-        """Train until the run's minutes are spent, or so many more `minutes` of them.
+        """Train to the end of the run, or for so many `minutes` more of it.
 
         `report` gets a row every few steps. Returns the network by its averaged weights; a complete
         run's weights are written too. Raises DgcPoseError where training has diverged.
         """
-        budget = 60 * self.options.minutes
-        end = budget if minutes is None else min(budget, self.elapsed + 60 * minutes)
+        end = math.inf if minutes is None else self.elapsed + 60 * minutes
         last_saved = last_validated = self.elapsed
         origin = time.perf_counter() - self.elapsed
-        while self.elapsed < end:
-            self.train_step(self.elapsed / budget)
+        while not self.complete and self.elapsed < end:
+            self.train_step(self.progress)
             self.elapsed = agreed(time.perf_counter() - origin)
-            done = self.elapsed >= end
+            done = self.complete or self.elapsed >= end
             validates = done or self.elapsed - last_validated > 60 * self.options.validate_minutes
             if validates or self.step % _STEPS_A_ROW == 0:
                 row = self._row()

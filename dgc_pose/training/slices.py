@@ -151,7 +151,7 @@ def run(
             _take_over(packed, folder)
         photos = load_photo_pack(packed / PHOTOS, device=chosen)
         trainer = Trainer(photos, folder, options, device=chosen, resume=True)
-        net = trainer.run(ProgressLine(options.minutes), options.minutes if trial else minutes)
+        net = trainer.run(ProgressLine(options), None if trial else minutes)
         for stale in out.glob(f"{STATE}-*-of-*"):
             stale.unlink()
         if not trainer.complete:

@@ -7,6 +7,7 @@ import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -221,6 +222,24 @@ def test_a_run_writes_weights_that_load_and_a_log(
     with next(tmp_path.glob("polish_validation_*.csv")).open() as file:
         last = list(csv.DictReader(file))[-1]
     assert float(last["val_aepe"]) > 0 and int(last["step"]) == rows[-1]["step"]
+
+
+def test_a_run_by_steps_repeats_to_the_bit(photos: Photos, tmp_path: Path) -> None:
+    options = _options(minutes=None, steps=4, schedule=Schedule(0.5, 0.25, 0.25))
+    first = Trainer((photos, photos), tmp_path / "1", options).run()
+    again = Trainer((photos, photos), tmp_path / "2", options)
+    again.run(minutes=1e-6)
+    assert again.step == 1 and not again.complete
+    again = Trainer((photos, photos), tmp_path / "2", options, resume=True)
+    for one, other in zip(first.parameters(), again.run().parameters(), strict=True):
+        assert torch.equal(one, other)
+    assert again.step == 4 and again.weights_path.exists()
+
+
+@pytest.mark.parametrize("length", [{"minutes": None}, {"steps": 3}, {"minutes": None, "steps": 0}])
+def test_a_run_needs_one_length(length: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="minutes|steps"):
+        _options(**length)
 
 
 def test_a_run_that_diverges_stops_and_saves_nothing_of_it(photos: Photos, tmp_path: Path) -> None:
