@@ -23,6 +23,9 @@ class VerdictOptions:
     # The inlier ratio must be so many times the one that the same model gets of the same points
     # paired wrongly. Neighbours among dense matches err together, which the count overrates.
     chance_factor: float = 3.0
+    # Inliers in one place are one piece of evidence: unrelated images have patches that look alike,
+    # each of which gives dozens of matches. A place is 1/24 of the longer side wide.
+    min_places: int = 20
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
     # Matches that a rotation alone must explain to be the answer, over the inliers.
     rotation_share: float = 0.8
@@ -43,6 +46,9 @@ class EstimationOptions:
     estimator: EstimatorName = "poselib"
     runs: int = 5  # each with a seed of its own; the model with most inliers is kept
     iterations: int = 1000  # of each run
+    # Matches that a run draws its samples from, chosen anew for each; every run's model is scored,
+    # and the best one refined, on all matches. RANSAC's time grows with the matches it scores.
+    max_sampled: int = 3000
     threshold_px: float | None = None  # epipolar error of an inlier, original pixels
     threshold_factor: float = 2.0  # times the matches' own error_px, where threshold_px is None
     seed: int = 0
@@ -56,6 +62,8 @@ class EstimationOptions:
         for name in ("runs", "iterations"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if self.max_sampled < 100:
+            raise InputError(f"max_sampled must be at least 100, not {self.max_sampled}")
         for name in ("threshold_px", "threshold_factor"):
             value = getattr(self, name)
             if value is not None and not 0 < value < float("inf"):

@@ -8,14 +8,23 @@ import numpy as np
 
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.estimation.consensus import best_model, best_planar_model, planar_share
+from dgc_pose.estimation.consensus import (
+    Model,
+    best_model,
+    best_planar_model,
+    error_scale,
+    planar_share,
+    polished,
+)
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.result import RelativePose, Status
+from dgc_pose.estimation.uncertainty import error_radius_deg, pose_covariance
 from dgc_pose.estimation.verdict import gather, judge
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
 
 _DEFAULTS = EstimationOptions()
+_CELLS = 24  # places along the longer side of an image
 
 
 def estimate_pose(
@@ -50,10 +59,14 @@ def estimate_pose(
     planar, H = planar_share(points1, points2, model, threshold, options.seed)
     if H is not None and planar >= options.verdict.planar_share:
         model = best_planar_model(points1, points2, model, H, threshold, options.refine)
-    evidence = gather(points1, points2, model, threshold, planar, options.seed)
+    if options.refine:
+        model = polished(points1, points2, model, threshold)
+    cells = _cell(camera1), _cell(camera2)
+    evidence = gather(points1, points2, model, threshold, planar, options.seed, cells=cells)
     status, reason, notes = judge(evidence, model.count, options.verdict)
 
     has_pose = status in ("ok", "planar")
+    covariance = _covariance(points1, points2, model, threshold) if has_pose else None
     R = model.R if has_pose else evidence.rotation if status == "rotation_only" else None
     inliers = np.zeros(len(matches), dtype=bool)
     inliers[used] = model.inliers
@@ -71,8 +84,32 @@ def estimate_pose(
         cheirality_ratio=evidence.cheirality_ratio,
         median_triangulation_angle_deg=evidence.median_angle_deg,
         homography_ratio=evidence.homography_ratio,
+        covariance=covariance,
+        rotation_error_90_deg=_radius(covariance, slice(0, 3)),
+        translation_error_90_deg=_radius(covariance, slice(3, 6)),
+        evidence=evidence,
         warnings=(*warnings, *notes),
     )
+
+
+def _cell(camera: Camera) -> float:
+    """The side of a place, normalised. Where the camera does not tell the image's size, it is that
+    of an image with the principal point in its middle."""
+    longer = max(camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1))
+    return float(longer) / _CELLS / camera.focal
+
+
+def _covariance(
+    points1: np.ndarray, points2: np.ndarray, model: Model, threshold: float
+) -> np.ndarray | None:
+    kept = model.inliers & model.in_front
+    seen1, seen2 = points1[kept], points2[kept]
+    scale = error_scale(seen1, seen2, model.R, model.t, threshold)
+    return pose_covariance(seen1, seen2, model.R, model.t, scale)
+
+
+def _radius(covariance: np.ndarray | None, part: slice) -> float | None:
+    return None if covariance is None else error_radius_deg(covariance[part, part])
 
 
 def _usable(matches: Matches) -> tuple[np.ndarray, list[str]]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dgc_pose.geometry.rotation import quaternion_wxyz
+
+if TYPE_CHECKING:
+    from dgc_pose.estimation.verdict import Evidence
 
 Status = Literal[
     "ok",  # R and t
@@ -42,6 +45,14 @@ class RelativePose:
     cheirality_ratio: float  # share of inliers in front of both cameras; NaN without a model
     median_triangulation_angle_deg: float  # over inliers; NaN without a model
     homography_ratio: float  # inliers of one homography over those of E; NaN without a model
+    # None without a pose, and where the inliers do not tell it. The inliers count as right: this
+    # knows nothing of a plane's second pose, of a wrong K or of a wrong verdict. (6, 6), rad^2, of
+    # rank 5: a rotation vector w and a change d of t, in camera 2's axes; the true pose is
+    # exp([w]x) R and t + d.
+    covariance: np.ndarray | None = None
+    rotation_error_90_deg: float | None = None  # nine times in ten the error of R is below
+    translation_error_90_deg: float | None = None  # and the angle between t and the true direction
+    evidence: Evidence | None = None  # what the verdict rests on; None without a model
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)  # by stage of the pipeline
 

@@ -44,6 +44,7 @@ class Evidence:
     median_angle_deg: float  # triangulation angle of the inliers
     homography_ratio: float  # of the inliers that one homography explains
     on_a_line: bool  # the inliers of either image lie on one line
+    places: int  # that the inliers lie in, in the image where these are fewer
 
 
 def gather(
@@ -53,8 +54,13 @@ def gather(
     threshold: float,
     homography_ratio: float,
     seed: int,
+    *,
+    cells: tuple[float, float],
 ) -> Evidence:
-    """Measure the evidence of a model of normalised matches (N, 2)."""
+    """Measure the evidence of a model of normalised matches (N, 2).
+
+    cells: the side of a place in each image, in the points' unit.
+    """
     kept = model.inliers
     first, second = points1[kept], points2[kept]
     E = essential_from_pose(model.R, model.t)
@@ -80,6 +86,7 @@ def gather(
         median_angle_deg=float(np.median(angles)) if len(angles) else 0.0,
         homography_ratio=homography_ratio,
         on_a_line=spread < 2 * threshold,
+        places=min(_places(first, cells[0]), _places(second, cells[1])),
     )
 
 
@@ -94,6 +101,12 @@ def judge(
         reason = (
             f"only {num_inliers} matches ({100 * ratio:.1f} %) agree on an essential matrix; "
             f"{100 * chance:.1f} % of wrong matches would, and the best of many models finds more"
+        )
+        return "chance_inliers", reason, ()
+    if evidence.places < options.min_places:
+        reason = (
+            f"the {num_inliers} inliers lie in {evidence.places} places only: a few patches that "
+            f"look alike would give as many"
         )
         return "chance_inliers", reason, ()
     if evidence.on_a_line:
@@ -150,6 +163,11 @@ def robust_rotation(
             break
         kept = following
     return R
+
+
+def _places(points: np.ndarray, side: float) -> int:
+    """How many cells of a grid the points (N, 2) lie in."""
+    return len({tuple(cell) for cell in np.floor(points / side).astype(int).tolist()})
 
 
 def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:

@@ -34,3 +34,17 @@ def test_the_command_prints_a_row_for_every_threshold():
     rows = [line for line in answer.output.splitlines() if line.startswith("| ")]
     assert len(rows) == 1 + 2 * 5
     assert all(row.endswith("1 of 1 |") for row in rows[1:])
+
+
+def test_the_pose_stage_stands_beside_the_bare_libraries():
+    answer = CliRunner().invoke(main, ["--study", "speed", "--seeds", "1"])
+    assert answer.exit_code == 0
+    rows = [line.split(" | ") for line in answer.output.splitlines() if line.startswith("| ")]
+    assert [row[0] for row in rows[1:]] == [
+        "| pose stage, 5 x 1000 iterations",
+        "| pycolmap, 1 x 1000",
+        "| PoseLib, 1 x 1000",
+    ]
+    errors = np.array([[float(cell) for cell in row[1:3]] for row in rows[1:]])
+    assert (errors < 0.1).all()
+    assert float(rows[2][4].split()[0]) == 1.0

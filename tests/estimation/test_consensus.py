@@ -5,9 +5,11 @@ from dgc_pose.estimation import EstimationOptions, consensus
 from dgc_pose.estimation.consensus import (
     best_model,
     best_planar_model,
+    error_scale,
     model_of_essential,
     model_of_pose,
     planar_share,
+    polished,
     refined,
     run_seeds,
 )
@@ -52,6 +54,31 @@ def test_of_all_runs_the_one_with_most_inliers_is_kept(monkeypatch):
     assert rotation_error_deg(model.R, scene.R) < 1e-5
     assert translation_error_deg(model.t, scene.t) < 1e-5
     assert model.inliers[scene.true].all()
+
+
+def test_each_run_sees_a_draw_of_its_own_and_its_model_is_scored_on_all(monkeypatch):
+    scene, points1, points2 = normalised(count=300, sigma_px=0.0, outliers=0.3)
+    truth = essential_from_pose(scene.R, scene.t)
+    rows = {tuple(row): k for k, row in enumerate(np.column_stack([points1, points2]))}
+    seen = []
+
+    def backend(first, second, *, threshold, iterations, seed):
+        seen.append([rows[tuple(row)] for row in np.column_stack([first, second])])
+        return [truth]
+
+    monkeypatch.setattr(consensus, "get_backend", lambda name: backend)
+    options = EstimationOptions(refine=False, max_sampled=120)
+    model = best_model(points1, points2, THRESHOLD, options)
+    assert [len(set(drawn)) for drawn in seen] == [120] * 5
+    assert len({tuple(sorted(drawn)) for drawn in seen}) == 5
+    assert model.inliers.shape == (300,) and model.inliers[scene.true].all()
+    again = seen.copy()
+    seen.clear()
+    best_model(points1, points2, THRESHOLD, options)
+    assert seen == again
+    seen.clear()
+    best_model(points1, points2, THRESHOLD, EstimationOptions(refine=False, max_sampled=300))
+    assert seen == [list(range(300))] * 5
 
 
 def test_no_run_with_a_model_is_no_model(monkeypatch):
@@ -101,6 +128,46 @@ def test_refinement_does_not_lose_inliers():
         plain = best_model(points1, points2, THRESHOLD, EstimationOptions(refine=False, runs=2))
         fine = best_model(points1, points2, THRESHOLD, EstimationOptions(refine=True, runs=2))
         assert fine.count >= 0.94 * plain.count
+
+
+def test_polishing_does_not_let_poor_inliers_pull_the_pose():
+    """Most inliers are ten times better than the threshold, and one in five lies anywhere in it."""
+    gains = []
+    for seed in range(5):
+        scene, points1, points2 = normalised(seed=seed, count=600, sigma_px=0.2, outliers=0.0)
+        rng = np.random.default_rng(seed)
+        poor = rng.random(600) < 0.2
+        points2[poor] += rng.uniform(0, THRESHOLD, (poor.sum(), 2))  # all to one side
+        before = refined(
+            points1, points2, model_of_pose(points1, points2, scene.R, scene.t, 2e-3), 2e-3
+        )
+        after = polished(points1, points2, before, 2e-3)
+        assert after.count >= 0.98 * before.count
+        gains.append(
+            [
+                max(rotation_error_deg(m.R, scene.R), translation_error_deg(m.t, scene.t))
+                for m in (before, after)
+            ]
+        )
+    worse, better = np.mean(gains, axis=0)
+    assert better < 0.6 * worse
+
+
+def test_polishing_leaves_what_too_few_inliers_say():
+    scene, points1, points2 = normalised(count=100, outliers=0.0)
+    model = model_of_pose(points1[:5], points2[:5], scene.R, scene.t, THRESHOLD)
+    assert polished(points1[:5], points2[:5], model, THRESHOLD) is model
+
+
+def test_the_scale_follows_the_errors_between_a_floor_and_the_threshold():
+    for sigma_px, expected in ((0.0, 0.02 * THRESHOLD), (30.0, THRESHOLD)):
+        scene, points1, points2 = normalised(count=300, sigma_px=sigma_px, outliers=0.0)
+        assert error_scale(points1, points2, scene.R, scene.t, THRESHOLD) == expected
+    scene, points1, points2 = normalised(count=4000, sigma_px=0.5, outliers=0.0)
+    error = sampson_distance(points1, points2, essential_from_pose(scene.R, scene.t))
+    # Gaussian errors: 2.385 of their standard deviations (Rey 1983).
+    scale = error_scale(points1, points2, scene.R, scene.t, THRESHOLD)
+    assert scale == pytest.approx(2.385 * np.sqrt((error**2).mean()), rel=0.05)
 
 
 def test_one_homography_explains_a_plane_and_not_a_solid():

@@ -18,6 +18,7 @@ def test_the_defaults_are_five_runs_of_a_thousand_iterations():
         ("runs", 0),
         ("iterations", 0),
         ("iterations", -5),
+        ("max_sampled", 99),
         ("threshold_px", 0.0),
         ("threshold_px", -1.0),
         ("threshold_px", float("nan")),

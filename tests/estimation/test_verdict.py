@@ -12,6 +12,7 @@ from two_view import two_view_scene
 
 THRESHOLD = 2e-3
 OPTIONS = VerdictOptions()
+CELLS = (0.05, 0.05)  # a thirtieth of the synthetic images' width
 GOOD = Evidence(
     inlier_ratio=0.6,
     chance_ratio=0.01,
@@ -25,6 +26,7 @@ GOOD = Evidence(
     median_angle_deg=8.0,
     homography_ratio=0.4,
     on_a_line=False,
+    places=80,
 )
 
 
@@ -43,6 +45,7 @@ def test_good_evidence_is_a_pose_without_warnings():
         ("chance_inliers", {"inlier_ratio": 0.14}),
         ("chance_inliers", {"chance_ratio": 0.21}),
         ("chance_inliers", {"log10_false_alarms": -1.0}),
+        ("chance_inliers", {"places": 19}),
         ("no_model", {"on_a_line": True}),
         ("rotation_only", {"rotation_share": 0.95, "parallax": 1.0}),
         ("rotation_only", {"still_share": 0.92}),
@@ -67,6 +70,7 @@ def test_each_gate_closes_by_itself(status, changes):
         {"num_inliers": 15},
         {"inlier_ratio": 0.151},
         {"chance_ratio": 0.19},
+        {"places": 20},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1
         {"rotation_share": 0.7, "parallax": 1.0},
         {"still_share": 0.88},
@@ -119,7 +123,7 @@ def test_of_one_match_the_rotation_is_the_identity():
 def test_the_evidence_of_the_true_pose():
     scene, points1, points2 = normalised("general", seed=1, count=800, sigma_px=0.5)
     model = model_of_pose(points1, points2, scene.R, scene.t, THRESHOLD)
-    evidence = gather(points1, points2, model, THRESHOLD, 0.1, seed=0)
+    evidence = gather(points1, points2, model, THRESHOLD, 0.1, seed=0, cells=CELLS)
     assert evidence.inlier_ratio == pytest.approx(model.inliers.mean())
     assert evidence.inlier_ratio > 0.69
     assert 0 < evidence.chance_ratio < 0.05
@@ -141,7 +145,7 @@ def test_after_a_pure_rotation_the_parallax_is_one_whatever_translation_is_claim
     )
     t = Rotation.random(random_state=seed).as_matrix()[0]
     model = model_of_pose(points1, points2, scene.R, t, THRESHOLD)
-    evidence = gather(points1, points2, model, THRESHOLD, 1.0, seed=0)
+    evidence = gather(points1, points2, model, THRESHOLD, 1.0, seed=0, cells=CELLS)
     low, high = (0.0, 1e-3) if sigma_px == 0 else (0.75, 1.3)
     assert low <= evidence.parallax <= high
     assert evidence.rotation_share > 0.8
@@ -157,7 +161,7 @@ def test_the_parallax_grows_with_the_baseline():
         points1 = X[:, :2] / X[:, 2:] + 3e-4 * rng.standard_normal((500, 2))
         points2 = moved[:, :2] / moved[:, 2:] + 3e-4 * rng.standard_normal((500, 2))
         model = model_of_pose(points1, points2, np.eye(3), np.array([1.0, 0, 0]), 4e-3)
-        found.append(gather(points1, points2, model, 4e-3, 0.0, seed=0).parallax)
+        found.append(gather(points1, points2, model, 4e-3, 0.0, seed=0, cells=CELLS).parallax)
     assert 1.3 < found[0] < found[1] / 2 < found[2] / 4
 
 
@@ -168,12 +172,35 @@ def test_inliers_on_one_line_are_told():
     points1, points2 = X[:, :2] / X[:, 2:], local[:, :2] / local[:, 2:]
     model = model_of_pose(points1, points2, scene.R, scene.t, THRESHOLD)
     assert model.inliers.all()
-    assert gather(points1, points2, model, THRESHOLD, 0.0, seed=0).on_a_line
+    assert gather(points1, points2, model, THRESHOLD, 0.0, seed=0, cells=CELLS).on_a_line
+
+
+def test_inliers_crowded_in_a_few_spots_are_few_places():
+    scene, points1, points2 = normalised("general", count=400, sigma_px=0.0, outliers=0.0)
+    whole = model_of_pose(points1, points2, scene.R, scene.t, THRESHOLD)
+    counted = (
+        {tuple(cell) for cell in np.floor(points1 / 0.05)},
+        {tuple(cell) for cell in np.floor(points2 / 0.05)},
+    )
+    evidence = gather(points1, points2, whole, THRESHOLD, 0.0, seed=0, cells=CELLS)
+    assert evidence.places == min(map(len, counted)) > 100
+    # Eight of the points, each a hundred times within a hair: as many inliers, as few places.
+    uneven = gather(points1, points2, whole, THRESHOLD, 0.0, seed=0, cells=(0.2, 0.05))
+    assert uneven.places == len({tuple(cell) for cell in np.floor(points1 / 0.2)})
+    rng = np.random.default_rng(0)
+    few = np.repeat(np.arange(8), 100)
+    near1 = points1[few] + 1e-5 * rng.standard_normal((800, 2))
+    near2 = points2[few] + 1e-5 * rng.standard_normal((800, 2))
+    model = model_of_pose(near1, near2, scene.R, scene.t, THRESHOLD)
+    assert model.count > 700
+    crowded = gather(near1, near2, model, THRESHOLD, 0.0, seed=0, cells=CELLS)
+    assert crowded.places <= 12
+    assert verdict_of(crowded, model)[0] == "chance_inliers"
 
 
 def test_evidence_without_inliers_is_a_plain_no():
     points = np.random.default_rng(0).uniform(-1, 1, (2, 30, 2))
     model = model_of_pose(*points, np.eye(3), np.array([1.0, 0, 0]), 1e-12)
     assert model.count == 0
-    evidence = gather(*points, model, 1e-12, 0.0, seed=0)
+    evidence = gather(*points, model, 1e-12, 0.0, seed=0, cells=CELLS)
     assert verdict_of(evidence, model)[0] == "chance_inliers"
