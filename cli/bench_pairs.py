@@ -14,12 +14,20 @@ from dgc_pose.benchmarks.methods import SIFT, load_methods
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs
 from dgc_pose.benchmarks.pairs import PairResult, require_images, run, summarise
 from dgc_pose.benchmarks.report import ResultsTable, heading, summary_data, summary_table
-from dgc_pose.cli.options import device_option, estimator_options, filter_options
+from dgc_pose.cli.options import (
+    device_option,
+    estimator_options,
+    filter_options,
+    refine_option,
+    refinement_options,
+    split_names,
+)
 from dgc_pose.cli.output import json_text
 from dgc_pose.cli.staging import staged
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import Matcher, MatchingOptions
 from dgc_pose.network.weights import shipped
+from dgc_pose.refinement import MatchSource
 from dgc_pose.viz import plot_errors, save_figure
 
 
@@ -41,6 +49,7 @@ from dgc_pose.viz import plot_errors, save_figure
 @click.option("--json", "json_path", metavar="PATH", help="Write the summary as JSON.")
 @device_option
 @filter_options
+@refine_option
 @estimator_options
 def bench_pairs(
     pair_list: str,
@@ -51,6 +60,7 @@ def bench_pairs(
     json_path: str | None,
     device: str,
     filters: MatchingOptions,
+    refine: MatchSource | None,
     estimation: EstimationOptions,
 ) -> None:
     """Score methods on the pairs of LIST, in SuperGlue's format.
@@ -62,7 +72,12 @@ def bench_pairs(
     pairs = read_pairs(pair_list, root)[:limit]
     require_images(pairs)
     with staged(json_path) as stage:
-        matchers = load_methods(_names(methods), device=device, options=filters)
+        matchers = load_methods(
+            split_names(methods),
+            device=device,
+            options=filters,
+            refinement=refinement_options(refine, filters),
+        )
         results = _run(pairs, matchers, estimation, None if out is None else Path(out))
         summaries = [summarise(own) for own in results.values()]
         data = json_text(summary_data(summaries))
@@ -72,10 +87,6 @@ def bench_pairs(
         _write_summary(out, data, results)
     click.echo(heading(estimation))
     click.echo(summary_table(summaries))
-
-
-def _names(methods: str) -> list[str]:
-    return [name for name in (part.strip() for part in methods.split(",")) if name]
 
 
 def _run(

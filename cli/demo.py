@@ -11,11 +11,10 @@ import numpy as np
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs
 from dgc_pose.cli.options import MatcherChoice, estimator_options, matcher_options
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
-from dgc_pose.cli.pipeline import NO_POSE, draw, run_pipeline
+from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.cli.staging import staged
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.viz.figure import picture_format
 
 
 def bundled_pair() -> Pair:
@@ -29,8 +28,7 @@ def bundled_pair() -> Pair:
 @click.option("--plot", "plot_path", metavar="PATH.png", help="Draw what the pose was found from.")
 def demo(network: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
     """Estimate the pose of the bundled pair and print it beside the known one."""
-    if plot_path is not None:
-        picture_format(plot_path)  # refuses a format that cannot be drawn, before the work
+    check_picture(plot_path)
     pair = bundled_pair()
     with staged(plot_path) as stage:
         trace = run_pipeline(

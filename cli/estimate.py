@@ -12,10 +12,9 @@ from dgc_pose.cli.options import (
     matcher_options,
 )
 from dgc_pose.cli.output import json_text, matches_arrays, pose_data, pose_text, write_npz
-from dgc_pose.cli.pipeline import NO_POSE, draw, run_pipeline
+from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.cli.staging import staged
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.viz.figure import picture_format
 
 STDOUT = "-"
 
@@ -48,8 +47,7 @@ def estimate(
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 where there is
     no pose, and says why.
     """
-    if plot_path is not None:
-        picture_format(plot_path)  # refuses a format that cannot be drawn, before the work
+    check_picture(plot_path)
     json_file = None if json_path == STDOUT else json_path
     with staged(json_file, matches_path, plot_path) as stage:
         trace = run_pipeline(image1, image2, cameras.resolve, network, estimation)

@@ -20,14 +20,15 @@ def match(image1: str, image2: str, out: str, network: MatcherChoice) -> None:
 
     The file holds `map` (H, W, 2), for each cell of a grid over image 2 the place in image 1;
     `grid` (H, W, 2), the places of the cells in image 2; `matchability` (H, W); and `points1`,
-    `points2` (N, 2) and `confidence` (N), the matches kept. All places are pixels of the original
-    images.
+    `points2` (N, 2) and `confidence` (N), the matches kept, refined as --refine says.
+    All places are pixels of the original images.
     """
+    from dgc_pose.pose import match_images  # loads torch
+
     with staged(out) as stage:
         first, second = load_image(image1), load_image(image2)
-        matcher = network.load()
-        correspondences = matcher.correspond(first, second)
-        matches = matcher.select(correspondences)
+        correspondences, matches = match_images(network.load(), first, second)
+        assert correspondences is not None  # the network makes one, refined or not
         dense = {
             "map": correspondences.map,
             "grid": correspondences.grid,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -14,12 +14,25 @@ from dgc_pose.camera import Camera, check_size, guess_camera, parse_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, EstimatorName
 from dgc_pose.image import Image
-from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, MatchingOptions, load_matcher
+from dgc_pose.matching import DEFAULT_WEIGHTS, MatchingOptions
+from dgc_pose.matching.selection import FinestLevel
+from dgc_pose.refinement import MatchSource, RefinementOptions
+
+if TYPE_CHECKING:
+    from dgc_pose.matching import DenseMatcher
+    from dgc_pose.refinement import Refiner
 
 Command = Callable[..., Any]
 
 ESTIMATION = EstimationOptions()  # where the defaults in the help come from
 MATCHING = MatchingOptions()
+REFINEMENT = RefinementOptions()
+NO_REFINEMENT = "none"
+
+
+def split_names(text: str) -> list[str]:
+    """The names in a list with commas between; blanks around them and empty ones do not count."""
+    return [name for name in (part.strip() for part in text.split(",")) if name]
 
 
 @dataclass(frozen=True)
@@ -55,9 +68,17 @@ class MatcherChoice:
     weights: str
     device: str
     options: MatchingOptions
+    refinement: RefinementOptions | None  # None: the dense map's own matches
+    compiled: bool = False  # convolutions by a kernel compiled on its first use
 
-    def load(self) -> DenseMatcher:
-        return load_matcher(self.weights, device=self.device, options=self.options)
+    def load(self) -> DenseMatcher | Refiner:
+        from dgc_pose.matching import load_matcher
+        from dgc_pose.refinement import Refiner
+
+        dense = load_matcher(
+            self.weights, device=self.device, options=self.options, compiled=self.compiled
+        )
+        return dense if self.refinement is None else Refiner(dense, self.refinement)
 
 
 def camera_options(command: Command) -> Command:
@@ -136,8 +157,32 @@ def filter_options(command: Command) -> Command:
     return wrapper
 
 
+def refine_option(command: Command) -> Command:
+    """--refine, as `refine: MatchSource | None`, None for none."""
+    return click.option(
+        "--refine",
+        type=click.Choice([NO_REFINEMENT, *get_args(MatchSource)]),
+        default=REFINEMENT.source,
+        show_default=True,
+        callback=lambda _context, _option, value: None if value == NO_REFINEMENT else value,
+        help="What is aligned on the original photographs: the map's matches, the encoder's "
+        "features at native resolution, optical flow after the map, SIFT key points where the map "
+        "says, or matches of tiles; auto: the features, and the map's where those are few.",
+    )(command)
+
+
+def refinement_options(
+    source: MatchSource | None, filters: MatchingOptions
+) -> RefinementOptions | None:
+    """The options that --refine and --max-matches stand for; None for no refinement."""
+    if source is None:
+        return None
+    return replace(REFINEMENT, source=source, max_matches=filters.max_matches)
+
+
 def matcher_options(command: Command) -> Command:
-    """--weights, --device and the filters, as `network: MatcherChoice`."""
+    """--weights, --device, --finest, --compiled, the filters and --refine, as
+    `network: MatcherChoice`."""
 
     @click.option(
         "--weights",
@@ -146,12 +191,37 @@ def matcher_options(command: Command) -> Command:
         help="Shipped weights by name, or a path to .safetensors or to an authors' .pth.",
     )
     @device_option
+    @click.option(
+        "--finest",
+        type=click.Choice([str(size) for size in get_args(FinestLevel)]),
+        default=str(MATCHING.finest),
+        show_default=True,
+        help="Cells a side of the dense map: the coarser, the faster.",
+    )
+    @click.option(
+        "--compiled",
+        is_flag=True,
+        help="On the CPU, a faster kernel for the network's convolutions, compiled by the C++ "
+        "compiler of this machine on its first use.",
+    )
     @filter_options
+    @refine_option
     @functools.wraps(command)
     def wrapper(
-        *args: Any, weights: str, device: str, filters: MatchingOptions, **kwargs: Any
+        *args: Any,
+        weights: str,
+        device: str,
+        finest: str,
+        compiled: bool,
+        filters: MatchingOptions,
+        refine: MatchSource | None,
+        **kwargs: Any,
     ) -> Any:
-        return command(*args, network=MatcherChoice(weights, device, filters), **kwargs)
+        size = next(one for one in get_args(FinestLevel) if str(one) == finest)
+        options = replace(filters, finest=size)
+        refinement = refinement_options(refine, filters)
+        choice = MatcherChoice(weights, device, options, refinement, compiled)
+        return command(*args, network=choice, **kwargs)
 
     return wrapper
 

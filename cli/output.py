@@ -31,6 +31,9 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
         "num_inliers": pose.num_inliers,
         "inlier_ratio": _finite(pose.inlier_ratio),
         "median_triangulation_angle_deg": _finite(pose.median_triangulation_angle_deg),
+        "rotation_error_90_deg": pose.rotation_error_90_deg,
+        "translation_error_90_deg": pose.translation_error_90_deg,
+        "covariance": _list(pose.covariance),
         "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
         "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
     }
@@ -58,6 +61,11 @@ def pose_text(pose: RelativePose) -> str:
     if pose.t is not None:
         angle = pose.median_triangulation_angle_deg
         lines.append(f"median triangulation angle {angle:.2f} deg")
+    if pose.rotation_error_90_deg is not None and pose.translation_error_90_deg is not None:
+        lines.append(
+            f"expected error: R within {pose.rotation_error_90_deg:.3f} deg, t within "
+            f"{pose.translation_error_90_deg:.3f} deg, nine times in ten"
+        )
     lines += [f"warning: {warning}" for warning in pose.warnings]
     lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))
     return "\n".join(lines)

@@ -6,14 +6,15 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from dgc_pose.camera import Camera
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.image import Image, load_image
-from dgc_pose.pose import Trace, trace_relative_pose
-from dgc_pose.viz import plot_pose, save_figure
-from dgc_pose.viz.figure import picture_format
+
+if TYPE_CHECKING:
+    from dgc_pose.pose import Trace
 
 NO_POSE = 3  # exit code where there is no pose
 
@@ -32,8 +33,12 @@ def run_pipeline(
     start = time.perf_counter()
     image1, image2 = load_image(path1), load_image(path2)
     camera1, camera2 = resolve(image1, image2)
+    read = time.perf_counter() - start
+    from dgc_pose.pose import trace_relative_pose  # torch, which images of no use need not wait for
+
+    start = time.perf_counter()
     matcher = network.load()
-    load = time.perf_counter() - start
+    load = read + time.perf_counter() - start
     trace = trace_relative_pose(
         image1, image2, camera1, camera2, matcher=matcher, options=estimation
     )
@@ -43,4 +48,15 @@ def run_pipeline(
 
 def draw(trace: Trace, file: Path, name: str) -> None:
     """Draw what the pose was estimated from into a file, in the format that `name` ends in."""
+    from dgc_pose.viz import plot_pose, save_figure
+    from dgc_pose.viz.figure import picture_format
+
     save_figure(plot_pose(trace), file, picture_format=picture_format(name))
+
+
+def check_picture(name: str | None) -> None:
+    """Refuse, with an InputError, a picture in a format that cannot be drawn, before the work."""
+    if name is not None:
+        from dgc_pose.viz.figure import picture_format
+
+        picture_format(name)

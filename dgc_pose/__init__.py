@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from dgc_pose.matches import Matches
     from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_matcher
     from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
+    from dgc_pose.refinement import RefinementOptions, Refiner
 
 # Where each public name lives. They are imported on first use: torch alone takes seconds.
 _HOMES = {
@@ -36,6 +37,8 @@ _HOMES = {
     "DenseMatcher": "matching",
     "MatchingOptions": "matching",
     "load_matcher": "matching",
+    "RefinementOptions": "refinement",
+    "Refiner": "refinement",
     "estimate_relative_pose": "pose",
     "trace_relative_pose": "pose",
 }
@@ -51,6 +54,8 @@ __all__ = [
     "InputError",
     "Matches",
     "MatchingOptions",
+    "RefinementOptions",
+    "Refiner",
     "RelativePose",
     "WeightsError",
     "estimate_pose",

@@ -15,6 +15,7 @@ from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.image import Image, load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, DenseMatcher, Matcher, load_matcher
+from dgc_pose.refinement import Refiner
 
 if TYPE_CHECKING:
     import torch
@@ -47,7 +48,8 @@ def estimate_relative_pose(
     image1, image2: paths, arrays (H, W[, 3]) in RGB order, or tensors. K1, K2: 3x3 matrices in
     pixels of those images, (0, 0) the centre of the top-left pixel, or `Camera`s (with lens
     distortion, where there is one); without K2, K1 serves for both. matcher: by default the
-    shipped network. The result says plainly where there is no pose (`success`, `reason`).
+    shipped network, refined on the original photographs. The result says plainly where there is no
+    pose (`success`, `reason`).
 
     Raises ImageError where an image cannot be read, InputError (a ValueError) where an argument is
     of no use, WeightsError where the network's weights cannot be had.
@@ -74,14 +76,10 @@ def trace_relative_pose(
     camera2 = camera1 if K2 is None else as_camera(K2, "K2")
     fits1 = check_size(camera1, first.size, "K1")
     fits2 = check_size(camera2, second.size, "K1" if K2 is None else "K2")
-    matcher = matcher or load_matcher()
+    matcher = matcher or Refiner(load_matcher())
     loaded = time.perf_counter()
 
-    if isinstance(matcher, DenseMatcher):
-        correspondences = matcher.correspond(first, second)
-        matches = matcher.select(correspondences)
-    else:
-        correspondences, matches = None, matcher.match(first, second)
+    correspondences, matches = match_images(matcher, first, second)
     matched = time.perf_counter()
 
     pose = estimate_pose(matches, camera1, camera2, options or EstimationOptions())
@@ -96,3 +94,17 @@ def trace_relative_pose(
     }
     pose = replace(pose, warnings=warnings, seconds=seconds)
     return Trace(first, second, camera1, camera2, correspondences, matches, pose)
+
+
+def match_images(
+    matcher: Matcher, image1: Image, image2: Image
+) -> tuple[CorrespondenceMap | None, Matches]:
+    """What a matcher finds, with the dense map where it makes one."""
+    if isinstance(matcher, Refiner):
+        correspondences = matcher.dense.correspond(image1, image2)
+        selected = matcher.dense.select(correspondences)
+        return correspondences, matcher.refine(image1, image2, correspondences, selected)
+    if isinstance(matcher, DenseMatcher):
+        correspondences = matcher.correspond(image1, image2)
+        return correspondences, matcher.select(correspondences)
+    return None, matcher.match(image1, image2)

@@ -24,6 +24,7 @@ from dgc_pose.matching.selection import select_matches
 from dgc_pose.matching.sift import SiftMatcher, key_point_cache
 from dgc_pose.network.weights import shipped
 from dgc_pose.refinement import RefinementOptions, Refiner
+from dgc_pose.refinement.native import native_cache
 
 EVERYWHERE = "/all"
 
@@ -101,7 +102,7 @@ def load_engines(
             fingerprints[name] = _fingerprint(matcher)
             by_name[name] = _network(matcher)
             if refinement is not None:
-                refiners[name] = Refiner(matcher, refinement)
+                refiners[name] = Refiner(matcher, refinement, native_cache())
         else:
             by_name[name] = _sift(SiftMatcher(cache=key_point_cache()))
     for name in wanted:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
 from dgc_pose.errors import InputError
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
+
+FinestLevel = Literal[240, 120, 60]
 
 # Error of a good match along one axis, in cells of the map's grid; see docs/accuracy.md.
 ERROR_CELLS = 0.5
@@ -23,9 +26,11 @@ class MatchingOptions:
     cycle_px: float | None = None  # largest error of the way there and back, pixels of image 2
     max_matches: int = 2000  # an even subsample of at most so many
     min_share: float = 0.01  # of the cells that must pass: a smaller patch is a chance likeness
-    # Where the mean matchability is below this, image 2 is matched turned by 90, 180 and 270
-    # degrees as well and the best of the four kept: the network knows photographs upright.
+    # Where the mean matchability is below this, image 2 is matched as well at the roll, of 90, 180
+    # and 270 degrees, that its coarsest features ask for: the network knows photographs upright.
     roll_share: float = 0.25
+    # Cells a side of the level that the map is taken from: the coarser, the faster.
+    finest: FinestLevel = 240
 
     def __post_init__(self) -> None:
         for name in ("matchability", "min_share", "roll_share"):
@@ -34,6 +39,9 @@ class MatchingOptions:
                 raise InputError(f"{name} must lie in [0, 1], not {value}")
         if self.cycle_px is not None and not self.cycle_px > 0:
             raise InputError(f"cycle_px must be positive, not {self.cycle_px}")
+        if self.finest not in get_args(FinestLevel):
+            sizes = ", ".join(map(str, get_args(FinestLevel)))
+            raise InputError(f"finest must be one of {sizes}, not {self.finest}")
         if self.max_matches < 1:
             raise InputError(f"max_matches must be at least 1, not {self.max_matches}")
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 from dgc_pose.errors import InputError
 
+DEFAULT_WEIGHTS = "dgcm-lite"
 INPUT_SIZE = 240  # pixels a side of both input images
 LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4
 COARSEST = 4  # index of the level that the correlation runs on

@@ -32,7 +32,7 @@ class Prediction:
     # source, normalised as the configuration's align_corners says
     maps: tuple[Tensor, ...]
     # (B, 1, S, S) matchability logits: five where decoders carry them, one (at 240) from the mask
-    # network, none for DGC-Net
+    # network, none for DGC-Net and where that network's level was left out
     logits: tuple[Tensor, ...]
 
 
@@ -74,18 +74,24 @@ class DGCNet(nn.Module):
             features = self.pyramid(image)
         return [feature.to(image.dtype) for feature in features]
 
-    def decode(self, source: list[Tensor], target: list[Tensor]) -> Prediction:
-        """The prediction from the features of both images, levels 0 to 4 of `Pyramid`."""
+    def decode(
+        self, source: list[Tensor], target: list[Tensor], finest: int = INPUT_SIZE
+    ) -> Prediction:
+        """The prediction from the features of both images, levels 0 to 4 of `Pyramid`.
+
+        finest: cells a side of the last level decoded, one of LEVEL_SIZES.
+        """
         states = [self.coarsest(source[COARSEST], target[COARSEST])]
         warped = source[0]
-        for level in range(COARSEST - 1, -1, -1):
+        last = LEVEL_SIZES.index(finest)
+        for level in range(COARSEST - 1, last - 1, -1):
             previous = upsample(states[-1])
             warped = self.warp(source[level], previous)
             states.append(self.refine(level, warped, target[level], previous))
         maps = tuple(state[:, :2] for state in states)
         if self.config.matchability == "decoder":
             return Prediction(maps, tuple(state[:, 2:] for state in states))
-        if self.config.matchability == "network":
+        if self.config.matchability == "network" and last == 0:
             return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
 
@@ -120,7 +126,11 @@ class DGCNet(nn.Module):
     def warp(self, features: Tensor, previous: Tensor) -> Tensor:
         """Source features (B, C, S, S) at the places of a map (B, 2.., H, W): (B, C, H, W)."""
         grid = previous[:, :2].movedim(1, -1)
-        return F.grid_sample(features, grid, align_corners=self.config.align_corners)
+        warped = F.grid_sample(features, grid, align_corners=self.config.align_corners)
+        # grid_sample forgets the layout, and what mixes layouts afterwards is many times slower.
+        if features.is_contiguous(memory_format=torch.channels_last):
+            return warped.contiguous(memory_format=torch.channels_last)
+        return warped
 
     def refine(
         self,

@@ -15,10 +15,10 @@ from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.network.config import PRESETS, preset
+from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS, preset
 from dgc_pose.network.net import DGCNet
 
-DEFAULT = "dgcm-lite"
+DEFAULT = DEFAULT_WEIGHTS
 _SUFFIX = ".safetensors"
 _COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and of no use here
 _MASK = "matchability_net."

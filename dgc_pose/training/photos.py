@@ -61,6 +61,11 @@ def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
     return _decode(held_back, side, lacking)
 
 
+def held_back_paths(root: str | Path) -> list[Path]:
+    """The files below a folder that `load_photos` holds back, sorted."""
+    return [path for path in _paths(Path(root)) if _is_held_back(path)]
+
+
 def _paths(root: Path, limit: int | None = None) -> list[Path]:
     return sorted(p for p in root.rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
 

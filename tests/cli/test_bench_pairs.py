@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from dgc_pose.cli.main import main
 from dgc_pose.errors import WeightsError
 
-FAST = ("--runs", "1", "--iterations", "200")
+FAST = ("--runs", "1", "--iterations", "200", "--refine", "none")
 
 
 @pytest.fixture

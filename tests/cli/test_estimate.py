@@ -23,10 +23,14 @@ KEYS = [
     "num_inliers",
     "inlier_ratio",
     "median_triangulation_angle_deg",
+    "rotation_error_90_deg",
+    "translation_error_90_deg",
+    "covariance",
     "warnings",
     "seconds",
 ]
-FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000")  # later ones override
+# Later ones override these.
+FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000", "--refine", "none")
 
 
 @pytest.fixture
@@ -42,10 +46,10 @@ def network(monkeypatch):
     """Puts a map in the network's place; returns the function that chooses it."""
 
     def use(correspondences):
-        def load_matcher(weights, *, device, options):
+        def load_matcher(weights, *, device, options, compiled=False):
             return dense_scene.MapMatcher(correspondences, options)
 
-        monkeypatch.setattr("dgc_pose.cli.options.load_matcher", load_matcher)
+        monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)
 
     use(dense_scene.true_map())
     return use
@@ -75,6 +79,8 @@ def test_json_has_the_keys_and_the_pose(folder, network):
     assert rotation_error_deg(np.array(data["R"]), dense_scene.R) < 0.05
     assert translation_error_deg(np.array(data["t"]), dense_scene.T) < 0.2
     assert np.linalg.norm(data["t"]) == pytest.approx(1)
+    assert np.shape(data["covariance"]) == (6, 6)
+    assert 0 < data["rotation_error_90_deg"] < data["translation_error_90_deg"] < 1
     assert np.linalg.norm(data["quaternion_wxyz"]) == pytest.approx(1)
     w = data["quaternion_wxyz"][0]
     assert 2 * np.arccos(abs(w)) == pytest.approx(np.arccos((np.trace(data["R"]) - 1) / 2))
@@ -94,6 +100,7 @@ def test_text_tells_the_pose(folder, network):
     assert result.stderr == ""
     assert "cam2_from_cam1" in result.stdout
     assert "translation up to scale" in result.stdout
+    assert "expected error: R within 0." in result.stdout
     rows = [line for line in result.stdout.splitlines() if line.startswith("  R  ")]
     R = np.array([[float(v) for v in row[5:].strip("[] ").split()] for row in rows])
     assert rotation_error_deg(R, dense_scene.R) < 0.05

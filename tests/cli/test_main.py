@@ -38,12 +38,22 @@ def test_help_names_every_subcommand():
         assert all(f"  {name} " in result.stdout for name in SUBCOMMANDS)
 
 
-def test_help_does_not_import_torch():
+@pytest.mark.parametrize(
+    ("arguments", "status", "heavy"),
+    [
+        (["--help"], 0, ("torch", "cv2", "numpy")),
+        (["estimate", "--help"], 0, ("torch", "matplotlib", "scipy.stats", "pycolmap")),
+        (["estimate", "nowhere.png", "nowhere.png", "--K", "1,1,1,1"], 2, ("torch", "matplotlib")),
+        (["match", "nowhere.png"], 2, ("torch", "matplotlib")),
+    ],
+)
+def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy):
     code = (
         "import sys\n"
         "from dgc_pose.cli.main import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit as end:\n    assert not end.code\n"
-        "assert 'torch' not in sys.modules and 'cv2' not in sys.modules"
+        f"try:\n    main({arguments})\n"
+        f"except SystemExit as end:\n    assert (end.code or 0) == {status}\n"
+        f"assert not [name for name in {heavy} if name in sys.modules]"
     )
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, "-c", code], check=True, env=environment, capture_output=True)

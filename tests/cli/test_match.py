@@ -19,15 +19,16 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pictures(tmp_path)
 
-    def load_matcher(weights, *, device, options):
+    def load_matcher(weights, *, device, options, compiled=False):
         return dense_scene.MapMatcher(dense_scene.true_map(), options)
 
-    monkeypatch.setattr("dgc_pose.cli.options.load_matcher", load_matcher)
+    monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)
     return tmp_path
 
 
 def match(*arguments):
-    return CliRunner().invoke(main, ["match", *arguments])
+    """With the map as it is; tests/cli/test_refine.py has what --refine makes of it."""
+    return CliRunner().invoke(main, ["match", "--refine", "none", *arguments])
 
 
 def test_map_and_matches_are_written(folder):

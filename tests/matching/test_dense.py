@@ -71,6 +71,46 @@ def test_cycle_measures_the_way_back() -> None:
     assert len(still.select(found)) > 1000
 
 
+def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
+    """The same numbers as the full pass makes on the way, on that level's grid."""
+    torch.manual_seed(0)
+    net = DGCNet(preset("dgcm-lite")).eval()
+    first, second = _image(480, 360, 1), _image(320, 240, 2)
+    full = DenseMatcher(net)
+    with torch.no_grad():
+        inputs = full._input(first.pixels), full._input(second.pixels)
+        prediction = net(*inputs)
+    for level, cells in ((1, 120), (2, 60)):
+        options = MatchingOptions(finest=cells, roll_share=0.0, cycle_px=10.0)  # type: ignore[arg-type]
+        found = DenseMatcher(net, options).correspond(first, second)
+        wanted = prediction.maps[-1 - level][0].movedim(0, -1).numpy()  # edges at -1 and +1
+        wanted = (wanted + 1) * first.size / np.array(2) - 0.5
+        np.testing.assert_allclose(found.map, wanted, atol=0.01)
+        step = np.divide(second.size, cells)
+        np.testing.assert_allclose(found.grid[0, 0], step / 2 - 0.5, atol=1e-4)
+        np.testing.assert_allclose(found.grid[2, 1] - found.grid[1, 0], step, atol=1e-4)
+        assert found.map.shape == (cells, cells, 2) and found.matchability.shape == (cells, cells)
+        assert found.cycle is not None and found.cycle.shape == (cells, cells)
+
+
+def test_the_way_back_at_a_coarser_level() -> None:
+    """There and back by 1/60 of the width each: 2/60 of image 2's width off, at any level."""
+    options = MatchingOptions(cycle_px=5.0, finest=60)
+    net = _constant_net(align_corners=False)
+    with torch.no_grad():
+        net.get_submodule("reg_2.final").bias[0] = 2 / 60
+    found = DenseMatcher(net, options).correspond(_image(480, 480), _image(960, 480))
+    assert found.cycle is not None
+    np.testing.assert_allclose(found.cycle[:, :50], 2 * 960 / 60, atol=0.05)
+
+
+def test_a_mask_network_has_no_coarser_level() -> None:
+    with pytest.raises(InputError, match="finest"):
+        DenseMatcher(DGCNet(preset("dgcm")), MatchingOptions(finest=120))
+    with pytest.raises(InputError, match="finest"):
+        MatchingOptions(finest=100)  # type: ignore[arg-type]
+
+
 def test_the_same_images_give_the_same_matches() -> None:
     torch.manual_seed(0)
     matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), MatchingOptions(matchability=0.0))
@@ -92,27 +132,29 @@ def test_nothing_is_nan_whatever_the_network_says() -> None:
 
 
 def test_a_roll_is_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a net that matches only its own orientation, the turned image's map is turned back."""
+    """Of a net that matches only its own orientation, the turned image's map is turned back, and
+    no other roll is decoded."""
     upright = _image(300, 200)
     matcher = DenseMatcher(_constant_net())
-    wanted = matcher._input(upright.pixels)
 
     def matchability(prediction: object) -> np.ndarray:
-        seen = torch.equal(inputs[-1], wanted)
+        seen = (decoded[-1] + roll) % 4 == 0
         return np.full((240, 240), 0.9 if seen else 0.1, np.float32)
 
-    inputs: list[torch.Tensor] = []
-    make_input = matcher._input
+    decoded: list[int] = []
+    at_roll = matcher._at_roll
 
-    def remembered(pixels: np.ndarray) -> torch.Tensor:
-        inputs.append(make_input(pixels))
-        return inputs[-1]
+    def remembered(pairs: object, turns: int, cache: object) -> object:
+        decoded.append(turns)
+        return at_roll(pairs, turns, cache)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(matcher, "_input", remembered)
+    monkeypatch.setattr(matcher, "_at_roll", remembered)
     monkeypatch.setattr("dgc_pose.matching.dense._matchability", matchability)
     for roll in range(4):
         turned = Image(np.rot90(upright.pixels, roll).copy())
+        decoded.clear()
         found = matcher.correspond(upright, turned)
+        assert decoded == ([0] if roll == 0 else [0, -roll % 4])
         assert found.matchability.mean() > 0.8
         # Each cell of the turned image must map to the place whose colour it shows.
         for row, column in ((30, 50), (200, 120), (3, 236)):

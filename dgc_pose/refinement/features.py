@@ -1,0 +1,196 @@
+"""Matches of the frozen encoder's own features at native resolution, led by the dense map.
+
+The encoder is fully convolutional, so the image may keep its shape and most of its resolution. At
+stride 16 every cell of image 2 gets a few candidate places in image 1: the most alike of all, and
+those that the dense map names. At stride 8 their children are compared, and mutual nearest
+neighbours stay. At stride 4 the place is found to a part of a cell. Only the coarsest comparison
+grows with the square of the image.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.network.net import DGCNet
+from dgc_pose.refinement.guide import places_in_image1, quarter_turns, turned_points
+from dgc_pose.refinement.native import Features, NativeCache, cells_at, native_features
+
+ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
+_SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
+_RADIUS = 3  # cells of stride 4 searched around the place found at stride 8
+_WINDOWS = 128  # compared at a time, which stays in the processor's cache
+_CHUNK = 1024  # coarse cells compared at a time, which bounds the memory
+
+
+@torch.no_grad()
+def match_features(
+    net: DGCNet,
+    image1: Image,
+    image2: Image,
+    correspondences: CorrespondenceMap,
+    *,
+    zoom: float,
+    long_side: int,
+    candidates: int,
+    cache: NativeCache,
+) -> Matches:
+    """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
+
+    zoom: pixels of image 1 to one of image 2, for a thing seen in both. Features know no scale and
+    no turns: the images are resized to show things at one size, their long sides about `long_side`
+    pixels, and image 2 is turned by the quarter turns that the map shows.
+    """
+    turns = quarter_turns(correspondences)
+    turned = np.ascontiguousarray(np.rot90(image2.pixels, turns))
+    scale1, scale2 = equal_scales(image1.size, image2.size, zoom, long_side)
+    cells1 = cells_at(image1.size, scale1)
+    cells2 = cells_at((turned.shape[1], turned.shape[0]), scale2)
+    source = cache.get((image1, 0, cells1), lambda: native_features(net, image1.pixels, cells1))
+    target = cache.get((image2, turns, cells2), lambda: native_features(net, turned, cells2))
+    guided = _guided_cells(correspondences, source, target, turns)
+    found1, found2, cosine = mutual_neighbours(
+        source, target, torch.cat([_likely_cells(source, target, candidates), guided], 1)
+    )
+    places1, places2 = refine_places(source.fine, target.fine, found1, found2)
+    points2 = to_pixels(places2, target.fine, target.size).cpu().numpy().astype(np.float64)
+    cell = math.sqrt(_cell_area(source) * _cell_area(target)) ** 0.5
+    return Matches(
+        to_pixels(places1, source.fine, source.size).cpu().numpy(),
+        turned_points(points2, target.size, -turns),
+        cosine.clamp(0, 1).cpu().numpy(),
+        error_px=ERROR_CELLS * cell,
+    )
+
+
+def equal_scales(
+    size1: tuple[int, int], size2: tuple[int, int], zoom: float, long_side: int
+) -> tuple[float, float]:
+    """Factors, at most 1, that make things as large in image 1 as in image 2; sizes (w, h).
+
+    At zoom 1 each long side is at most `long_side` afterwards; else the image that shows things
+    larger becomes smaller than that.
+    """
+    scale1, scale2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
+    ratio = zoom * scale1 / scale2
+    return scale1 / max(ratio, 1.0), scale2 * min(ratio, 1.0)
+
+
+def mutual_neighbours(
+    source: Features, target: Features, candidates: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Mutual nearest neighbours at stride 8 among the children of candidate cells.
+
+    candidates: (n, K) indices, row by row, of stride-16 cells of the source for each of the
+    target's n. Returns cells (M, 2) of stride 8, x and y, in source and target, and their cosine.
+    """
+    middle1, middle2 = source.middle.flatten(1).T.contiguous(), target.middle.flatten(1).T
+    children1, children2 = _children(source.coarse), _children(target.coarse)
+    kept = middle1.new_full((len(middle1),), -torch.inf)  # best cosine of each source cell
+    best, place = [], []
+    for rows, own in zip(candidates.split(_CHUNK), children2.split(_CHUNK), strict=True):
+        index = children1[rows].flatten(1)  # (m, 4 K)
+        scores = torch.bmm(middle2[own], middle1[index].transpose(1, 2))  # (m, 4, 4 K)
+        kept.scatter_reduce_(0, index.flatten(), scores.amax(1).flatten(), "amax")
+        score, which = scores.max(2)
+        best.append(score.flatten())
+        place.append(index.gather(1, which).flatten())
+    cosine, cell1, cell2 = torch.cat(best), torch.cat(place), children2.flatten()
+    mutual = cosine >= kept[cell1]
+    cell1, cell2 = cell1[mutual], cell2[mutual]
+    return _xy(cell1, source.middle), _xy(cell2, target.middle), cosine[mutual]
+
+
+def refine_places(
+    fine1: Tensor, fine2: Tensor, cells1: Tensor, cells2: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Places (M, 2) in cells of stride 4 of matched cells (M, 2) of stride 8.
+
+    The target's place stays; the source's is the mean of the cells within one of the most alike in
+    a window, weighted by the softmax of their cosines.
+    """
+    halves1, halves2 = _between_cells(fine1), _between_cells(fine2)
+    axis = torch.arange(-_RADIUS, _RADIUS + 1, device=fine1.device)
+    window = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(-1, 2)
+    corner1, corner2 = 2 * cells1.long(), 2 * cells2.long()
+    around = corner1[:, None] + window
+    limit = around.new_tensor((halves1.shape[1] - 1, halves1.shape[0] - 1))
+    inside = (around >= 0).all(-1) & (around <= limit).all(-1)
+    around = around.clamp_min(0).minimum(limit)
+    here = halves2[corner2[:, 1], corner2[:, 0], :, None]  # (M, C, 1)
+    cells = around[..., 1] * halves1.shape[1] + around[..., 0]
+    rows = halves1.flatten(0, 1)
+    cosines = torch.cat(
+        [
+            torch.bmm(rows[there], own)[..., 0]
+            for there, own in zip(cells.split(_WINDOWS), here.split(_WINDOWS), strict=True)
+        ]
+    )
+    cosines = cosines.masked_fill(~inside, -torch.inf)
+    best = window[cosines.argmax(1)]
+    far = (window - best[:, None]).abs().amax(-1) > 1
+    weights = (_SHARPNESS * cosines).masked_fill(far, -torch.inf).softmax(1)
+    return 2 * cells1 + 0.5 + weights @ window.to(fine1.dtype), 2 * cells2 + 0.5
+
+
+def to_pixels(cells: Tensor, level: Tensor, size: tuple[int, int]) -> Tensor:
+    """Places (M, 2) in cells of a level (C, h, w) to pixels of the image of `size`."""
+    height, width = level.shape[1:]
+    scale = cells.new_tensor((size[0] / width, size[1] / height))
+    return (cells + 0.5) * scale - 0.5
+
+
+def _likely_cells(source: Features, target: Features, count: int) -> Tensor:
+    """The `count` cells of stride 16 of the source most like each of the target's: (n, count)."""
+    own, other = source.coarse.flatten(1), target.coarse.flatten(1).T
+    count = min(count, own.shape[1])
+    return torch.cat([(part @ own).topk(count, 1).indices for part in other.split(_CHUNK)])
+
+
+def _guided_cells(
+    correspondences: CorrespondenceMap, source: Features, target: Features, turns: int
+) -> Tensor:
+    """The 2x2 cells of stride 16 around the place that the map names for each cell: (n, 4)."""
+    height, width = target.coarse.shape[1:]
+    index = torch.arange(height * width, device=target.coarse.device)
+    centres = to_pixels(_xy(index, target.coarse), target.coarse, target.size)
+    upright = turned_points(centres.cpu().numpy().astype(np.float64), target.size, -turns)
+    places = places_in_image1(correspondences, upright)
+    rows, columns = source.coarse.shape[1:]
+    cells = (places + 0.5) * np.divide((columns, rows), source.size) - 0.5
+    corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
+    corner = corner.clip(0, (columns - 1, rows - 1))
+    found = torch.from_numpy(corner[..., 1] * columns + corner[..., 0])
+    return found.to(target.coarse.device)
+
+
+def _children(coarse: Tensor) -> Tensor:
+    """Indices (n, 4), row by row, of the cells of twice the resolution in each cell of a level."""
+    height, width = coarse.shape[1:]
+    finer = torch.arange(4 * height * width, device=coarse.device).view(height, 2, width, 2)
+    return finer.permute(0, 2, 1, 3).reshape(-1, 4)
+
+
+def _xy(index: Tensor, level: Tensor) -> Tensor:
+    """Indices (M,), row by row, of a level's cells as x and y (M, 2)."""
+    width = level.shape[2]
+    rows = torch.div(index, width, rounding_mode="floor")
+    return torch.stack([index - rows * width, rows], -1).to(level.dtype)
+
+
+def _between_cells(features: Tensor) -> Tensor:
+    """Features (C, h, w) half a cell right of and below each cell: (h - 1, w - 1, C)."""
+    cells = features.permute(1, 2, 0)  # channels last already, as `native_features` makes them
+    pairs = cells[:, 1:] + cells[:, :-1]
+    return (pairs[1:] + pairs[:-1]).mul_(0.25)
+
+
+def _cell_area(features: Features) -> float:
+    """Of a stride-4 cell, in pixels of the original."""
+    return math.prod(features.size) / math.prod(features.fine.shape[1:])

@@ -1,0 +1,20 @@
+"""Images at places between their pixels."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+_CHUNK = 30000  # rows at a time: cv2.remap makes no image with a side of 32768 or more
+
+
+def bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Values (N, P) float32 of an image (H, W) float32 at places (N, P, 2), its edge repeated."""
+    x, y = np.moveaxis(places.astype(np.float32), -1, 0)
+    values = np.empty(x.shape, np.float32)
+    for i in range(0, len(x), _CHUNK):
+        rows = slice(i, i + _CHUNK)
+        values[rows] = cv2.remap(
+            image, x[rows], y[rows], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    return values

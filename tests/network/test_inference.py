@@ -1,0 +1,111 @@
+"""A network made for inference gives the maps of the one it was made from."""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from importlib import resources
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from dgc_pose.image import load_image
+from dgc_pose.matching import DenseMatcher
+from dgc_pose.network.config import INPUT_SIZE, preset
+from dgc_pose.network.inference import for_inference
+from dgc_pose.network.net import DGCNet, Prediction
+from dgc_pose.network.weights import load_network, shipped
+from dgc_pose.network.winograd import WinogradConv2d
+
+
+def _net(name: str) -> DGCNet:
+    """Random weights, with running statistics of batch norm that are not 0 and 1."""
+    torch.manual_seed(0)
+    net = DGCNet(preset(name)).eval()
+    for module in net.modules():
+        if isinstance(module, nn.BatchNorm2d):
+            nn.init.normal_(module.running_mean, 0.0, 0.1)
+            nn.init.uniform_(module.running_var, 0.5, 1.5)
+            nn.init.uniform_(module.weight, 0.5, 1.5)
+    return net
+
+
+def _inputs(net: DGCNet) -> list[Tensor]:
+    folder = resources.files("dgc_pose") / "data" / "demo"
+    matcher = DenseMatcher(net)
+    images = [load_image(str(folder / f"image{number}.jpg")) for number in (1, 2)]
+    return [matcher._input(image.pixels) for image in images]
+
+
+def _apart_px(one: Prediction, other: Prediction) -> Tensor:
+    """How far two finest maps are apart, pixels of the 240 x 240 source."""
+    return (one.maps[-1] - other.maps[-1]).norm(dim=1) * INPUT_SIZE / 2
+
+
+@pytest.mark.parametrize("name", ["dgcm", "dgcm-lite"])
+@pytest.mark.parametrize("compiled", [False, True])
+def test_the_same_map(name: str, compiled: bool) -> None:
+    if compiled and not any(map(shutil.which, ("g++", "clang++", "c++"))):
+        pytest.skip("no C++ compiler")
+    # Random features are all but alike, and their first correlation peak a matter of rounding.
+    net = load_network(name) if name in shipped() else _net(name)
+    fast = for_inference(net, compiled=compiled)
+    layers = [type(module) for module in fast.modules()]
+    assert nn.BatchNorm2d not in layers and (WinogradConv2d in layers) == compiled
+    inputs = _inputs(net)
+    with torch.inference_mode():
+        wanted, found = net(*inputs), fast(*inputs)
+    apart = _apart_px(found, wanted)
+    assert wanted.maps[-1].std() > 1e-3  # a map that is the same everywhere would show nothing
+    assert apart.median() < 1e-3 and apart.quantile(0.99) < 0.05
+    torch.testing.assert_close(found.logits[-1], wanted.logits[-1], atol=5e-3, rtol=0)
+
+
+def test_the_original_is_left_alone() -> None:
+    net = _net("dgcm-lite").train()
+    before = {key: value.clone() for key, value in net.state_dict().items()}
+    for_inference(net)
+    assert net.training and all(parameter.requires_grad for parameter in net.parameters())
+    assert all(torch.equal(before[key], value) for key, value in net.state_dict().items())
+
+
+def test_any_size_of_image_is_encoded_the_same() -> None:
+    net = _net("dgcm-lite")
+    image = torch.randn(1, 3, 96, 160)
+    with torch.inference_mode():
+        for one, other in zip(
+            net.features(image), for_inference(net).features(image), strict=True
+        ):
+            torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
+
+
+def test_without_a_compiler_a_warning_and_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda *_: None)
+    from dgc_pose.network import winograd
+
+    winograd._library.cache_clear()
+    net = _net("dgcm-lite")
+    with pytest.warns(RuntimeWarning, match="uncompiled: no C"):
+        slow = for_inference(net, compiled=True)
+    assert not any(isinstance(module, WinogradConv2d) for module in slow.modules())
+    inputs = _inputs(net)
+    with torch.inference_mode():
+        assert _apart_px(slow(*inputs), net(*inputs)).median() < 1e-3
+
+
+def test_half_precision_keeps_torch_and_comes_near() -> None:
+    """bfloat16 convolutions, places in single precision: within a cell in the median."""
+    net = _net("dgcm-lite")
+    exact = for_inference(net)
+    net.half_precision = True
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        half = for_inference(net, compiled=True)
+    assert not any(isinstance(module, WinogradConv2d) for module in half.modules())
+    inputs = _inputs(net)
+    with torch.inference_mode():
+        found, wanted = half(*inputs), exact(*inputs)
+    assert all(level.dtype == torch.float32 for level in found.maps)
+    coarse = (found.maps[0] - wanted.maps[0]).norm(dim=1) * INPUT_SIZE / 2
+    assert 0 < coarse.median() < 1.0

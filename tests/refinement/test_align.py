@@ -1,0 +1,128 @@
+"""Patches of the originals: shifts to a part of a pixel, whatever the light."""
+
+from __future__ import annotations
+
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.matching.dense import resize
+from dgc_pose.refinement.align import Aligned, align, spread
+from dgc_pose.refinement.consistency import LocalMatches
+
+
+def _local(points2: np.ndarray, error: np.ndarray) -> LocalMatches:
+    """The surface's own matches and affinities (by differences of 1 px), places off by `error`."""
+    slopes = [
+        dense_scene.places_in_image1(points2 + half) - dense_scene.places_in_image1(points2 - half)
+        for half in ((0.5, 0.0), (0.0, 0.5))
+    ]
+    places = dense_scene.places_in_image1(points2) + error
+    return LocalMatches(places, points2, np.stack(slopes, -1), np.arange(len(points2)))
+
+
+def _align(first: np.ndarray, second: np.ndarray, sigma: float = 1.0) -> Aligned:
+    rng = np.random.default_rng(1)
+    points2 = rng.uniform((60, 40), (260, 200), (400, 2))
+    local = _local(points2, rng.normal(0, sigma, points2.shape))
+    return align(first, second, local, radius=7, max_shift=6.0, max_matches=300)
+
+
+def _off(found: Aligned) -> np.ndarray:
+    truth = dense_scene.places_in_image1(found.points2)
+    return np.linalg.norm(found.points1 - truth, axis=1)
+
+
+@pytest.mark.parametrize("gain, offset", [(1.0, 0), (0.6, 40)])
+def test_aligned_to_a_part_of_a_pixel_whatever_gain_and_offset(gain: float, offset: int) -> None:
+    first, second = dense_scene.pictures()
+    first = np.rint(first * gain + offset).astype(np.uint8)
+    found = _align(first, second)
+    good = found.converged & (found.zncc > 0.8)
+    assert good.mean() > 0.9
+    assert np.median(_off(found)[good]) < 0.08
+    assert (_off(found)[good] < 0.5).mean() > 0.97
+
+
+def test_matches_move_to_corners_close_by_one_a_block() -> None:
+    found = _align(*dense_scene.pictures())
+    rng = np.random.default_rng(1)
+    points2 = rng.uniform((60, 40), (260, 200), (400, 2))
+    assert np.abs(found.points2 - points2[found.index]).max() <= 4.5
+    assert np.array_equal(found.points2, np.rint(found.points2))
+    assert 100 < len(found.index) <= 300
+
+
+def test_other_pictures_and_flat_ones_do_not_align() -> None:
+    first, second = dense_scene.pictures()
+    other = dense_scene.pictures(seed=5)[0]
+    flat = np.full_like(second, 90)
+    for one, two in ((other, second), (flat, second), (first, flat), (flat, flat)):
+        found = _align(one, two)
+        assert (found.converged & (found.zncc > 0.8)).mean() < 0.02
+        assert np.isfinite(found.points1).all()
+
+
+def test_what_moved_too_far_did_not_converge() -> None:
+    first, second = dense_scene.pictures()
+    rng = np.random.default_rng(1)
+    local = _local(rng.uniform((60, 40), (260, 200), (100, 2)), np.zeros((100, 2)) + (3.0, 0.0))
+    near = align(first, second, local, radius=7, max_shift=6.0, max_matches=100)
+    strict = align(first, second, local, radius=7, max_shift=1.0, max_matches=100)
+    # Three pixels are the whole way for those that arrive.
+    arrived = _off(near) < 0.3
+    assert arrived.mean() > 0.4 and not strict.converged[arrived].any()
+
+
+@pytest.mark.parametrize("larger", [1, 2])
+def test_an_image_at_three_times_the_size_is_shrunk_first(larger: int) -> None:
+    """The coordinates stay those of the originals, and the errors grow with their pixels."""
+    first, second = dense_scene.pictures()
+    rng = np.random.default_rng(1)
+    local = _local(rng.uniform((60, 40), (260, 200), (400, 2)), rng.normal(0, 0.5, (400, 2)))
+    times = np.array([3.0, 1.0]) if larger == 1 else np.array([1.0, 3.0])
+    if larger == 1:
+        first = resize(first, (960, 720))
+    else:
+        second = resize(second, (960, 720))
+    enlarged = LocalMatches(
+        (local.points1 + 0.5) * times[0] - 0.5,
+        (local.points2 + 0.5) * times[1] - 0.5,
+        local.affinity * times[0] / times[1],
+        local.index,
+    )
+    found = align(
+        first, second, enlarged, radius=7, max_shift=6.0 * times[0], max_matches=300
+    )
+    assert found.pixel == pytest.approx(2.0, rel=0.05)  # the mean of 1 and 3
+    good = found.converged & (found.zncc > 0.8)
+    assert good.mean() > 0.8
+    truth = dense_scene.places_in_image1((found.points2 + 0.5) / times[1] - 0.5)
+    off = np.linalg.norm((found.points1 + 0.5) / times[0] - 0.5 - truth, axis=1)
+    assert np.median(off[good]) < 0.1
+
+
+def test_what_does_not_come_back_is_not_settled() -> None:
+    """Half of image 1 shows something else: what settles there does not come back to its corner,
+    and what is right does."""
+    first, second = dense_scene.pictures()
+    first[:, 160:] = dense_scene.pictures(seed=5)[0][:, 160:]
+    rng = np.random.default_rng(1)
+    local = _local(rng.uniform((60, 40), (260, 200), (400, 2)), rng.normal(0, 1, (400, 2)))
+    one_way, both_ways = (
+        align(first, second, local, radius=7, max_shift=6.0, max_matches=300, back_px=limit)
+        for limit in (None, 0.5)
+    )
+    right = (_off(one_way) < 0.3) & one_way.converged
+    wrong = (_off(one_way) > 2.0) & one_way.converged
+    assert wrong.sum() > 5 and right.sum() > 80
+    assert (both_ways.converged <= one_way.converged).all()
+    assert both_ways.converged[wrong].mean() < 0.5 and both_ways.converged[right].mean() > 0.95
+
+
+def test_spread_keeps_the_strongest_of_each_block() -> None:
+    points = np.array([[10.0, 10.0], [12.0, 11.0], [200.0, 10.0], [10.0, 200.0]])
+    strength = np.array([1.0, 2.0, 0.1, 0.2])
+    assert spread(points, strength, (300, 300), 10).tolist() == [0, 1, 2, 3]
+    assert spread(points, strength, (300, 300), 3).tolist() == [1, 2, 3]
+    assert spread(points[:0], strength[:0], (300, 300), 3).tolist() == []

@@ -1,0 +1,168 @@
+"""The encoder's features at native resolution; even an untrained one knows what looks alike."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.refinement.features import (
+    equal_scales,
+    match_features,
+    mutual_neighbours,
+    refine_places,
+)
+from dgc_pose.refinement.guide import turned_points
+from dgc_pose.refinement.native import Features, native_cache
+
+
+@pytest.fixture(scope="module")
+def net() -> DGCNet:
+    torch.manual_seed(0)
+    return DGCNet(preset("dgcm-lite")).eval().requires_grad_(False)
+
+
+def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).random((height // 8, width // 8, 3), np.float32)
+    planes = torch.from_numpy(noise).permute(2, 0, 1)[None]
+    smooth = F.interpolate(planes, (height, width), mode="bicubic", align_corners=False)
+    return (255 * smooth[0].permute(1, 2, 0)).clamp(0, 255).byte().contiguous().numpy()
+
+
+def _guide(places1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
+    matchability = np.full(grid.shape[:2], 0.9, np.float32)
+    return CorrespondenceMap(
+        places1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
+    )
+
+
+def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
+    axes = [(np.arange(cells) + 0.5) * side / cells - 0.5 for side in size]
+    return np.stack(np.meshgrid(*axes), -1)
+
+
+@pytest.mark.parametrize(
+    "size1, size2, zoom, expected",
+    [
+        ((1600, 1200), (1200, 1600), 1.0, (0.5, 0.5)),
+        ((1600, 1200), (400, 300), 1.0, (0.5, 0.5)),  # as large in both: nothing wider in image 1
+        ((400, 300), (600, 400), 1.0, (1.0, 1.0)),  # never enlarged
+        ((1600, 1200), (1600, 1200), 2.0, (0.25, 0.5)),  # larger in image 1, which shrinks
+        ((1600, 1200), (1600, 1200), 0.5, (0.5, 0.25)),
+        ((1600, 1200), (800, 600), 2.0, (0.5, 1.0)),  # resizing alone makes them equal
+    ],
+)
+def test_scales_make_things_equally_large(
+    size1: tuple[int, int], size2: tuple[int, int], zoom: float, expected: tuple[float, float]
+) -> None:
+    found = equal_scales(size1, size2, zoom, 800)
+    assert found == pytest.approx(expected)
+    assert found[0] * zoom == pytest.approx(found[1])
+
+
+def _match(
+    net: DGCNet, first: np.ndarray, second: np.ndarray, guide: CorrespondenceMap, zoom: float = 1.0
+) -> Matches:
+    return match_features(
+        net,
+        Image(first),
+        Image(second),
+        guide,
+        zoom=zoom,
+        long_side=192,
+        candidates=4,
+        cache=native_cache(),
+    )
+
+
+def _random_features(seed: int, rows: int, columns: int) -> Features:
+    generator = torch.Generator().manual_seed(seed)
+    levels = [
+        F.normalize(torch.randn(16, k * rows, k * columns, generator=generator), dim=0)
+        for k in (1, 2, 4)
+    ]
+    return Features(levels[0], levels[1], levels[2], (16 * columns, 16 * rows))
+
+
+def test_with_all_cells_as_candidates_it_is_the_full_mutual_search() -> None:
+    source, target = _random_features(0, 3, 4), _random_features(1, 5, 3)
+    every = torch.arange(12).expand(15, 12)
+    cells1, cells2, cosine = mutual_neighbours(source, target, every)
+    full = source.middle.flatten(1).double().T @ target.middle.flatten(1).double()
+    expected = {
+        (int(full[:, j].argmax()), j)
+        for j in range(full.shape[1])
+        if int(full[int(full[:, j].argmax())].argmax()) == j
+    }
+    index1 = (cells1[:, 1] * 8 + cells1[:, 0]).long().tolist()
+    index2 = (cells2[:, 1] * 6 + cells2[:, 0]).long().tolist()
+    assert set(zip(index1, index2, strict=True)) == expected and len(index1) == len(expected)
+    torch.testing.assert_close(cosine.double(), full[index1, index2], atol=1e-5, rtol=0)
+
+
+def test_places_follow_a_shift_of_the_fine_level() -> None:
+    fine = torch.zeros(1, 1, 24, 24)
+    fine = F.interpolate(
+        torch.randn(1, 8, 12, 12, generator=torch.Generator().manual_seed(0)), (24, 24),
+        mode="bicubic",
+    )[0]
+    fine1 = F.normalize(fine, dim=0)
+    fine2 = fine1.roll((-2, 1), (2, 1))  # image 2 shows at x what image 1 shows at x + 2
+    cells = torch.tensor([[5.0, 5.0], [6.0, 4.0], [4.0, 7.0]])
+    places1, places2 = refine_places(fine1, fine2, cells, cells)
+    assert torch.equal(places2, 2 * cells + 0.5)
+    torch.testing.assert_close(places1 - places2, torch.tensor([[2.0, -1.0]] * 3), atol=0.5, rtol=0)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 3])
+def test_the_same_picture_turned_matches_itself(net: DGCNet, turns: int) -> None:
+    """Image 2 is image 1 turned; the map says so, and is itself 10 pixels off."""
+    pixels = _picture(192, 160)
+    second = np.ascontiguousarray(np.rot90(pixels, -turns))
+    size2 = (second.shape[1], second.shape[0])
+    grid = _grid(size2)
+    truth = turned_points(grid.reshape(-1, 2), size2, turns)
+    guide = _guide(truth.reshape(grid.shape) + 10, grid, (192, 160), size2)
+    found = _match(net, pixels, second, guide)
+    assert len(found) > 200
+    off = found.points1 - turned_points(found.points2, size2, turns)
+    assert np.median(np.abs(off)) < 0.5 and (np.abs(off).max(1) < 3).mean() > 0.9
+    # The error is that of a quarter of a cell of stride 4, at the original's own size.
+    assert found.error_px == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_map_of_nonsense_does_not_lead_astray(net: DGCNet) -> None:
+    pixels = _picture(192, 160)
+    grid = _grid((192, 160))
+    nonsense = np.random.default_rng(0).uniform(-500, 700, grid.shape)
+    guide = _guide(nonsense, grid, (192, 160), (192, 160))
+    guide.matchability[:] = 0.0  # and not sure of it, or its turn would count
+    found = _match(net, pixels, pixels, guide)
+    off = np.abs(found.points1 - found.points2).max(1)
+    assert len(found) > 200 and (off < 3).mean() > 0.9
+
+
+@pytest.mark.parametrize("shrunk", ["first", "second"])
+def test_a_picture_matches_itself_at_a_third(net: DGCNet, shrunk: str) -> None:
+    """Half of one picture at three times the size of the other, told so; and not, for contrast."""
+    large = _picture(192, 192)
+    small = cv2.resize(large, (64, 64), interpolation=cv2.INTER_AREA)
+    first, second = (small, large) if shrunk == "first" else (large, small)
+    zoom = 1 / 3 if shrunk == "first" else 3.0
+    size1, size2 = (image.shape[1::-1] for image in (first, second))
+    grid = _grid(size2)
+    guide = _guide(np.zeros_like(grid), grid, size1, size2)
+    guide.matchability[:] = 0.0
+    shares = []
+    for told in (zoom, 1.0):
+        found = _match(net, first, second, guide, told)
+        off = found.points1 - ((found.points2 + 0.5) * zoom - 0.5)
+        shares.append((np.abs(off).max(1) < 3 * max(1.0, zoom)).sum())
+    assert shares[0] > 40 and shares[0] > 2 * shares[1]
