@@ -134,7 +134,6 @@ class Refiner:
             return match_zoom(self.dense, image1, image2, correspondences, tiles=options.tiles)
         return matches
 
-
     def _features(
         self, image1: Image, image2: Image, correspondences: CorrespondenceMap
     ) -> Matches:
