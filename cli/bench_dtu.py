@@ -34,9 +34,9 @@ from dgc_pose.benchmarks.methods import SIFT
 from dgc_pose.benchmarks.pairs import require_images
 from dgc_pose.benchmarks.report import heading, summary_data
 from dgc_pose.cli.options import (
-    MATCHING,
     device_option,
     estimator_options,
+    matchability_option,
     refine_option,
     refinement_options,
     split_names,
@@ -108,14 +108,7 @@ class _Plan:
 @click.option(
     "--light", type=click.Choice(LIGHTS), default="3", show_default=True, help="Which light."
 )
-@click.option(
-    "--matchability",
-    type=float,
-    metavar="T",
-    default=MATCHING.matchability,
-    show_default=True,
-    help="Least matchability of a match, 0 to 1.",
-)
+@matchability_option
 @click.option(
     "--workers",
     type=click.IntRange(min=1),

@@ -118,17 +118,22 @@ def device_option(command: Command) -> Command:
     )(command)
 
 
-def filter_options(command: Command) -> Command:
-    """--matchability, --cycle and --max-matches, as `filters: MatchingOptions`."""
-
-    @click.option(
+def matchability_option(command: Command) -> Command:
+    """--matchability, as `matchability: float`."""
+    return click.option(
         "--matchability",
         type=float,
         metavar="T",
         default=MATCHING.matchability,
         show_default=True,
         help="Least matchability of a match, 0 to 1.",
-    )
+    )(command)
+
+
+def filter_options(command: Command) -> Command:
+    """--matchability, --cycle and --max-matches, as `filters: MatchingOptions`."""
+
+    @matchability_option
     @click.option(
         "--cycle",
         "cycle_px",

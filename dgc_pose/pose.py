@@ -100,11 +100,6 @@ def match_images(
     matcher: Matcher, image1: Image, image2: Image
 ) -> tuple[CorrespondenceMap | None, Matches]:
     """What a matcher finds, with the dense map where it makes one."""
-    if isinstance(matcher, Refiner):
-        correspondences = matcher.dense.correspond(image1, image2)
-        selected = matcher.dense.select(correspondences)
-        return correspondences, matcher.refine(image1, image2, correspondences, selected)
-    if isinstance(matcher, DenseMatcher):
-        correspondences = matcher.correspond(image1, image2)
-        return correspondences, matcher.select(correspondences)
+    if isinstance(matcher, DenseMatcher | Refiner):
+        return matcher.trace(image1, image2)
     return None, matcher.match(image1, image2)

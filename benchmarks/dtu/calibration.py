@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import scipy.linalg
 
+from dgc_pose.cam_file import parse_cam, parse_matrix
 from dgc_pose.errors import InputError
 
 ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leave
@@ -35,7 +35,7 @@ def read_projection(path: Path) -> View:
     if [len(row) for row in rows] != [4, 4, 4]:
         counts = " + ".join(str(len(row)) for row in rows) or "none"
         raise InputError(f"{path}: expected 3 rows of 4 numbers, found {counts}")
-    P = _matrix([word for row in rows for word in row], (3, 4), path)
+    P = parse_matrix([word for row in rows for word in row], (3, 4), path)
     return decompose(P, str(path))
 
 
@@ -47,13 +47,7 @@ def read_cam(path: Path) -> View:
         InputError: with the path, where the file is not so or its matrices are no camera.
         OSError: where the file cannot be read.
     """
-    words = _read_text(path).split()
-    if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
-        raise InputError(
-            f"{path}: expected the word extrinsic, 4 rows of 4 numbers, "
-            "the word intrinsic, 3 rows of 3 numbers"
-        )
-    extrinsic, K = _matrix(words[1:17], (4, 4), path), _matrix(words[18:27], (3, 3), path)
+    extrinsic, K = parse_cam(_read_text(path), path)
     if not np.allclose(extrinsic[3], [0, 0, 0, 1], atol=ROTATION_TOLERANCE):
         raise InputError(f"{path}: the last row of the extrinsic matrix must be 0 0 0 1")
     # Through P, as in the other layouts: the same matrices give the same view to the bit.
@@ -95,10 +89,3 @@ def _read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: expected numbers as text, found something else") from None
-
-
-def _matrix(words: Sequence[str], shape: tuple[int, int], path: Path) -> np.ndarray:
-    try:
-        return np.array([float(word) for word in words]).reshape(shape)
-    except ValueError:
-        raise InputError(f"{path}: expected numbers, found something else") from None

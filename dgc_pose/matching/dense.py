@@ -63,7 +63,12 @@ class DenseMatcher:
 
     def match(self, image1: Image, image2: Image) -> Matches:
         """The matches that pass the options, in pixels of the original images."""
-        return self.select(self.correspond(image1, image2))
+        return self.trace(image1, image2)[1]
+
+    def trace(self, image1: Image, image2: Image) -> tuple[CorrespondenceMap, Matches]:
+        """The dense map, and the matches of it that pass the options."""
+        correspondences = self.correspond(image1, image2)
+        return correspondences, self.select(correspondences)
 
     def correspond(self, image1: Image, image2: Image) -> CorrespondenceMap:
         """The dense map at `finest` x `finest` cells; with the way back where the options ask for

@@ -50,8 +50,12 @@ class Refiner:
 
     def match(self, image1: Image, image2: Image) -> Matches:
         """Refined matches, in pixels of the original images."""
-        correspondences = self.dense.correspond(image1, image2)
-        return self.refine(image1, image2, correspondences, self.dense.select(correspondences))
+        return self.trace(image1, image2)[1]
+
+    def trace(self, image1: Image, image2: Image) -> tuple[CorrespondenceMap, Matches]:
+        """The dense map, and the refined matches."""
+        correspondences, matches = self.dense.trace(image1, image2)
+        return correspondences, self.refine(image1, image2, correspondences, matches)
 
     def refine(
         self, image1: Image, image2: Image, correspondences: CorrespondenceMap, matches: Matches

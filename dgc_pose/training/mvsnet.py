@@ -5,8 +5,8 @@
 - A folder a scene: `cams/00000000_cam.txt` (K in pixels of the images), images of the same number
   in `images/` or `blended_images/`, depth in `depths/` or `rendered_depth_maps/` (BlendedMVS).
 
-A cam file: the word `extrinsic`, the 4x4 camera-from-world matrix, `intrinsic`, 3x3, and a line of
-depth limits. K moves between the sizes of a view as in MVSNet's own tools, x' = s x.
+Cam files are as in `dgc_pose/cam_file.py`. K moves between the sizes of a view as in MVSNet's own
+tools, x' = s x.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.cam_file import parse_cam
 from dgc_pose.errors import InputError
 from dgc_pose.training.posed_depth import (
     PosedFrame,
@@ -81,18 +82,12 @@ def read_cam(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """
     path = Path(path)
     try:
-        words = path.read_text(encoding="utf-8").split()
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        words = []
-    if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
-        raise InputError(f"{path}: expected extrinsic and 4x4 numbers, intrinsic and 3x3 numbers")
-    try:
-        pose = np.array(words[1:17], dtype=np.float64).reshape(4, 4)
-        K = np.array(words[18:27], dtype=np.float64).reshape(3, 3)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+        text = ""
+    pose, K = parse_cam(text, path)
     if not (np.isfinite(pose).all() and np.isfinite(K).all()):
         raise InputError(f"{path}: the numbers must be finite")
     check_rigid(pose, path)

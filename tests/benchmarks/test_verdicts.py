@@ -3,6 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from good_evidence import GOOD_EVIDENCE
 from verdict_folder import write_photos
 
 from dgc_pose.benchmarks import verdict_cases, verdicts
@@ -22,31 +23,15 @@ from dgc_pose.benchmarks.verdicts import (
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, VerdictOptions
-from dgc_pose.estimation.verdict import Evidence
 from dgc_pose.image import Image
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.render.scene_pair import render_scene_pair
 
-EVIDENCE = Evidence(
-    inlier_ratio=0.6,
-    chance_ratio=0.01,
-    log10_false_alarms=-100.0,
-    cheirality_ratio=0.95,
-    rotation=np.eye(3),
-    rotation_share=0.3,
-    parallax=20.0,
-    num_turned=100,
-    still_share=0.2,
-    median_angle_deg=8.0,
-    homography_ratio=0.4,
-    on_a_line=False,
-    places=80,
-)
-GOOD = Judged("a", "rendered", "true", "ok", True, 300, EVIDENCE, 0.1, 0.2, 0.15, 0.15)
+GOOD = Judged("a", "rendered", "true", "ok", True, 300, GOOD_EVIDENCE, 0.1, 0.2, 0.15, 0.15)
 
 
 def with_places(kind, places, name="a"):
-    evidence = dataclasses.replace(EVIDENCE, places=places)
+    evidence = dataclasses.replace(GOOD_EVIDENCE, places=places)
     success = places >= VerdictOptions().min_places
     status = "ok" if success else "chance_inliers"
     return dataclasses.replace(

@@ -2,36 +2,22 @@ import dataclasses
 
 import numpy as np
 import pytest
+from good_evidence import GOOD_EVIDENCE
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.estimation.consensus import model_of_pose
 from dgc_pose.estimation.options import VerdictOptions
-from dgc_pose.estimation.verdict import Evidence, gather, judge, robust_rotation
+from dgc_pose.estimation.verdict import gather, judge, robust_rotation
 from dgc_pose.metrics.pose import rotation_error_deg
 from two_view import two_view_scene
 
 THRESHOLD = 2e-3
 OPTIONS = VerdictOptions()
 CELLS = (0.05, 0.05)  # a thirtieth of the synthetic images' width
-GOOD = Evidence(
-    inlier_ratio=0.6,
-    chance_ratio=0.01,
-    log10_false_alarms=-100.0,
-    cheirality_ratio=0.95,
-    rotation=np.eye(3),
-    rotation_share=0.3,
-    parallax=20.0,
-    num_turned=100,
-    still_share=0.2,
-    median_angle_deg=8.0,
-    homography_ratio=0.4,
-    on_a_line=False,
-    places=80,
-)
 
 
 def verdict(num_inliers=300, options=OPTIONS, **changes):
-    return judge(dataclasses.replace(GOOD, **changes), num_inliers, options)
+    return judge(dataclasses.replace(GOOD_EVIDENCE, **changes), num_inliers, options)
 
 
 def test_good_evidence_is_a_pose_without_warnings():

@@ -7,26 +7,13 @@ from dataclasses import replace
 import pytest
 import torch
 import torch.nn.functional as F
+from still_light import STILL
 
 from dgc_pose.errors import InputError
 from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.pairs import PairOptions, TrainingPairs, make_pairs
 from dgc_pose.training.photometric import PhotometricOptions, random_photometric
 from dgc_pose.training.photos import Photos
-
-_STILL = PhotometricOptions(
-    gain=0,
-    gamma=0,
-    contrast=0,
-    saturation=0,
-    shade=0,
-    clip=0,
-    blur_share=0,
-    motion_share=0,
-    noise=0,
-    shot_noise=0,
-    jpeg_share=0,
-)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +23,7 @@ def photos() -> Photos:
 
 
 def _pairs(photos: Photos, seed: int = 0, **changes: object) -> TrainingPairs:
-    options = replace(PairOptions(photometric=_STILL), **changes)  # type: ignore[arg-type]
+    options = replace(PairOptions(photometric=STILL), **changes)  # type: ignore[arg-type]
     return make_pairs(photos, 6, 96, torch.Generator().manual_seed(seed), options)
 
 
@@ -100,13 +87,13 @@ def test_photometric_changes_keep_the_range_and_differ_by_image() -> None:
 
 def test_photometric_off_changes_nothing() -> None:
     images = 0.1 + 0.8 * torch.rand(4, 3, 16, 16)
-    still = random_photometric(images, _STILL, torch.Generator().manual_seed(2))
+    still = random_photometric(images, STILL, torch.Generator().manual_seed(2))
     torch.testing.assert_close(still, images, atol=1e-5, rtol=0)
 
 
 def test_blur_keeps_the_mean_and_lowers_the_contrast() -> None:
     images = 0.2 + 0.6 * torch.rand(4, 3, 32, 32, generator=torch.Generator().manual_seed(3))
-    options = replace(_STILL, blur_share=1.0, blur_sigma=2.0)
+    options = replace(STILL, blur_share=1.0, blur_sigma=2.0)
     blurred = random_photometric(images, options, torch.Generator().manual_seed(4))
     torch.testing.assert_close(blurred.mean((2, 3)), images.mean((2, 3)), atol=0.02, rtol=0)
     assert (blurred.std((2, 3)) < images.std((2, 3))).all()

@@ -8,29 +8,16 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from still_light import STILL
 
 from dgc_pose.errors import InputError
 from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.jpeg import jpeg_round_trip
 from dgc_pose.training.photometric import PhotometricOptions, random_photometric
 
-_STILL = PhotometricOptions(
-    gain=0,
-    gamma=0,
-    contrast=0,
-    saturation=0,
-    shade=0,
-    clip=0,
-    blur_share=0,
-    motion_share=0,
-    noise=0,
-    shot_noise=0,
-    jpeg_share=0,
-)
-
 
 def _changed(images: torch.Tensor, seed: int = 0, **changes: object) -> torch.Tensor:
-    options = replace(_STILL, **changes)  # type: ignore[arg-type]
+    options = replace(STILL, **changes)  # type: ignore[arg-type]
     return random_photometric(images, options, torch.Generator().manual_seed(seed))
 
 
@@ -123,4 +110,4 @@ def test_the_same_seed_gives_the_same_change() -> None:
 )
 def test_wrong_options_are_refused(field: str, value: object) -> None:
     with pytest.raises(InputError, match=field):
-        replace(_STILL, **{field: value})  # type: ignore[arg-type]
+        replace(STILL, **{field: value})  # type: ignore[arg-type]
