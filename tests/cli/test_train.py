@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import pytest
 from click.testing import CliRunner
+from photo_folder import write_photos
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
-from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.photo_pack import pack_photos
 from dgc_pose.training.photos import load_photos
 
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("photos")
-    for index, texture in enumerate(procedural_textures(40, 64, seed=2)):
-        pixels = (255 * texture.permute(1, 2, 0)).byte().numpy()
-        cv2.imwrite(str(folder / f"{index}.png"), pixels[..., ::-1])
-    return folder
+    return write_photos(tmp_path_factory.mktemp("photos"))
 
 
 def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path: Path) -> None:

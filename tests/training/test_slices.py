@@ -7,27 +7,22 @@ import subprocess
 import sys
 from pathlib import Path
 
-import cv2
 import pytest
 import torch
 from click.testing import CliRunner, Result
+from photo_folder import write_photos
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.carry import join_halves, read_parts, write_halves, write_parts
 from dgc_pose.training.slices import slices
 
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("photos")
-    for index, texture in enumerate(procedural_textures(40, 64, seed=2)):
-        pixels = (255 * texture.permute(1, 2, 0)).byte().numpy()
-        cv2.imwrite(str(folder / f"{index}.png"), pixels[..., ::-1])
-    return folder
+    return write_photos(tmp_path_factory.mktemp("photos"))
 
 
 def _call(*words: object) -> Result:
