@@ -13,6 +13,7 @@ from pathlib import Path
 import dtu_layout
 
 KILLS = 5
+ROWS = 20  # of the whole table: ten pairs by two methods
 LIMIT_S = 300.0  # for a step that takes seconds on an idle machine
 
 
@@ -72,12 +73,15 @@ def test_five_kills_leave_no_trace(tmp_path) -> None:
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     _finish(_start(root, whole, workers=1))
     chance = random.Random(0)
+    seen = []
     for kill in range(KILLS):
-        rows = _rows(killed) + chance.randint(1, 3) if kill else 0
-        _kill_after(_start(root, killed, workers=2), killed, rows, chance.uniform(0, 0.3))
-    assert 0 < _rows(killed) < 20
+        # A machine may have made every row by now: the report is killed then.
+        rows = min(_rows(killed) + chance.randint(1, 3), ROWS) if kill else 0
+        _kill_after(_start(root, killed, workers=2), killed, rows, chance.uniform(0, 0.1))
+        seen.append(_rows(killed))
+    assert seen == sorted(seen) and any(0 < rows < ROWS for rows in seen)
     _finish(_start(root, killed, workers=2))
     for name in ("results.csv", "pairs.csv", "run.json"):
         assert (killed / name).read_bytes() == (whole / name).read_bytes()
-    assert (killed / "timings.csv").read_bytes().count(b"\n") == 21
+    assert (killed / "timings.csv").read_bytes().count(b"\n") == ROWS + 1
     assert sorted(os.listdir(killed / "matches")) == sorted(os.listdir(whole / "matches"))
