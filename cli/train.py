@@ -9,6 +9,7 @@ import click
 
 if TYPE_CHECKING:
     from dgc_pose.training.depth_scenes import DepthScenes
+    from dgc_pose.training.start import InitPart
     from dgc_pose.training.warps import WarpOptions
 
 
@@ -71,6 +72,13 @@ if TYPE_CHECKING:
 @click.option("--curriculum", is_flag=True, help="From narrow ranges to full ones by half the run.")
 @click.option("--init", help="Weights to start from: a file, or a shipped name.")
 @click.option(
+    "--init-part",
+    type=click.Choice(["all", "encoder"]),
+    default="all",
+    show_default=True,
+    help="Of the --init weights; the rest starts from random numbers.",
+)
+@click.option(
     "--rate",
     default=1.0,
     show_default=True,
@@ -116,6 +124,7 @@ def train(
     warps: str,
     curriculum: bool,
     init: str | None,
+    init_part: InitPart,
     rate: float,
     teacher: str | None,
     teacher_weight: float,
@@ -159,6 +168,7 @@ def train(
         ),
         curriculum=Curriculum() if curriculum else None,
         init=init,
+        init_part=init_part,
         rate=rate,
         teacher=teacher,
         teacher_weight=teacher_weight,

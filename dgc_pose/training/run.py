@@ -33,7 +33,7 @@ from dgc_pose.training.photos import Photos
 from dgc_pose.training.processes import agreed, join_batch_norms, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
-from dgc_pose.training.start import adopt, take_up
+from dgc_pose.training.start import InitPart, adopt, take_up
 from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
 
@@ -67,6 +67,7 @@ class RunOptions:
     half_precision: bool = False
     average_decay: float = 0.998  # at most, of the exponential moving average of the weights
     init: str | None = None  # weights to start from; None: random ones
+    init_part: InitPart = "all"  # of them; the rest starts from random ones
     teacher: str | None = None  # weights of a net to learn from, or none
     teacher_weight: float = 0.5  # of the teacher's map in the loss, beside the truth's 1
 
@@ -124,7 +125,7 @@ class Trainer:
         torch.manual_seed(options.seed)
         self.net = DGCNet(preset(options.preset))
         if options.init is not None:
-            adopt(self.net, options.init)
+            adopt(self.net, options.init, options.init_part)
         self.net.to(self.device).half_precision = options.half_precision
         self._teacher = None
         if options.teacher is not None:

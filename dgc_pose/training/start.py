@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -16,14 +16,18 @@ from dgc_pose.network.weights import load_network
 from dgc_pose.training.stages import EncoderStage
 
 
-def adopt(net: DGCNet, weights: str | Path) -> None:
+InitPart = Literal["all", "encoder"]
+
+
+def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
     """Put the weights of a file (or a shipped name) into a net, in place.
 
-    Of another preset with the same pyramid, an ablation for one, the net takes the pyramid and
-    the correlation's temperature. Raises WeightsError where the pyramids differ too.
+    Of the encoder alone, or of another preset with the same pyramid, an ablation for one, the net
+    takes the pyramid and the correlation's temperature. Raises WeightsError where the pyramids
+    differ too.
     """
     other = load_network(weights)
-    if other.config == net.config:
+    if part == "all" and other.config == net.config:
         net.load_state_dict(other.state_dict())
         return
     if other.config.pyramid != net.config.pyramid:
