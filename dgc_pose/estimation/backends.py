@@ -11,6 +11,9 @@ from dgc_pose.estimation.options import EstimatorName
 # Libraries expect pixels; normalised points are handed to them as pixels of this focal length.
 VIRTUAL_FOCAL = 1000.0
 MINIMAL = 5  # matches that an essential matrix needs
+# Backends whose runs may go side by side: each has a random generator of its own. The others seed
+# one of the process or of the thread.
+SIDE_BY_SIDE: frozenset[EstimatorName] = frozenset({"poselib"})
 
 
 class Backend(Protocol):

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.estimation.backends import MINIMAL, get_backend
+from dgc_pose.estimation.backends import MINIMAL, SIDE_BY_SIDE, get_backend
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.poselib_backend import refine_pose
 from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
 from dgc_pose.geometry.homography import fit_homography, homography_poses, transfer_error
 from dgc_pose.geometry.triangulation import depths
+from dgc_pose.threads import in_threads
 
 _PLANE_LIMIT = 1.75  # a homography's transfer error, over the epipolar threshold
 _DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
@@ -50,16 +51,21 @@ def best_model(
     if len(points1) < MINIMAL:
         return None
     backend = get_backend(options.estimator)
-    essentials: list[np.ndarray] = []
-    for seed in run_seeds(options):
+
+    def run(seed: int) -> list[np.ndarray]:
         seen = _sample(len(points1), options.max_sampled, seed)
-        essentials += backend(
+        return backend(
             points1[seen],
             points2[seen],
             threshold=threshold,
             iterations=options.iterations,
             seed=seed,
         )
+
+    seeds = run_seeds(options)
+    side_by_side = options.estimator in SIDE_BY_SIDE
+    found = in_threads(run, seeds) if side_by_side else [run(seed) for seed in seeds]
+    essentials = [E for models in found for E in models]
     if not essentials:
         return None
     counts = [(sampson_distance(points1, points2, E) < threshold).sum() for E in essentials]

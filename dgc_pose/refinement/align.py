@@ -17,6 +17,7 @@ import numpy as np
 from dgc_pose.matching.dense import resize
 from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.refinement.sampling import bilinear
+from dgc_pose.threads import in_threads
 
 _CORNER_RADIUS = 4  # pixels that a match moves at most, along each axis, to a corner
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
@@ -165,12 +166,12 @@ def _shifts(
     radius: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places (N, 2) in image 1 after alignment, their correlation, and the last step in pixels."""
-    starts = range(0, max(1, len(points1)), _CHUNK)
-    parts = [slice(start, start + _CHUNK) for start in starts]
-    found = [
-        _shift(grey1, grey2, points1[part], points2[part], affinity[part], radius)
-        for part in parts
-    ]
+
+    def shift(start: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        part = slice(start, start + _CHUNK)
+        return _shift(grey1, grey2, points1[part], points2[part], affinity[part], radius)
+
+    found = in_threads(shift, range(0, max(1, len(points1)), _CHUNK))
     places, zncc, length = (np.concatenate(values) for values in zip(*found, strict=True))
     return places, zncc, length
 

@@ -15,7 +15,6 @@ from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.weights import load_network
 from dgc_pose.training.stages import EncoderStage
 
-
 InitPart = Literal["all", "encoder"]
 
 

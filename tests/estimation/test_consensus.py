@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,7 +50,7 @@ def test_of_all_runs_the_one_with_most_inliers_is_kept(monkeypatch):
         return next(answers)
 
     monkeypatch.setattr(consensus, "get_backend", lambda name: backend)
-    options = EstimationOptions(refine=False, iterations=77)
+    options = EstimationOptions(estimator="opencv", refine=False, iterations=77)
     model = best_model(points1, points2, THRESHOLD, options)
     assert asked == [(THRESHOLD, 77, seed) for seed in run_seeds(options)]
     assert rotation_error_deg(model.R, scene.R) < 1e-5
@@ -67,7 +69,7 @@ def test_each_run_sees_a_draw_of_its_own_and_its_model_is_scored_on_all(monkeypa
         return [truth]
 
     monkeypatch.setattr(consensus, "get_backend", lambda name: backend)
-    options = EstimationOptions(refine=False, max_sampled=120)
+    options = EstimationOptions(estimator="opencv", refine=False, max_sampled=120)
     model = best_model(points1, points2, THRESHOLD, options)
     assert [len(set(drawn)) for drawn in seen] == [120] * 5
     assert len({tuple(sorted(drawn)) for drawn in seen}) == 5
@@ -77,7 +79,7 @@ def test_each_run_sees_a_draw_of_its_own_and_its_model_is_scored_on_all(monkeypa
     best_model(points1, points2, THRESHOLD, options)
     assert seen == again
     seen.clear()
-    best_model(points1, points2, THRESHOLD, EstimationOptions(refine=False, max_sampled=300))
+    best_model(points1, points2, THRESHOLD, replace(options, max_sampled=300))
     assert seen == [list(range(300))] * 5
 
 

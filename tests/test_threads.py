@@ -1,0 +1,74 @@
+"""Work in threads is the same work: its order, its errors, and what is made of it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.estimation import estimate_pose
+from dgc_pose.matches import Matches
+from dgc_pose.refinement.align import align
+from dgc_pose.refinement.consistency import consistent
+from dgc_pose.threads import in_threads
+from two_view import two_view_scene
+
+
+@pytest.fixture(autouse=True)
+def threads_as_before() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    yield
+    cv2.setNumThreads(before)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_answers_come_in_the_order_of_the_items(count: int) -> None:
+    cv2.setNumThreads(3)
+    assert in_threads(lambda x: x * x, range(count)) == [x * x for x in range(count)]
+
+
+def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
+    cv2.setNumThreads(3)
+    together = threading.Barrier(3, timeout=20)
+    waited = in_threads(lambda _: together.wait(), range(3))
+    assert sorted(waited) == [0, 1, 2]
+    cv2.setNumThreads(1)
+    own = threading.get_ident()
+    assert in_threads(lambda _: threading.get_ident(), range(3)) == [own] * 3
+
+
+def test_an_error_of_the_work_is_raised() -> None:
+    cv2.setNumThreads(2)
+    with pytest.raises(ZeroDivisionError):
+        in_threads(lambda x: 1 // x, [1, 0, 1])
+
+
+def test_a_pose_is_the_same_for_any_number_of_threads() -> None:
+    scene = two_view_scene("general", count=400, outliers=0.4)
+    matches = Matches(scene.points1, scene.points2, np.ones(400), error_px=0.5)
+    poses = []
+    for threads in (1, 4):
+        cv2.setNumThreads(threads)
+        poses.append(replace(estimate_pose(matches, *scene.cameras), seconds={}))
+    assert poses[0].success
+    assert np.array_equal(poses[0].R, poses[1].R) and np.array_equal(poses[0].t, poses[1].t)
+    assert np.array_equal(poses[0].inliers, poses[1].inliers)
+
+
+def test_aligned_patches_are_the_same_for_any_number_of_threads() -> None:
+    first, second = dense_scene.pictures()
+    points2 = np.random.default_rng(0).uniform((60, 40), (260, 200), (900, 2))
+    places = dense_scene.places_in_image1(points2)
+    local = consistent(Matches(places, points2, np.ones(900), error_px=1.0), 12)
+    found = []
+    for threads in (1, 4):
+        cv2.setNumThreads(threads)
+        found.append(align(first, second, local, radius=7, max_shift=6.0, max_matches=800))
+    assert len(found[0].index) > 512  # several chunks
+    assert np.array_equal(found[0].points1, found[1].points1)
+    assert np.array_equal(found[0].zncc, found[1].zncc)
