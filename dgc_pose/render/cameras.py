@@ -40,7 +40,7 @@ class Cameras:
 
     def project(self, points: Tensor) -> Tensor:
         """Pixels (B, 2, n) of points (B, 3, n) of the camera frame; meaningless where z <= 0."""
-        focal = self.K[:, (0, 1), (0, 1)][..., None]
+        focal = self.K.diagonal(dim1=1, dim2=2)[:, :2, None]
         centre = self.K[:, :2, 2][..., None]
         return points[:, :2] / points[:, 2:] * focal + centre
 

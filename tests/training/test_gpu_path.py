@@ -1,0 +1,109 @@
+"""What a GPU runs, on a device that pretends: no mixed devices, no waiting, the CPU's numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import depth_folder
+import pytest
+import torch
+from pretend_gpu import DEVICE, MixedDevicesError, Pretended, pretended_gpu
+
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import save_weights
+from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.compact import compacted, expanded
+from dgc_pose.training.depth_scenes import DepthScenes, load_depth_scenes
+from dgc_pose.training.pairs import PairOptions, make_pairs
+from dgc_pose.training.photos import Photos
+from dgc_pose.training.posed_depth import read_rgbd
+from dgc_pose.training.run import RunOptions, Trainer
+from dgc_pose.training.schedule import Schedule
+
+# Without changes of light: their noise is drawn on the device, by a generator of its own.
+_STILL = PairOptions(scene_share=0.4, real_share=0.3, photometric=None)
+_MAY_WAIT = "overlap.py: overlapping"  # for whether a scene's views overlap, once a draw
+
+
+@pytest.fixture(scope="module")
+def photos() -> Photos:
+    return Photos.of((255 * procedural_textures(6, 96, seed=1)).round().to(torch.uint8))
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> DepthScenes:
+    folder = tmp_path_factory.mktemp("real")
+    pair = depth_folder.rendered(3, (120, 90))
+    return load_depth_scenes([read_rgbd(depth_folder.write_rgbd(folder, pair))])
+
+
+def test_the_device_refuses_tensors_of_the_cpu() -> None:
+    with pretended_gpu() as waits:
+        there = torch.ones(3, device=DEVICE)
+        assert isinstance(there * 2 + there[0], Pretended)
+        assert not waits
+        assert torch.equal((2 * there).cpu(), torch.full((3,), 2.0))
+        assert float(there.sum()) == 3 and sum(waits.values()) == 2
+        with pytest.raises(MixedDevicesError):
+            there + torch.ones(3)
+
+
+def test_pairs_made_there_are_those_made_here(photos: Photos, real: DepthScenes) -> None:
+    here = make_pairs(photos, 8, 64, torch.Generator().manual_seed(3), _STILL, real)
+    with pretended_gpu() as waits:
+        there = make_pairs(
+            photos.to(DEVICE),
+            8,
+            64,
+            torch.Generator().manual_seed(3),
+            _STILL,
+            real.to(DEVICE),
+        )
+        assert set(waits) <= {_MAY_WAIT}
+        for name in ("image1", "image2", "map", "valid", "known"):
+            assert torch.equal(getattr(there, name).cpu(), getattr(here, name)), name
+
+
+def test_light_is_changed_there(photos: Photos) -> None:
+    with pretended_gpu() as waits:
+        generator = torch.Generator().manual_seed(3)
+        pairs = make_pairs(photos.to(DEVICE), 8, 64, generator, PairOptions(scene_share=0.0))
+        assert not waits
+        assert 0 <= float(pairs.image1.min()) and float(pairs.image1.max()) <= 1
+
+
+def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path: Path) -> None:
+    """All stages, with weights to start from and a teacher; the state is compacted there as well."""
+    torch.manual_seed(0)
+    save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
+    options = RunOptions(
+        "dgcm-lite",
+        steps=3,
+        batch=2,
+        schedule=Schedule(1 / 3, 1 / 3, 1 / 3),
+        pairs=_STILL,
+        validation_count=1,
+        init=str(tmp_path / "w.safetensors"),
+        teacher=str(tmp_path / "w.safetensors"),
+    )
+
+    seen: Counter[str] = Counter()  # of the steps alone
+
+    def losses(name: str, device: torch.device | str, waits: Counter[str]) -> list[float]:
+        trainer = Trainer((photos, photos), tmp_path / name, options, real=real, device=device)
+        steps = [trainer.train_step(step / 3)["loss"] for step in range(3)]
+        seen.update(waits)
+        found = [float(loss) for loss in steps]
+        state = trainer.state()
+        second = expanded(compacted(state))["optimizer"]["state"][0]["exp_avg_sq"]
+        expected = state["optimizer"]["state"][0]["exp_avg_sq"]
+        torch.testing.assert_close(second.cpu(), expected.cpu(), rtol=0.1, atol=1e-9)
+        return [*found, *trainer.validate().values()]
+
+    here = losses("here", "cpu", Counter())
+    with pretended_gpu() as waits:
+        there = losses("there", DEVICE, waits)
+    assert there == pytest.approx(here, rel=1e-4, nan_ok=True)
+    assert set(seen) <= {_MAY_WAIT}
