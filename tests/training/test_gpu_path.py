@@ -75,7 +75,7 @@ def test_light_is_changed_there(photos: Photos) -> None:
 
 
 def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path: Path) -> None:
-    """All stages, with weights to start from and a teacher; the state is compacted there as well."""
+    """All stages, with weights to start from and a teacher; the state is compacted there too."""
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
     options = RunOptions(
