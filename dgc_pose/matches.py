@@ -21,6 +21,9 @@ class Matches:
     points2: np.ndarray  # (N, 2) float64, pixels of the original image 2
     confidence: np.ndarray  # (N,) float64 in [0, 1]
     error_px: float  # expected error of a good match, pixels of the original images
+    # Whether each match was found by itself, of key points. Those of a dense map go wrong together
+    # with their neighbours, and are no evidence beside them.
+    key_points: bool = False
 
     def __post_init__(self) -> None:
         for name in ("points1", "points2"):

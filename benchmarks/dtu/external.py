@@ -11,7 +11,7 @@ view B is the first image.) A map of any size W x H counts as that of both views
   0 to 1 (`certainty` is taken as well), 1 everywhere without it. With `grid` (H, W, 2) beside it,
   `map` and `grid` are in pixels of the views as stored, as `dgc-pose match` writes them. Or
   `points1` and `points2` (N, 2) alone, in pixels of the views as stored, with `confidence` (N,)
-  and `error_px`, where known.
+  and `error_px`, where known, and `key_points`, true where each was found by itself.
 """
 
 from __future__ import annotations
@@ -166,12 +166,16 @@ def _from_points(arrays: Mapping[str, np.ndarray], shown: ShownPair) -> Matches:
     error = np.asarray(arrays.get("error_px", _ERROR_PX), np.float64)
     if error.size != 1:
         raise InputError(f"error_px must be one number, not {error.size}")
+    key_points = np.asarray(arrays.get("key_points", False))
+    if key_points.size != 1:
+        raise InputError(f"key_points must be true or false, not {key_points.size} values")
     scale = np.sqrt(np.prod(np.divide(shown.image1.size, shown.size1)))
     return Matches(
         _shown(points1, shown.size1, shown.image1.size),
         _shown(points2, shown.size2, shown.image2.size),
         np.asarray(arrays.get("confidence", np.ones(len(points1)))),
         float(error.reshape(())) * float(scale),
+        bool(key_points.reshape(())),
     )
 
 

@@ -101,11 +101,8 @@ def match_batch(
             own.append(
                 Job(
                     method=method.name,
-                    scene=entry.scene,
-                    view1=entry.view1,
-                    view2=entry.view2,
+                    entry=entry,
                     protocol=options.protocol,
-                    overlap=entry.overlap,
                     truth=one.truth,
                     matches=matches,
                     everywhere_px=matched.everywhere_px,

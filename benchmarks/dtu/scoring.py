@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgc_pose.benchmarks.dtu.entries import Entry
 from dgc_pose.benchmarks.dtu.epipolar import median_and_mean, true_fundamental
 from dgc_pose.benchmarks.dtu.records import DtuResult, DtuTiming, Protocol
 from dgc_pose.benchmarks.dtu.samples import MatchSample
@@ -25,11 +26,8 @@ class Job:
     """All that a row is made from."""
 
     method: str
-    scene: int
-    view1: int
-    view2: int
+    entry: Entry
     protocol: Protocol
-    overlap: float
     truth: Pair  # cameras of the images that the matches are in
     matches: Matches
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
@@ -49,23 +47,22 @@ class Scored:
 def score(job: Job) -> Scored:
     """Estimate the pose of a pair and compare it with the true one."""
     truth, matches = job.truth, job.matches
-    seed = pair_seed(job.options.seed, job.scene, job.view1, job.view2)
+    place = (job.entry.scene, job.entry.view1, job.entry.view2)
+    seed = pair_seed(job.options.seed, *place)
     start = time.process_time()
     pose = estimate_pose(matches, truth.camera1, truth.camera2, replace(job.options, seed=seed))
     seconds = time.process_time() - start
     rotation, translation = pose_errors(pose, truth.R, truth.t)
     confident = median_and_mean(matches.points1, matches.points2, true_fundamental(truth))
     result = DtuResult(
-        method=job.method,
-        scene=job.scene,
-        view1=job.view1,
-        view2=job.view2,
+        job.method,
+        *place,
         image1=truth.name1,
         image2=truth.name2,
         protocol=job.protocol,
         true_rotation_deg=_rounded(rotation_error_deg(truth.R, np.eye(3))),
         true_baseline_mm=_rounded(float(np.linalg.norm(truth.t))),
-        overlap=_rounded(job.overlap),
+        overlap=_rounded(job.entry.overlap),
         status=pose.status,
         success=pose.success,
         num_matches=pose.num_matches,
@@ -80,10 +77,8 @@ def score(job: Job) -> Scored:
         epipolar_confident_mean_px=_rounded(confident[1]),
     )
     timing = DtuTiming(
-        method=job.method,
-        scene=job.scene,
-        view1=job.view1,
-        view2=job.view2,
+        job.method,
+        *place,
         match_seconds=_rounded(job.match_seconds),
         pose_seconds=_rounded(seconds),
     )

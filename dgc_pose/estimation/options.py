@@ -23,8 +23,9 @@ class VerdictOptions:
     # The inlier ratio must be so many times the one that the same model gets of the same points
     # paired wrongly. Neighbours among dense matches err together, which the count overrates.
     chance_factor: float = 3.0
-    # Inliers in one place are one piece of evidence: unrelated images have patches that look alike,
-    # each of which gives dozens of matches. A place is 1/24 of the longer side wide.
+    # Inliers of a dense map in one place are one piece of evidence: unrelated images have patches
+    # that look alike, each of which gives dozens of matches. A place is 1/24 of the longer side
+    # wide. Not asked of key points, which are found one by one.
     min_places: int = 20
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
     # Matches that a rotation alone must explain to be the answer, over the inliers.

@@ -61,7 +61,7 @@ def estimate_pose(
         model = best_planar_model(points1, points2, model, H, threshold, options.refine)
     if options.refine:
         model = polished(points1, points2, model, threshold)
-    cells = _cell(camera1), _cell(camera2)
+    cells = None if matches.key_points else (_cell(camera1), _cell(camera2))
     evidence = gather(points1, points2, model, threshold, planar, options.seed, cells=cells)
     status, reason, notes = judge(evidence, model.count, options.verdict)
 

@@ -44,7 +44,8 @@ class Evidence:
     median_angle_deg: float  # triangulation angle of the inliers
     homography_ratio: float  # of the inliers that one homography explains
     on_a_line: bool  # the inliers of either image lie on one line
-    places: int  # that the inliers lie in, in the image where these are fewer
+    # That the inliers lie in, in the image where these are fewer; None of key points.
+    places: int | None
 
 
 def gather(
@@ -55,11 +56,12 @@ def gather(
     homography_ratio: float,
     seed: int,
     *,
-    cells: tuple[float, float],
+    cells: tuple[float, float] | None,
 ) -> Evidence:
     """Measure the evidence of a model of normalised matches (N, 2).
 
-    cells: the side of a place in each image, in the points' unit.
+    cells: the side of a place in each image, in the points' unit; None where each match is
+    evidence by itself.
     """
     kept = model.inliers
     first, second = points1[kept], points2[kept]
@@ -86,7 +88,9 @@ def gather(
         median_angle_deg=float(np.median(angles)) if len(angles) else 0.0,
         homography_ratio=homography_ratio,
         on_a_line=spread < 2 * threshold,
-        places=min(_places(first, cells[0]), _places(second, cells[1])),
+        places=None
+        if cells is None
+        else min(_places(first, cells[0]), _places(second, cells[1])),
     )
 
 
@@ -103,7 +107,7 @@ def judge(
             f"{100 * chance:.1f} % of wrong matches would, and the best of many models finds more"
         )
         return "chance_inliers", reason, ()
-    if evidence.places < options.min_places:
+    if evidence.places is not None and evidence.places < options.min_places:
         reason = (
             f"the {num_inliers} inliers lie in {evidence.places} places only: a few patches that "
             f"look alike would give as many"

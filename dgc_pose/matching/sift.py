@@ -51,7 +51,8 @@ class SiftMatcher:
         points1, descriptors1 = self.key_points(image1)
         points2, descriptors2 = self.key_points(image2)
         if len(points1) < 2 or len(points2) < 2:
-            return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), ERROR_PX)
+            none = np.zeros((0, 2))
+            return Matches(none, none, np.zeros(0), ERROR_PX, key_points=True)
         matcher = cv2.BFMatcher(cv2.NORM_L2)
         forward = matcher.knnMatch(descriptors1, descriptors2, k=2)
         backward = {m.queryIdx: m.trainIdx for m in matcher.match(descriptors2, descriptors1)}
@@ -63,7 +64,7 @@ class SiftMatcher:
         ]
         table = np.array(kept, dtype=np.float64).reshape(-1, 3)
         first, second = table[:, 0].astype(int), table[:, 1].astype(int)
-        return Matches(points1[first], points2[second], table[:, 2], ERROR_PX)
+        return Matches(points1[first], points2[second], table[:, 2], ERROR_PX, key_points=True)
 
     def key_points(self, image: Image) -> tuple[np.ndarray, np.ndarray]:
         """Key points (N, 2), pixels of the image, and their descriptors (N, 128) float32."""

@@ -182,6 +182,10 @@ def test_inliers_crowded_in_a_few_spots_are_few_places():
     crowded = gather(near1, near2, model, THRESHOLD, 0.0, seed=0, cells=CELLS)
     assert crowded.places <= 12
     assert verdict_of(crowded, model)[0] == "chance_inliers"
+    # Of key points each is evidence by itself.
+    by_itself = gather(near1, near2, model, THRESHOLD, 0.0, seed=0, cells=None)
+    assert by_itself.places is None
+    assert verdict_of(by_itself, model)[0] == "ok"
 
 
 def test_evidence_without_inliers_is_a_plain_no():

@@ -18,6 +18,7 @@ def test_matches_lie_on_the_true_map() -> None:
     off = np.linalg.norm(pair.map[y, x] - matches.points1, axis=1)[seen]
     assert np.median(off) < 1.0 and (off < 3).mean() > 0.8
     assert matches.confidence.min() >= 1 - SiftOptions().ratio
+    assert matches.key_points
 
 
 def test_images_without_texture_give_no_matches() -> None:

@@ -121,6 +121,9 @@ def test_points_go_to_the_pixels_shown(tmp_path) -> None:
     assert np.allclose(found.points2, found.points1[::-1])
     assert found.error_px == pytest.approx(3.0 * np.sqrt(0.5 / 3))
     assert np.array_equal(found.confidence, np.ones(3))
+    assert not found.key_points
+    np.savez(tmp_path / f"{STEM}.npz", points1=points1, points2=points1, key_points=True)
+    assert ExternalMatches(tmp_path).find(_shown()).key_points
 
 
 def _bad_archive(**arrays: np.ndarray):
@@ -141,6 +144,11 @@ def _bad_archive(**arrays: np.ndarray):
         (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), certainty=np.full((4, 5), 2.0)), "0 to 1"),
         (".npz", _bad_archive(map=np.zeros((4, 5, 2)), grid=np.zeros((4, 4, 2))), "grid"),
         (".npz", _bad_archive(points1=np.zeros((4, 2)), points2=np.zeros((3, 2))), r"\(N, 2\)"),
+        (
+            ".npz",
+            _bad_archive(points1=np.ones((1, 2)), points2=np.ones((1, 2)), key_points=[1, 1]),
+            "key_points must be true or false",
+        ),
         (".png", lambda path: cv2.imwrite(str(path), np.zeros((4, 5, 3), np.uint8)), "16-bit"),
     ],
 )
