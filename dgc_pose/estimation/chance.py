@@ -10,7 +10,8 @@ from scipy.special import gammaln
 from dgc_pose.estimation.backends import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
 
-_PAIRS = 20_000  # wrong pairs, at least, that the chance level is measured on
+_PAIRS = 20_000  # wrong pairs that the chance level is measured on, where there are so many
+_ROUNDS = 8  # at least, in each of which a point has another wrong partner
 
 
 def chance_ratio(
@@ -24,8 +25,9 @@ def chance_ratio(
     count = len(points1)
     if count < 2:
         return 1.0
-    order = np.random.default_rng(seed).permutation(count)
-    rounds = min(count - 1, max(8, math.ceil(_PAIRS / count)))
+    order = np.random.default_rng(seed).permutation(count)[: _PAIRS // _ROUNDS]
+    count = len(order)
+    rounds = min(count - 1, max(_ROUNDS, math.ceil(_PAIRS / count)))
     hits = 0
     for shift in range(1, rounds + 1):
         wrong = np.roll(order, shift)  # never a point with its own match

@@ -30,6 +30,15 @@ def test_the_chance_level_is_the_share_of_inliers_among_all_wrong_pairs():
     assert found == pytest.approx((hits + 1) / (40 * 39 + 1))
 
 
+def test_of_many_matches_a_draw_tells_the_same():
+    rng = np.random.default_rng(4)
+    points1, points2 = rng.uniform(-0.5, 0.5, (2, 9000, 2))
+    E = essential_from_pose(np.eye(3), np.array([0.6, 0.0, 0.8]))
+    wrong = [np.roll(np.arange(9000), shift) for shift in range(1, 30)]
+    every = np.mean([sampson_distance(points1, points2[i], E) < 0.05 for i in wrong])
+    assert chance_ratio(points1, points2, E, 0.05, seed=5) == pytest.approx(every, rel=0.1)
+
+
 def test_right_matches_do_not_raise_the_chance_level():
     scene = two_view_scene("general", seed=31, count=400, sigma_px=0.0, outliers=0.0)
     camera1, camera2 = scene.cameras
