@@ -7,6 +7,7 @@ quick. Exit codes: 0 done, 2 unusable input, 3 no pose (set by the subcommand).
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -17,6 +18,9 @@ from dgc_pose.errors import DgcPoseError
 
 UNUSABLE_INPUT = 2
 INTERRUPTED = 130  # what shells report after SIGINT
+# Rounds that GNU's OpenMP, which torch takes on Linux, watches for a late thread before it sleeps.
+# By its own 300,000 a machine with another busy process spends nearly all its time watching.
+SPIN_COUNT = "10000"
 
 
 @dataclass(frozen=True)
@@ -109,5 +113,8 @@ def main(ctx: click.Context) -> None:
 
     Exit codes: 0 success, 2 unusable input, 3 no pose (the reason is printed).
     """
+    # Read when torch is imported, which no subcommand has done yet.
+    if "OMP_WAIT_POLICY" not in os.environ:
+        os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

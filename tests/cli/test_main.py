@@ -32,6 +32,20 @@ def raising(monkeypatch):
     return use
 
 
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [({}, "10000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "active"}, None)],
+)
+def test_threads_wait_as_the_user_says_or_not_for_long(monkeypatch, given, expected):
+    for name in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY"):
+        monkeypatch.setenv(name, "")  # so that what is set below is undone
+        monkeypatch.delenv(name)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    assert run().exit_code == 0
+    assert os.environ.get("GOMP_SPINCOUNT") == expected
+
+
 def test_help_names_every_subcommand():
     for result in (run("--help"), run("-h"), run()):
         assert result.exit_code == 0
