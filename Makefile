@@ -7,6 +7,9 @@ BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 PACKAGING := setup.cfg pyproject.toml constraints.txt
 
+# As the command sets it (cli/main.py), so that the tests bear a busy machine.
+export GOMP_SPINCOUNT ?= 10000
+
 .PHONY: demo test lint clean
 
 demo: $(VENV)/.installed
