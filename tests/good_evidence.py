@@ -20,4 +20,5 @@ GOOD_EVIDENCE = Evidence(
     homography_ratio=0.4,
     on_a_line=False,
     places=80,
+    rotation_error_90_deg=0.5,
 )

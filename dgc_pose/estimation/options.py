@@ -36,6 +36,8 @@ class VerdictOptions:
     # The motion that such a rotation leaves must spread so many times as wide as the error across
     # epipolar lines before it counts as evidence of a translation; more for few matches.
     min_parallax: float = 1.5
+    # Rotation error to expect of a pose; with more, the inliers lie so that they hardly tell it.
+    max_rotation_error_deg: float = 30.0
     planar_share: float = 0.85  # of inliers that one homography must explain to call them a plane
     small_angle_deg: float = 1.0  # median triangulation angle below which a warning is due
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
+from dgc_pose.estimation.backends import MINIMAL
 from dgc_pose.estimation.consensus import (
     Model,
     best_model,
@@ -62,11 +63,21 @@ def estimate_pose(
     if options.refine:
         model = polished(points1, points2, model, threshold)
     cells = None if matches.key_points else (_cell(camera1), _cell(camera2))
-    evidence = gather(points1, points2, model, threshold, planar, options.seed, cells=cells)
+    covariance = _covariance(points1, points2, model, threshold)
+    rotation_error = _radius(covariance, slice(0, 3))
+    evidence = gather(
+        points1,
+        points2,
+        model,
+        threshold,
+        planar,
+        options.seed,
+        cells=cells,
+        rotation_error_90_deg=rotation_error,
+    )
     status, reason, notes = judge(evidence, model.count, options.verdict)
 
     has_pose = status in ("ok", "planar")
-    covariance = _covariance(points1, points2, model, threshold) if has_pose else None
     R = model.R if has_pose else evidence.rotation if status == "rotation_only" else None
     inliers = np.zeros(len(matches), dtype=bool)
     inliers[used] = model.inliers
@@ -84,9 +95,9 @@ def estimate_pose(
         cheirality_ratio=evidence.cheirality_ratio,
         median_triangulation_angle_deg=evidence.median_angle_deg,
         homography_ratio=evidence.homography_ratio,
-        covariance=covariance,
-        rotation_error_90_deg=_radius(covariance, slice(0, 3)),
-        translation_error_90_deg=_radius(covariance, slice(3, 6)),
+        covariance=covariance if has_pose else None,
+        rotation_error_90_deg=rotation_error if has_pose else None,
+        translation_error_90_deg=_radius(covariance, slice(3, 6)) if has_pose else None,
         evidence=evidence,
         warnings=(*warnings, *notes),
     )
@@ -103,6 +114,8 @@ def _covariance(
     points1: np.ndarray, points2: np.ndarray, model: Model, threshold: float
 ) -> np.ndarray | None:
     kept = model.inliers & model.in_front
+    if kept.sum() <= MINIMAL:
+        return None
     seen1, seen2 = points1[kept], points2[kept]
     scale = error_scale(seen1, seen2, model.R, model.t, threshold)
     return pose_covariance(seen1, seen2, model.R, model.t, scale)

@@ -46,6 +46,7 @@ class Evidence:
     on_a_line: bool  # the inliers of either image lie on one line
     # That the inliers lie in, in the image where these are fewer; None of key points.
     places: int | None
+    rotation_error_90_deg: float | None = None  # to expect, nine times in ten; None: not known
 
 
 def gather(
@@ -57,6 +58,7 @@ def gather(
     seed: int,
     *,
     cells: tuple[float, float] | None,
+    rotation_error_90_deg: float | None = None,
 ) -> Evidence:
     """Measure the evidence of a model of normalised matches (N, 2).
 
@@ -91,6 +93,7 @@ def gather(
         places=None
         if cells is None
         else min(_places(first, cells[0]), _places(second, cells[1])),
+        rotation_error_90_deg=rotation_error_90_deg,
     )
 
 
@@ -131,6 +134,13 @@ def judge(
             f"both cameras"
         )
         return "behind_cameras", reason, ()
+    error = evidence.rotation_error_90_deg
+    if error is not None and error > options.max_rotation_error_deg:
+        reason = (
+            f"the {num_inliers} inliers lie so that they hardly tell the pose: its rotation may be "
+            f"{error:.0f} deg off"
+        )
+        return "no_model", reason, ()
     warnings = []
     if evidence.median_angle_deg < options.small_angle_deg:
         warnings.append(

@@ -33,6 +33,8 @@ def test_good_evidence_is_a_pose_without_warnings():
         ("chance_inliers", {"log10_false_alarms": -1.0}),
         ("chance_inliers", {"places": 19}),
         ("no_model", {"on_a_line": True}),
+        ("no_model", {"rotation_error_90_deg": 31.0}),
+        ("rotation_only", {"still_share": 0.92, "rotation_error_90_deg": 180.0}),
         ("rotation_only", {"rotation_share": 0.95, "parallax": 1.0}),
         ("rotation_only", {"still_share": 0.92}),
         ("behind_cameras", {"cheirality_ratio": 0.55}),
@@ -57,6 +59,9 @@ def test_each_gate_closes_by_itself(status, changes):
         {"inlier_ratio": 0.151},
         {"chance_ratio": 0.19},
         {"places": 20},
+        {"places": None},
+        {"rotation_error_90_deg": 29.0},
+        {"rotation_error_90_deg": None},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1
         {"rotation_share": 0.7, "parallax": 1.0},
         {"still_share": 0.88},
