@@ -253,62 +253,59 @@ def main(
 ) -> None:
     """Where the time of a pair goes. Without images the bundled pair, enlarged to 1600x1200."""
     try:
-        with staged(json_path) as stage:
+        with staged(json_path) as stage, tempfile.TemporaryDirectory() as folder:
             if threads is not None:
                 torch.set_num_threads(threads)
                 cv2.setNumThreads(threads)
-            data = _measure(image1, image2, k, weights, compiled, networks, repetitions)
+            configs = {f"{name}, random": preset(name) for name in split_names(networks)}
+            refiner = Refiner(load_matcher(weights, device="cpu", compiled=compiled))
+            pair = _pair(image1, image2, k, Path(folder))
+            nets = {refiner.name: load_network(weights)}
+            for name, config in configs.items():
+                torch.manual_seed(0)
+                nets[name] = DGCNet(config).eval().requires_grad_(False)
+            setup = Setup(*pair, refiner, EstimationOptions())
+            data = _measure(setup, nets, repetitions, {"compiled": compiled})
             if json_path is not None:
                 stage(json_path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     except DgcPoseError as error:
         raise click.ClickException(str(error)) from error
 
 
+def _pair(
+    image1: Path | None, image2: Path | None, k: str | None, folder: Path
+) -> tuple[Path, Path, Camera, Camera]:
+    if image1 is None:
+        return bundled_setup(folder)
+    if image2 is None or k is None:
+        raise InputError("give both images and K, or nothing")
+    return given_setup(image1, image2, k)
+
+
 def _measure(
-    image1: Path | None,
-    image2: Path | None,
-    k: str | None,
-    weights: str,
-    compiled: bool,
-    networks: str,
-    repetitions: int,
+    setup: Setup, nets: Mapping[str, DGCNet], repetitions: int, how: Mapping[str, object]
 ) -> dict[str, object]:
     """Measure, print, and return what is written as JSON."""
-    configs = {f"{name}, random": preset(name) for name in split_names(networks)}
-    dense = load_matcher(weights, device="cpu", compiled=compiled)
-    with tempfile.TemporaryDirectory() as folder:
-        if image1 is None:
-            pair = bundled_setup(Path(folder))
-        elif image2 is None or k is None:
-            raise InputError("give both images and K, or nothing")
-        else:
-            pair = given_setup(image1, image2, k)
-        setup = Setup(*pair, Refiner(dense), EstimationOptions())
-        images = [load_image(path) for path in pair[:2]]
-        size = "x".join(map(str, images[0].size))
-        facts = {
-            "weights": dense.name,
-            "compiled": compiled,
-            "size": size,
-            "repetitions": repetitions,
-            "torch_threads": torch.get_num_threads(),
-            "opencv_threads": cv2.getNumThreads(),
-            "torch": torch.__version__,
-        }
-        click.echo(", ".join(f"{name} {value}" for name, value in facts.items()))
-        found = stages(setup, repetitions, matrix_rate)
-        click.echo("\n" + stages_text(found) + "\n")
-        nets = {dense.name: load_network(weights)}
-        for name, config in configs.items():
-            torch.manual_seed(0)
-            nets[name] = DGCNet(config).eval().requires_grad_(False)
-        inputs = [network_input(image.pixels, torch.device("cpu")) for image in images]
-        ways = [
-            way
-            for name, net in nets.items()
-            for way in time_forwards(name, net, inputs, repetitions, matrix_rate)
-        ]
-        click.echo(forwards_text(ways) + "\n")
+    images = [load_image(path) for path in (setup.path1, setup.path2)]
+    facts = {
+        "weights": setup.refiner.name,
+        **how,
+        "size": "x".join(map(str, images[0].size)),
+        "repetitions": repetitions,
+        "torch_threads": torch.get_num_threads(),
+        "opencv_threads": cv2.getNumThreads(),
+        "torch": torch.__version__,
+    }
+    click.echo(", ".join(f"{name} {value}" for name, value in facts.items()))
+    found = stages(setup, repetitions, matrix_rate)
+    click.echo("\n" + stages_text(found) + "\n")
+    inputs = [network_input(image.pixels, torch.device("cpu")) for image in images]
+    ways = [
+        way
+        for name, net in nets.items()
+        for way in time_forwards(name, net, inputs, repetitions, matrix_rate)
+    ]
+    click.echo(forwards_text(ways) + "\n")
     data = result_data(facts, found, ways)
     click.echo(f"sift over dgc-pose, in all: {data['sift_over_dgc_pose']:.2f}")
     return data

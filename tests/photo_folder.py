@@ -1,12 +1,19 @@
-"""A folder of small photographs, enough of them to train and to hold some back."""
+"""Small photographs, drawn: in memory, or a folder of enough to train and to hold some back."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import cv2
+import torch
 
 from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.training.photos import Photos
+
+
+def drawn_photos(count: int, side: int) -> Photos:
+    """So many procedural textures, squares of `side` pixels, as the trainer holds photographs."""
+    return Photos.of((255 * procedural_textures(count, side, seed=1)).round().to(torch.uint8))
 
 
 def write_photos(folder: Path) -> Path:

@@ -163,20 +163,24 @@ def _from_points(arrays: Mapping[str, np.ndarray], shown: ShownPair) -> Matches:
         raise InputError(
             f"points1 and points2 must both be (N, 2), not {points1.shape} and {points2.shape}"
         )
-    error = np.asarray(arrays.get("error_px", _ERROR_PX), np.float64)
-    if error.size != 1:
-        raise InputError(f"error_px must be one number, not {error.size}")
-    key_points = np.asarray(arrays.get("key_points", False))
-    if key_points.size != 1:
-        raise InputError(f"key_points must be true or false, not {key_points.size} values")
+    error = _single(arrays, "error_px", _ERROR_PX, "one number")
+    key_points = _single(arrays, "key_points", False, "true or false")
     scale = np.sqrt(np.prod(np.divide(shown.image1.size, shown.size1)))
     return Matches(
         _shown(points1, shown.size1, shown.image1.size),
         _shown(points2, shown.size2, shown.image2.size),
         np.asarray(arrays.get("confidence", np.ones(len(points1)))),
-        float(error.reshape(())) * float(scale),
-        bool(key_points.reshape(())),
+        float(error) * float(scale),
+        bool(key_points),
     )
+
+
+def _single(arrays: Mapping[str, np.ndarray], name: str, default: float, what: str) -> np.ndarray:
+    """The one value () of an array, or the default where there is none. `what`: that it must be."""
+    value = np.asarray(arrays.get(name, default))
+    if value.size != 1:
+        raise InputError(f"{name} must be {what}, not {value.size} values")
+    return value.reshape(())
 
 
 def _shown(places: np.ndarray, stored: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

@@ -64,7 +64,6 @@ def estimate_pose(
         model = polished(points1, points2, model, threshold)
     cells = None if matches.key_points else (_cell(camera1), _cell(camera2))
     covariance = _covariance(points1, points2, model, threshold)
-    rotation_error = _radius(covariance, slice(0, 3))
     evidence = gather(
         points1,
         points2,
@@ -73,11 +72,13 @@ def estimate_pose(
         planar,
         options.seed,
         cells=cells,
-        rotation_error_90_deg=rotation_error,
+        rotation_error_90_deg=_radius(covariance, slice(0, 3)),
     )
     status, reason, notes = judge(evidence, model.count, options.verdict)
 
     has_pose = status in ("ok", "planar")
+    if not has_pose:
+        covariance = None
     R = model.R if has_pose else evidence.rotation if status == "rotation_only" else None
     inliers = np.zeros(len(matches), dtype=bool)
     inliers[used] = model.inliers
@@ -95,9 +96,9 @@ def estimate_pose(
         cheirality_ratio=evidence.cheirality_ratio,
         median_triangulation_angle_deg=evidence.median_angle_deg,
         homography_ratio=evidence.homography_ratio,
-        covariance=covariance if has_pose else None,
-        rotation_error_90_deg=rotation_error if has_pose else None,
-        translation_error_90_deg=_radius(covariance, slice(3, 6)) if has_pose else None,
+        covariance=covariance,
+        rotation_error_90_deg=_radius(covariance, slice(0, 3)),
+        translation_error_90_deg=_radius(covariance, slice(3, 6)),
         evidence=evidence,
         warnings=(*warnings, *notes),
     )

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 import torch
+from photo_folder import drawn_photos
 
-from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.compact import compacted, expanded
 from dgc_pose.training.pairs import PairOptions
 from dgc_pose.training.photos import Photos
@@ -17,7 +17,7 @@ from dgc_pose.training.run import CHECKPOINT, RunOptions, Trainer
 
 @pytest.fixture(scope="module")
 def photos() -> Photos:
-    return Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
+    return drawn_photos(4, 64)
 
 
 def _size(state: dict[str, object]) -> int:

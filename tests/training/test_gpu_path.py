@@ -8,12 +8,12 @@ from pathlib import Path
 import depth_folder
 import pytest
 import torch
+from photo_folder import drawn_photos
 from pretend_gpu import DEVICE, MixedDevicesError, Pretended, pretended_gpu
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
-from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.compact import compacted, expanded
 from dgc_pose.training.depth_scenes import DepthScenes, load_depth_scenes
 from dgc_pose.training.pairs import PairOptions, make_pairs
@@ -29,7 +29,7 @@ _MAY_WAIT = "overlap.py: overlapping"  # for whether a scene's views overlap, on
 
 @pytest.fixture(scope="module")
 def photos() -> Photos:
-    return Photos.of((255 * procedural_textures(6, 96, seed=1)).round().to(torch.uint8))
+    return drawn_photos(6, 96)
 
 
 @pytest.fixture(scope="module")

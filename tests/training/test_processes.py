@@ -11,11 +11,10 @@ from pathlib import Path
 import joint_run
 import pytest
 import torch
+from photo_folder import drawn_photos
 from torch import nn
 
 from dgc_pose.errors import InputError
-from dgc_pose.render.procedural import procedural_textures
-from dgc_pose.training.photos import Photos
 from dgc_pose.training.processes import join_batch_norms
 from dgc_pose.training.run import RunOptions, Trainer
 
@@ -82,7 +81,7 @@ def test_joint_norms_alone_are_the_norms_they_were() -> None:
 
 
 def test_a_batch_that_does_not_divide_is_refused(tmp_path: Path) -> None:
-    photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
+    photos = drawn_photos(4, 64)
     options = RunOptions("dgcm-lite", 1.0, validation_count=1, batch=3, parts=2)
     with pytest.raises(InputError, match="3 pairs do not divide into 2 parts"):
         Trainer((photos, photos), tmp_path / "run", options)

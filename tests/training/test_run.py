@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 import torch
+from photo_folder import drawn_photos
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_network, save_weights
-from dgc_pose.render.procedural import procedural_textures
 from dgc_pose.training.draws import Draws
 from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos, load_photos
@@ -31,7 +31,7 @@ _WARPS_ONLY = PairOptions(scene_share=0.0)
 
 @pytest.fixture(scope="module")
 def photos() -> Photos:
-    return Photos.of((255 * procedural_textures(6, 96, seed=1)).round().to(torch.uint8))
+    return drawn_photos(6, 96)
 
 
 def _options(**changes: object) -> RunOptions:
