@@ -68,6 +68,7 @@ class NetworkConfig:
     normalise_features: bool = True  # L2 norm over channels before the correlation
     normalise_correlation: bool = True  # ReLU and L2 norm over the correlation's channels
     soft_argmax: bool = False  # the first map from the correlation's peak instead of zeros (ours)
+    consensus_passes: int = 0  # rounds in which cells hear their neighbours before the peak (ours)
     # Whether -1 and +1 are the centres of the outer pixels (True, what the authors' weights were
     # made for) or the outer edges (False, the same place at every level).
     align_corners: bool = True
@@ -81,6 +82,8 @@ class NetworkConfig:
                 raise InputError("a decoder needs as many dilations as channels, and at least one")
         if self.soft_argmax and self.correlation != "global":
             raise InputError("soft_argmax needs the global correlation")
+        if self.consensus_passes < 0 or (self.consensus_passes > 0 and not self.soft_argmax):
+            raise InputError("consensus_passes must not be negative, and needs soft_argmax")
 
     @property
     def level_channels(self) -> tuple[int, ...]:
@@ -156,6 +159,7 @@ PRESETS: dict[str, NetworkConfig] = {
         output="residual",
         matchability="decoder",
         soft_argmax=True,
+        consensus_passes=4,
         align_corners=False,
     ),
 }
@@ -184,13 +188,14 @@ def without_dilation(config: NetworkConfig) -> NetworkConfig:
 
 
 def _local_correlation(config: NetworkConfig) -> NetworkConfig:
-    return replace(config, correlation="local", soft_argmax=False)
+    return replace(config, correlation="local", soft_argmax=False, consensus_passes=0)
 
 
-# The paper's ablations (section 5), by the names that `preset` takes behind a "+".
+# The paper's ablations (section 5) and one of ours, by the names that `preset` takes behind a "+".
 ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
     "no-l2": lambda config: replace(config, normalise_features=False),
     "flow": lambda config: replace(config, output="displacement"),
     "no-dilation": without_dilation,
     "local-correlation": _local_correlation,
+    "no-consensus": lambda config: replace(config, consensus_passes=0),
 }

@@ -43,24 +43,35 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
     return torch.stack(scores, 1)
 
 
-def correlation_peaks(correlation: Tensor, scale: Tensor, window: int = 2) -> Tensor:
-    """Where in the source each target cell's correlation peaks, to a fraction of a cell.
+def match_scores(correlation: Tensor, scale: Tensor) -> Tensor:
+    """How likely each pair of cells is a match, as logarithms, up to a constant.
 
-    Takes the global correlation (B, h * w, h, w) and the inverse temperature of its training.
-    The scores are softmaxed over the source and over the target; the place (B, 2, h, w), x and y in
-    source cells, is the mean of the source cells within `window` of the highest, weighted by the
-    product of both. The window keeps a second peak from dragging the mean into the void.
+    Takes the global correlation (B, h * w, h, w) and the inverse temperature of its training; the
+    softmax over the source and that over the target are multiplied.
     """
-    batch, cells, height, width = correlation.shape
-    scores = (correlation * scale).view(batch, cells, -1)
-    scores = scores.log_softmax(1) + scores.log_softmax(2)
+    scores = (correlation * scale).flatten(2)
+    return (scores.log_softmax(1) + scores.log_softmax(2)).view_as(correlation)
+
+
+def peaks(scores: Tensor, window: int = 2) -> tuple[Tensor, Tensor]:
+    """Where in the source each target cell's scores peak, to a fraction of a cell, and how clearly.
+
+    Takes logarithms (B, h * w, h, w), laid out as by `global_correlation`. The place (B, 2, h, w),
+    x and y in source cells, is the mean of the source cells within `window` of the highest,
+    weighted by their probability; the window keeps a second peak from dragging the mean into the
+    void. How clearly (B, h, w): the share of all probability that lies in the window.
+    """
+    batch, cells, height, width = scores.shape
+    probability = scores.flatten(2).softmax(1)
     index = torch.arange(cells, device=scores.device)
     x = torch.div(index, height, rounding_mode="floor").to(scores.dtype)
     y = torch.remainder(index, height).to(scores.dtype)
-    best = scores.argmax(1)  # (B, h * w)
+    best = probability.argmax(1)  # (B, h * w)
     far = torch.maximum(
         (x[None, :, None] - x[best][:, None]).abs(), (y[None, :, None] - y[best][:, None]).abs()
     )
-    weights = scores.masked_fill(far > window, -torch.inf).softmax(1)
+    weights = probability.masked_fill(far > window, 0)
+    inside = weights.sum(1)
     place = torch.stack([(weights * x[:, None]).sum(1), (weights * y[:, None]).sum(1)], 1)
-    return place.view(batch, 2, height, width)
+    place = place / inside[:, None]
+    return place.view(batch, 2, height, width), inside.view(batch, height, width)

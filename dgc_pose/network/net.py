@@ -10,18 +10,22 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, NetworkConfig
+from dgc_pose.network.consensus import consensus
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
-    correlation_peaks,
     global_correlation,
     l2_normalise,
     local_correlation,
+    match_scores,
+    peaks,
 )
 from dgc_pose.network.decoder import Decoder, MatchabilityNet
 from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
 _INITIAL_SCALE = 20.0
+# The coarsest mask logit starts from how clearly the correlation peaks, between these shares.
+_CLEAR = (0.01, 0.99)
 
 
 @dataclass(frozen=True)
@@ -107,11 +111,15 @@ class DGCNet(nn.Module):
         batch, _, height, width = correlation.shape
         start = correlation.new_zeros(batch, config.map_channels, height, width)
         if config.soft_argmax:
-            scale = cast(Tensor, self.correlation_scale)
-            cells = correlation_peaks(correlation, scale)
+            scores = match_scores(correlation, cast(Tensor, self.correlation_scale))
+            if config.consensus_passes > 0:
+                scores = consensus(scores, config.consensus_passes)
+            cells, clear = peaks(scores)
             start[:, :2] = to_normalised(
                 cells.movedim(1, -1), (width, height), config.align_corners
             ).movedim(-1, 1)
+            if config.matchability == "decoder":
+                start[:, 2] = clear.clamp(*_CLEAR).logit()
         if config.normalise_correlation:
             correlation = l2_normalise(correlation.relu())
         return self._decode_level(COARSEST, correlation, start)

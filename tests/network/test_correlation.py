@@ -8,10 +8,11 @@ import numpy as np
 import torch
 
 from dgc_pose.network.correlation import (
-    correlation_peaks,
     global_correlation,
     l2_normalise,
     local_correlation,
+    match_scores,
+    peaks,
 )
 
 
@@ -68,17 +69,32 @@ def test_peaks_are_where_the_features_came_from() -> None:
     """A target that is the source turned by 90 degrees finds every cell's true place."""
     source = l2_normalise(_features(5, 1, 64, 15, 15))
     target = torch.rot90(source, 1, (2, 3))
-    peaks = correlation_peaks(global_correlation(source, target), torch.tensor(60.0))
+    scores = match_scores(global_correlation(source, target), torch.tensor(60.0))
+    places, clear = peaks(scores)
     rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
     truth_x, truth_y = torch.rot90(columns, 1), torch.rot90(rows, 1)
-    torch.testing.assert_close(peaks[0, 0], truth_x.double(), atol=1e-3, rtol=0)
-    torch.testing.assert_close(peaks[0, 1], truth_y.double(), atol=1e-3, rtol=0)
+    torch.testing.assert_close(places[0, 0], truth_x.double(), atol=1e-3, rtol=0)
+    torch.testing.assert_close(places[0, 1], truth_y.double(), atol=1e-3, rtol=0)
+    assert clear.min() > 0.999
 
 
 def test_a_far_second_peak_does_not_move_the_place() -> None:
     correlation = torch.zeros(1, 225, 15, 15, dtype=torch.float64)
     correlation[0, 3 * 15 + 4, 7, 7] = 1.0
     correlation[0, 12 * 15 + 10, 7, 7] = 0.98
-    place = correlation_peaks(correlation, torch.tensor(40.0))[0, :, 7, 7]
+    places, clear = peaks(match_scores(correlation, torch.tensor(40.0)))
     expected = torch.tensor([3.0, 4.0], dtype=torch.float64)
-    torch.testing.assert_close(place, expected, atol=1e-3, rtol=0)
+    torch.testing.assert_close(places[0, :, 7, 7], expected, atol=1e-3, rtol=0)
+    assert 0.5 < clear[0, 7, 7] < 0.9  # two peaks, the higher one the clearer
+
+
+def test_scores_are_the_product_of_both_softmaxes() -> None:
+    correlation = _features(6, 1, 12, 3, 4)
+    scores = match_scores(correlation, torch.tensor(3.0)).view(12, 12)
+    raw = 3.0 * correlation.view(12, 12).numpy()
+    for source in range(12):
+        for target in range(12):
+            over_source = np.exp(raw[:, target]).sum()
+            over_target = np.exp(raw[source]).sum()
+            expected = 2 * raw[source, target] - math.log(over_source) - math.log(over_target)
+            assert math.isclose(float(scores[source, target]), expected, abs_tol=1e-9)
