@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "--ablation",
     "ablations",
     multiple=True,
-    help="no-l2, flow, no-dilation or local-correlation; may be given several times.",
+    help="no-l2, flow, no-dilation, local-correlation or no-consensus; may be given several times.",
 )
 @click.option("--minutes", type=float, help="Of training: a complete schedule in so many.")
 @click.option("--steps", type=int, help="The same in steps; such a run repeats exactly.")
@@ -84,6 +84,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Times the stages' own learning rates; less, 0.1 say, with --init.",
 )
+@click.option(
+    "--thaw-coarsest",
+    is_flag=True,
+    help="The encoder's coarsest level goes on learning while the decoders do.",
+)
 @click.option("--teacher", help="Weights of a net with a mask to learn from, beside the truth.")
 @click.option(
     "--teacher-weight", default=0.5, show_default=True, help="Of the teacher's map in the loss."
@@ -126,6 +131,7 @@ def train(
     init: str | None,
     init_part: InitPart,
     rate: float,
+    thaw_coarsest: bool,
     teacher: str | None,
     teacher_weight: float,
     batch: int | None,
@@ -170,6 +176,7 @@ def train(
         init=init,
         init_part=init_part,
         rate=rate,
+        thaw_coarsest=thaw_coarsest,
         teacher=teacher,
         teacher_weight=teacher_weight,
         batch=batch,

@@ -68,6 +68,8 @@ class RunOptions:
     average_decay: float = 0.998  # at most, of the exponential moving average of the weights
     init: str | None = None  # weights to start from; None: random ones
     init_part: InitPart = "all"  # of them; the rest starts from random ones
+    # The pyramid's coarsest level goes on learning beside the decoders, contrastively.
+    thaw_coarsest: bool = False
     teacher: str | None = None  # weights of a net to learn from, or none
     teacher_weight: float = 0.5  # of the teacher's map in the loss, beside the truth's 1
 
@@ -305,7 +307,9 @@ class Trainer:
                 take_up(self.net, self._module, normalise(self._validation[0].image1))
             self.parameters = list(self._module.parameters())
         else:
-            self._module = DecoderStage(self.net, end_to_end=stage == "polish")
+            self._module = DecoderStage(
+                self.net, end_to_end=stage == "polish", thawed=self.options.thaw_coarsest
+            )
             self.parameters = self._module.trainable()
         self._module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._module.train()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -26,6 +27,7 @@ from dgc_pose.training.losses import (
 )
 
 _CONTRASTED = (COARSEST, 3, 2)  # levels that the contrastive loss runs on
+_SCALE = 20.0  # inverse temperature at level 4 where the network keeps none
 _QUERIES = 400  # target cells a pair at level 2, where all would be thousands
 
 
@@ -92,15 +94,24 @@ class DecoderStage(nn.Module):
     A share of the pairs gets the true map plus smooth noise instead, so that the fine decoders
     learn before the coarse ones have; that share falls over the stage. The two finest levels are
     decoded on a random quarter of the view, where nearly all the time would go otherwise.
+
+    thawed: the pyramid's coarsest level goes on learning too, by the contrastive loss alone, here
+    over whole views; the decoders' losses do not reach it.
     """
 
     def __init__(
-        self, net: DGCNet, end_to_end: bool = False, robust_cells: float | None = 4.0
+        self,
+        net: DGCNet,
+        end_to_end: bool = False,
+        robust_cells: float | None = 4.0,
+        thawed: bool = False,
     ) -> None:
         super().__init__()
         self.net = net
         self.net.pyramid.requires_grad_(False)
+        self.net.pyramid.get_submodule(f"level_{COARSEST}").requires_grad_(thawed)
         self.end_to_end = end_to_end
+        self.thawed = thawed
         self.robust_cells = robust_cells
 
     def train(self, mode: bool = True) -> DecoderStage:
@@ -109,7 +120,7 @@ class DecoderStage(nn.Module):
         return self
 
     def trainable(self) -> list[nn.Parameter]:
-        """Every parameter but the pyramid's."""
+        """Every parameter but the frozen ones of the pyramid."""
         return [p for p in self.net.parameters() if p.requires_grad]
 
     def forward(
@@ -120,16 +131,18 @@ class DecoderStage(nn.Module):
         lesson: Lesson | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
-        with torch.no_grad():
-            images = normalise(torch.cat([pairs.image1, pairs.image2]))
-            features = self.net.features(images.contiguous(memory_format=torch.channels_last))
+        images = normalise(torch.cat([pairs.image1, pairs.image2]))
+        features = self.net.features(images.contiguous(memory_format=torch.channels_last))
+        total, figures = self._coarsest_loss(features[COARSEST], pairs)
+        features = [f.detach() for f in features]
         source = [f.chunk(2)[0] for f in features]
         target = [f.chunk(2)[1] for f in features]
         noisy = draws.uniform(len(pairs.map)) < noise_share
         offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)
         state = self.net.coarsest(source[COARSEST], target[COARSEST])
-        total, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), lesson)
-        errors = {f"epe{LEVEL_SIZES[COARSEST]}": error}
+        part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), lesson)
+        total = total + part
+        figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error
         for level in range(COARSEST - 1, -1, -1):
             window = _window(level, offset)
             previous = upsample(state if self.end_to_end else state.detach())
@@ -143,12 +156,26 @@ class DecoderStage(nn.Module):
             state = self.net.refine(level, warped, seen, previous, window)
             part, error = self._level_loss(level, state, pairs, window, lesson)
             total = total + part
-            errors[f"epe{LEVEL_SIZES[level]}"] = error
+            figures[f"epe{LEVEL_SIZES[level]}"] = error
         if self.net.config.matchability == "network":
             rows, columns = window
             seen_valid, known = pairs.valid[:, rows, columns], pairs.known[:, rows, columns]
             total = total + mask_loss(self.net.mask(warped, seen), seen_valid, known)
-        return total, errors
+        return total, figures
+
+    def _coarsest_loss(
+        self, features: Tensor, pairs: TrainingPairs
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The contrastive loss of a thawed coarsest level, and the share of cells found there."""
+        if not self.thawed:
+            return features.new_zeros(()), {}
+        source, target = l2_normalise(features.float()).chunk(2)
+        truth, valid = level_truth(pairs.map, pairs.valid, LEVEL_SIZES[COARSEST])
+        scale = features.new_tensor(_SCALE, dtype=torch.float32)
+        if self.net.config.soft_argmax:
+            scale = cast(Tensor, self.net.correlation_scale)
+        loss, found = contrastive_loss(source, target, truth, valid, scale, 2**COARSEST)
+        return loss, {f"found{COARSEST}": found}
 
     def _level_loss(
         self,

@@ -84,6 +84,33 @@ def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> 
         assert torch.equal(value, before[key])
 
 
+def test_a_thawed_coarsest_level_learns_by_its_own_loss_alone(photos: Photos) -> None:
+    torch.manual_seed(0)
+    net = DGCNet(preset("dgcm-lite"))
+    stage = DecoderStage(net, thawed=True)
+    stage.train()
+    before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
+    pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
+    optimizer = torch.optim.AdamW(stage.trainable(), lr=1e-3)
+    loss, figures = stage(pairs, _draws())
+    assert 0 <= figures["found4"] <= 1
+    loss.backward()
+    gradients = [p.grad.clone() for p in net.pyramid.level_4.parameters() if p.grad is not None]
+    optimizer.step()
+    for key, value in net.pyramid.state_dict().items():
+        assert torch.equal(value, before[key]) != key.startswith("level_4."), key
+    # The same whatever the decoders make of the features.
+    net.pyramid.load_state_dict(before)
+    for level in range(5):
+        torch.nn.init.zeros_(net.get_submodule(f"reg_{level}.final").weight)
+    net.zero_grad()
+    stage(pairs, _draws())[0].backward()
+    again = [p.grad for p in net.pyramid.level_4.parameters() if p.grad is not None]
+    assert len(again) == len(gradients) > 0
+    for one, other in zip(gradients, again, strict=True):
+        torch.testing.assert_close(one, other)
+
+
 def test_the_noised_truth_is_near_the_truth(photos: Photos) -> None:
     """With the true map as input and untrained corrections, fine levels start within two cells."""
     net = DGCNet(preset("dgcm-lite")).eval()
