@@ -97,11 +97,12 @@ def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
     assert "native protocol: images as stored" in text and "raw layout: 1 scenes, 5 views" in text
     assert text.splitlines()[-2].startswith("dis ")
     views = {row[view] for row in rows for view in ("image1", "image2")}
-    # Untrained, it matches nothing; then image 2 is tried in all four orientations.
+    # Untrained, it matches little: image 2 is tried in all four orientations. What matches
+    # nevertheless takes both images' features at native resolution.
     found = re.search(r"(\d+) encoder passes instead of (\d+), (\d+) % saved", text)
     assert found is not None
     made, asked, saved = (int(number) for number in found.groups())
-    assert len(views) <= made <= 4 * len(views) and made < asked and 6 <= asked <= 3 * 5
+    assert len(views) <= made <= 5 * len(views) and made < asked and 6 <= asked <= 3 * 7
     assert saved == round(100 * (1 - made / asked))
 
 
