@@ -23,7 +23,7 @@ from dgc_pose.network.decoder import Decoder, MatchabilityNet
 from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
-_INITIAL_SCALE = 20.0
+INITIAL_SCALE = 20.0
 # The coarsest mask logit starts from how clearly the correlation peaks, between these shares.
 _CLEAR = (0.01, 0.99)
 
@@ -61,7 +61,7 @@ class DGCNet(nn.Module):
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
         if config.soft_argmax:
-            self.register_buffer("correlation_scale", torch.tensor(_INITIAL_SCALE))
+            self.register_buffer("correlation_scale", torch.tensor(INITIAL_SCALE))
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
         expected = (3, INPUT_SIZE, INPUT_SIZE)

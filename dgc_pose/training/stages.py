@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import l2_normalise
-from dgc_pose.network.net import DGCNet, upsample
+from dgc_pose.network.net import INITIAL_SCALE, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
 from dgc_pose.training.batch import TrainingPairs
@@ -27,7 +27,6 @@ from dgc_pose.training.losses import (
 )
 
 _CONTRASTED = (COARSEST, 3, 2)  # levels that the contrastive loss runs on
-_SCALE = 20.0  # inverse temperature at level 4 where the network keeps none
 _QUERIES = 400  # target cells a pair at level 2, where all would be thousands
 
 
@@ -171,7 +170,7 @@ class DecoderStage(nn.Module):
             return features.new_zeros(()), {}
         source, target = l2_normalise(features.float()).chunk(2)
         truth, valid = level_truth(pairs.map, pairs.valid, LEVEL_SIZES[COARSEST])
-        scale = features.new_tensor(_SCALE, dtype=torch.float32)
+        scale = features.new_tensor(INITIAL_SCALE, dtype=torch.float32)
         if self.net.config.soft_argmax:
             scale = cast(Tensor, self.net.correlation_scale)
         loss, found = contrastive_loss(source, target, truth, valid, scale, 2**COARSEST)
