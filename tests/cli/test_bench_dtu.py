@@ -72,7 +72,10 @@ def table(folder: Path, *, but: tuple[str, ...] = ()) -> list[dict[str, str]]:
 def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
     torch.manual_seed(0)
     weights = tmp_path / "net.safetensors"
-    save_weights(DGCNet(preset("dgcm-lite")), weights)
+    net = DGCNet(preset("dgcm-lite"))
+    with torch.no_grad():
+        net.get_submodule("reg_4.final").bias[2] = 20.0  # matchable everywhere
+    save_weights(net, weights)
     out = tmp_path / "runs/one"
     methods = f"{weights},{weights}/all,sift,dis"
     text = bench(
@@ -97,12 +100,11 @@ def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
     assert "native protocol: images as stored" in text and "raw layout: 1 scenes, 5 views" in text
     assert text.splitlines()[-2].startswith("dis ")
     views = {row[view] for row in rows for view in ("image1", "image2")}
-    # Untrained, it matches little: image 2 is tried in all four orientations. What matches
-    # nevertheless takes both images' features at native resolution.
+    # With matches everywhere no image need be turned to find some.
     found = re.search(r"(\d+) encoder passes instead of (\d+), (\d+) % saved", text)
     assert found is not None
     made, asked, saved = (int(number) for number in found.groups())
-    assert len(views) <= made <= 5 * len(views) and made < asked and 6 <= asked <= 3 * 7
+    assert len(views) <= made <= 4 * len(views) and made < asked and 6 <= asked <= 3 * 5
     assert saved == round(100 * (1 - made / asked))
 
 
