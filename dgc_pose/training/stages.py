@@ -68,14 +68,8 @@ class EncoderStage(nn.Module):
         total = images.new_zeros(())
         shares = {}
         for index, level in enumerate(_CONTRASTED):
-            source, target = l2_normalise(features[level].float()).chunk(2)
-            stride = 2**level
-            truth, valid = level_truth(pairs.map, pairs.valid, source.shape[-1])
             scale = self.log_scale[index].exp().clamp(max=60)
-            queries = _QUERIES if level == 2 else None
-            part, share = contrastive_loss(
-                source, target, truth, valid, scale, stride, queries, draws
-            )
+            part, share = _contrast(level, features[level], pairs, scale, draws)
             total = total + part
             shares[f"found{level}"] = share
         return total, shares
@@ -132,7 +126,7 @@ class DecoderStage(nn.Module):
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         features = self.net.features(images.contiguous(memory_format=torch.channels_last))
-        total, figures = self._coarsest_loss(features[COARSEST], pairs)
+        total, figures = self._coarsest_loss(features[COARSEST], pairs, draws)
         features = [f.detach() for f in features]
         source = [f.chunk(2)[0] for f in features]
         target = [f.chunk(2)[1] for f in features]
@@ -163,17 +157,15 @@ class DecoderStage(nn.Module):
         return total, figures
 
     def _coarsest_loss(
-        self, features: Tensor, pairs: TrainingPairs
+        self, features: Tensor, pairs: TrainingPairs, draws: Draws
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The contrastive loss of a thawed coarsest level, and the share of cells found there."""
         if not self.thawed:
             return features.new_zeros(()), {}
-        source, target = l2_normalise(features.float()).chunk(2)
-        truth, valid = level_truth(pairs.map, pairs.valid, LEVEL_SIZES[COARSEST])
         scale = features.new_tensor(INITIAL_SCALE, dtype=torch.float32)
         if self.net.config.soft_argmax:
             scale = cast(Tensor, self.net.correlation_scale)
-        loss, found = contrastive_loss(source, target, truth, valid, scale, 2**COARSEST)
+        loss, found = _contrast(COARSEST, features, pairs, scale, draws)
         return loss, {f"found{COARSEST}": found}
 
     def _level_loss(
@@ -229,6 +221,19 @@ class DecoderStage(nn.Module):
         bounded = (torch.where(known, truth, place) + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
         place = to_normalised(bounded, size, config.align_corners)
         return torch.cat([place.movedim(-1, 1), previous[:, 2:].detach()], 1)
+
+
+def _contrast(
+    level: int, features: Tensor, pairs: TrainingPairs, scale: Tensor, draws: Draws
+) -> tuple[Tensor, Tensor]:
+    """The contrastive loss of a level, and the share of its cells found.
+
+    features: (2B, C, n, n), those of the pairs' first images and then of their second.
+    """
+    source, target = l2_normalise(features.float()).chunk(2)
+    truth, valid = level_truth(pairs.map, pairs.valid, source.shape[-1])
+    queries = _QUERIES if level == 2 else None
+    return contrastive_loss(source, target, truth, valid, scale, 2**level, queries, draws)
 
 
 def _error(
