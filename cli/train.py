@@ -9,6 +9,7 @@ import click
 
 if TYPE_CHECKING:
     from dgc_pose.training.depth_scenes import DepthScenes
+    from dgc_pose.training.stages import Thawed
     from dgc_pose.training.start import InitPart
     from dgc_pose.training.warps import WarpOptions
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
     "--ablation",
     "ablations",
     multiple=True,
-    help="no-l2, flow, no-dilation, local-correlation or no-consensus; may be given several times.",
+    help="no-l2, flow, no-dilation, local-correlation, no-consensus or coarsest-alone; may be "
+    "given several times.",
 )
 @click.option("--minutes", type=float, help="Of training: a complete schedule in so many.")
 @click.option("--steps", type=int, help="The same in steps; such a run repeats exactly.")
@@ -85,9 +87,10 @@ if TYPE_CHECKING:
     help="Times the stages' own learning rates; less, 0.1 say, with --init.",
 )
 @click.option(
-    "--thaw-coarsest",
-    is_flag=True,
-    help="The encoder's coarsest level goes on learning while the decoders do.",
+    "--thaw",
+    type=click.Choice(["coarsest", "encoder"]),
+    default=None,
+    help="The encoder, or its coarsest level, goes on learning while the decoders do.",
 )
 @click.option("--teacher", help="Weights of a net with a mask to learn from, beside the truth.")
 @click.option(
@@ -131,7 +134,7 @@ def train(
     init: str | None,
     init_part: InitPart,
     rate: float,
-    thaw_coarsest: bool,
+    thaw: Thawed | None,
     teacher: str | None,
     teacher_weight: float,
     batch: int | None,
@@ -176,7 +179,7 @@ def train(
         init=init,
         init_part=init_part,
         rate=rate,
-        thaw_coarsest=thaw_coarsest,
+        thaw=thaw,
         teacher=teacher,
         teacher_weight=teacher_weight,
         batch=batch,

@@ -68,6 +68,8 @@ class NetworkConfig:
     normalise_features: bool = True  # L2 norm over channels before the correlation
     normalise_correlation: bool = True  # ReLU and L2 norm over the correlation's channels
     soft_argmax: bool = False  # the first map from the correlation's peak instead of zeros (ours)
+    # Levels, from the coarsest, whose features have a say in that peak (ours).
+    correlated_levels: int = 1
     consensus_passes: int = 0  # rounds in which cells hear their neighbours before the peak (ours)
     # Whether -1 and +1 are the centres of the outer pixels (True, what the authors' weights were
     # made for) or the outer edges (False, the same place at every level).
@@ -84,6 +86,8 @@ class NetworkConfig:
             raise InputError("soft_argmax needs the global correlation")
         if self.consensus_passes < 0 or (self.consensus_passes > 0 and not self.soft_argmax):
             raise InputError("consensus_passes must not be negative, and needs soft_argmax")
+        if not 1 <= self.correlated_levels <= (len(LEVEL_SIZES) if self.soft_argmax else 1):
+            raise InputError("correlated_levels must be 1 to 5, and without soft_argmax 1")
 
     @property
     def level_channels(self) -> tuple[int, ...]:
@@ -159,6 +163,7 @@ PRESETS: dict[str, NetworkConfig] = {
         output="residual",
         matchability="decoder",
         soft_argmax=True,
+        correlated_levels=2,
         consensus_passes=4,
         align_corners=False,
     ),
@@ -188,14 +193,17 @@ def without_dilation(config: NetworkConfig) -> NetworkConfig:
 
 
 def _local_correlation(config: NetworkConfig) -> NetworkConfig:
-    return replace(config, correlation="local", soft_argmax=False, consensus_passes=0)
+    return replace(
+        config, correlation="local", soft_argmax=False, correlated_levels=1, consensus_passes=0
+    )
 
 
-# The paper's ablations (section 5) and one of ours, by the names that `preset` takes behind a "+".
+# The paper's ablations (section 5) and two of ours, by the names that `preset` takes behind a "+".
 ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
     "no-l2": lambda config: replace(config, normalise_features=False),
     "flow": lambda config: replace(config, output="displacement"),
     "no-dilation": without_dilation,
     "local-correlation": _local_correlation,
     "no-consensus": lambda config: replace(config, consensus_passes=0),
+    "coarsest-alone": lambda config: replace(config, correlated_levels=1),
 }

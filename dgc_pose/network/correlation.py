@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -43,14 +45,37 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
     return torch.stack(scores, 1)
 
 
-def match_scores(correlation: Tensor, scale: Tensor) -> Tensor:
+def match_evidence(
+    source: Sequence[Tensor], target: Sequence[Tensor], scales: Tensor
+) -> Tensor:
+    """What the features of several levels say for each pair of the coarsest level's cells.
+
+    source, target: features (B, C_k, S_k, S_k), coarsest first; scales: (levels,) inverse
+    temperatures. Returns (B, h * w, h, w), laid out as by `global_correlation`: the levels'
+    correlations, each times its scale, summed. A finer level says of a pair of cells how well the
+    best cells inside the source's fit those inside the target's, on the mean of the latter.
+    """
+    batch, _, height, width = target[0].shape
+    evidence = target[0].new_zeros(batch, height * width, height, width)
+    for index, (one, other) in enumerate(zip(source, target, strict=True)):
+        correlation = global_correlation(one, other)
+        if index > 0:
+            f, cells = 2**index, correlation.shape[1]
+            # The source's cells as an image, the target's as its channels; and back.
+            inside = correlation.view(batch, width * f, height * f, cells).permute(0, 3, 1, 2)
+            best = F.max_pool2d(inside, f).permute(0, 2, 3, 1)
+            correlation = F.avg_pool2d(best.reshape(batch, -1, height * f, width * f), f)
+        evidence = evidence + scales[index] * correlation
+    return evidence
+
+
+def match_scores(evidence: Tensor) -> Tensor:
     """How likely each pair of cells is a match, as logarithms, up to a constant.
 
-    Takes the global correlation (B, h * w, h, w) and the inverse temperature of its training; the
-    softmax over the source and that over the target are multiplied.
+    evidence: (B, h * w, h, w); the softmax over the source and that over the target are multiplied.
     """
-    scores = (correlation * scale).flatten(2)
-    return (scores.log_softmax(1) + scores.log_softmax(2)).view_as(correlation)
+    logits = evidence.flatten(2)
+    return (logits.log_softmax(1) + logits.log_softmax(2)).view_as(evidence)
 
 
 def peaks(scores: Tensor, window: int = 2) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,7 @@ from dgc_pose.network.correlation import (
     global_correlation,
     l2_normalise,
     local_correlation,
+    match_evidence,
     match_scores,
     peaks,
 )
@@ -61,7 +62,8 @@ class DGCNet(nn.Module):
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
         if config.soft_argmax:
-            self.register_buffer("correlation_scale", torch.tensor(INITIAL_SCALE))
+            scales = torch.full((config.correlated_levels,), INITIAL_SCALE)
+            self.register_buffer("correlation_scales", scales)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
         expected = (3, INPUT_SIZE, INPUT_SIZE)
@@ -85,7 +87,7 @@ class DGCNet(nn.Module):
 
         finest: cells a side of the last level decoded, one of LEVEL_SIZES.
         """
-        states = [self.coarsest(source[COARSEST], target[COARSEST])]
+        states = [self.coarsest(source, target)]
         warped = source[0]
         last = LEVEL_SIZES.index(finest)
         for level in range(COARSEST - 1, last - 1, -1):
@@ -99,19 +101,26 @@ class DGCNet(nn.Module):
             return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
 
-    def coarsest(self, source: Tensor, target: Tensor) -> Tensor:
-        """Level 4: (B, 2 or 3, 15, 15), the map and the mask logit where decoders carry it."""
+    def coarsest(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
+        """Level 4: (B, 2 or 3, 15, 15), the map and the mask logit where decoders carry it.
+
+        From the features of both images, levels 0 to 4.
+        """
         config = self.config
+        levels = range(COARSEST, COARSEST - config.correlated_levels, -1)
+        source, target = [source[k] for k in levels], [target[k] for k in levels]
         if config.normalise_features:
-            source, target = l2_normalise(source), l2_normalise(target)
+            source, target = [l2_normalise(f) for f in source], [l2_normalise(f) for f in target]
         if config.correlation == "global":
-            correlation = global_correlation(source, target)
+            correlation = global_correlation(source[0], target[0])
         else:
-            correlation = local_correlation(source, target, config.local_correlation_radius)
+            radius = config.local_correlation_radius
+            correlation = local_correlation(source[0], target[0], radius)
         batch, _, height, width = correlation.shape
         start = correlation.new_zeros(batch, config.map_channels, height, width)
         if config.soft_argmax:
-            scores = match_scores(correlation, cast(Tensor, self.correlation_scale))
+            scales = cast(Tensor, self.correlation_scales)
+            scores = match_scores(match_evidence(source, target, scales))
             if config.consensus_passes > 0:
                 scores = consensus(scores, config.consensus_passes)
             cells, clear = peaks(scores)

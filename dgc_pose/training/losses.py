@@ -6,11 +6,13 @@ sum to it.
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.training.draws import Draws
+from dgc_pose.network.consensus import consensus
 from dgc_pose.training.processes import joint_sum
 
 # A cell whose four central pixels map this far apart (pixels) straddles two surfaces: no truth.
@@ -57,58 +59,47 @@ def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
 
 
 def contrastive_loss(
-    source: Tensor,
-    target: Tensor,
-    truth: Tensor,
-    valid: Tensor,
-    scale: Tensor,
-    stride: int,
-    queries: int | None = None,
-    draws: Draws | None = None,
+    logits: Tensor, truth: Tensor, valid: Tensor, stride: int, passes: int = 0
 ) -> tuple[Tensor, Tensor]:
     """InfoNCE on true correspondences, in both directions, and the share found.
 
-    source, target: (B, C, n, n) features of unit length; truth: (B, n, n, 2) source pixels at the
-    target's cells, `valid` where; scale: inverse temperature. Each valid target cell must find its
+    logits: (B, h * w, Q): every source cell, column-major, against Q target cells; truth:
+    (B, Q, 2) source pixels of those, `valid` (B, Q) where. Each valid target cell must find its
     place among all source cells (the four around the true place share it, bilinearly), and that
-    place must find the cell among all target cells drawn. With `queries`, so many random cells a
-    pair, by `draws`, stand for all. Returns the loss and the share of valid cells whose best source
-    cell lies within 1.5 cells of the truth.
+    place must find the cell among all target cells given. Returns the loss and the share of valid
+    cells whose best source cell lies within 1.5 cells of the truth.
+
+    passes: where Q is the whole grid, each target cell must find its place once more, after so
+    many rounds of `consensus`.
     """
-    batch, channels, size, _ = source.shape
-    source = source.flatten(2)
-    target = target.flatten(2)
-    truth = truth.reshape(batch, -1, 2)
-    valid = valid.reshape(batch, -1)
-    if queries is not None and draws is not None and queries < size * size:
-        chosen = draws.uniform(batch, size * size).topk(queries, 1).indices
-        target = target.gather(2, chosen[:, None].expand(-1, channels, -1))
-        truth = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
-        valid = valid.gather(1, chosen)
+    size = math.isqrt(logits.shape[1])
     truth = torch.where(valid[..., None], truth, 0)
     cells = (truth + 0.5) / stride - 0.5  # the true place in source cells
-    logits = torch.bmm(target.transpose(1, 2), source) * scale  # (B, queries, cells)
-    over_source = logits.log_softmax(2)
-    over_target = logits.log_softmax(1)
+    over_source = logits.log_softmax(1)
+    over_target = logits.log_softmax(2)
+    scores = over_source + over_target
     index, weight = _bilinear_cells(cells, size)
-    picked = (over_source + over_target).gather(2, index)
-    loss = -joint_mean((picked * weight).sum(-1), valid) / 2
-    best = logits.detach().argmax(2)
-    found = torch.stack([best % size, torch.div(best, size, rounding_mode="floor")], -1)
+    likely = scores / 2
+    if passes > 0:
+        grid = scores.view(*scores.shape[:2], size, size)
+        likely = likely + consensus(grid, passes).flatten(2)
+    loss = -joint_mean((likely.gather(1, index) * weight).sum(1), valid)
+    best = logits.detach().argmax(1)
+    found = torch.stack([torch.div(best, size, rounding_mode="floor"), best % size], -1)
     near = (found - cells).norm(dim=-1) < 1.5
     return loss, joint_mean(near.float(), valid)
 
 
 def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """The four cells around places (B, N, 2), as indices (B, N, 4), and their weights."""
+    """The four cells around places (B, N, 2): column-major indices (B, 4, N), and their weights."""
     cells = cells.clamp(0, size - 1)
     low = cells.floor().clamp(max=size - 2)
     fraction = cells - low
     x, y = low.long().unbind(-1)
     fx, fy = fraction.unbind(-1)
-    first = y * size + x
-    index = torch.stack([first, first + 1, first + size, first + size + 1], -1)
-    weight = torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx], -1)
+    first = x * size + y
+    index = torch.stack([first, first + 1, first + size, first + size + 1], 1)
+    weight = torch.stack([(1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy], 1)
     return index, weight
 
 

@@ -32,7 +32,7 @@ from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.processes import agreed, join_batch_norms, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
-from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.stages import DecoderStage, EncoderStage, Thawed
 from dgc_pose.training.start import InitPart, adopt, take_up
 from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
@@ -68,8 +68,7 @@ class RunOptions:
     average_decay: float = 0.998  # at most, of the exponential moving average of the weights
     init: str | None = None  # weights to start from; None: random ones
     init_part: InitPart = "all"  # of them; the rest starts from random ones
-    # The pyramid's coarsest level goes on learning beside the decoders, contrastively.
-    thaw_coarsest: bool = False
+    thaw: Thawed | None = None  # what of the encoder goes on learning beside the decoders
     teacher: str | None = None  # weights of a net to learn from, or none
     teacher_weight: float = 0.5  # of the teacher's map in the loss, beside the truth's 1
 
@@ -308,7 +307,7 @@ class Trainer:
             self.parameters = list(self._module.parameters())
         else:
             self._module = DecoderStage(
-                self.net, end_to_end=stage == "polish", thawed=self.options.thaw_coarsest
+                self.net, end_to_end=stage == "polish", thawed=self.options.thaw
             )
             self.parameters = self._module.trainable()
         self._module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

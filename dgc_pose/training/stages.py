@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Literal, cast
 
 import torch
 import torch.nn.functional as F
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
-from dgc_pose.network.correlation import l2_normalise
+from dgc_pose.network.correlation import l2_normalise, match_evidence
 from dgc_pose.network.net import INITIAL_SCALE, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
@@ -26,7 +26,8 @@ from dgc_pose.training.losses import (
     mask_loss,
 )
 
-_CONTRASTED = (COARSEST, 3, 2)  # levels that the contrastive loss runs on
+Thawed = Literal["coarsest", "encoder"]
+_ALONE = (3, 2)  # levels that the contrastive loss runs on beside the coarsest
 _QUERIES = 400  # target cells a pair at level 2, where all would be thousands
 
 
@@ -53,7 +54,9 @@ class EncoderStage(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         self.half_precision = net.half_precision
-        self.log_scale = nn.Parameter(torch.full((len(_CONTRASTED),), 2.5))
+        # Of the levels that the coarsest's evidence is made of, then of those contrasted alone.
+        self.correlated = net.config.correlated_levels
+        self.log_scales = nn.Parameter(torch.full((self.correlated + len(_ALONE),), 2.5))
 
     def forward(
         self, pairs: TrainingPairs, draws: Draws
@@ -65,10 +68,10 @@ class EncoderStage(nn.Module):
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.half_precision):
             features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
-        total = images.new_zeros(())
-        shares = {}
-        for index, level in enumerate(_CONTRASTED):
-            scale = self.log_scale[index].exp().clamp(max=60)
+        scales = self.log_scales.exp().clamp(max=60)
+        total, share = _contrast_coarsest(features, pairs, scales[: self.correlated])
+        shares = {f"found{COARSEST}": share}
+        for level, scale in zip(_ALONE, scales[self.correlated :], strict=True):
             part, share = _contrast(level, features[level], pairs, scale, draws)
             total = total + part
             shares[f"found{level}"] = share
@@ -78,7 +81,8 @@ class EncoderStage(nn.Module):
         """Put the trained pyramid, batch norm folded, and the temperature into the network."""
         fold_batch_norm(self.pyramid, net.pyramid)
         if net.config.soft_argmax:
-            net.correlation_scale = self.log_scale[0].detach().exp().clamp(max=60).clone()
+            scales = self.log_scales[: self.correlated].detach()
+            net.correlation_scales = scales.exp().clamp(max=60).clone()
 
 
 class DecoderStage(nn.Module):
@@ -88,8 +92,9 @@ class DecoderStage(nn.Module):
     learn before the coarse ones have; that share falls over the stage. The two finest levels are
     decoded on a random quarter of the view, where nearly all the time would go otherwise.
 
-    thawed: the pyramid's coarsest level goes on learning too, by the contrastive loss alone, here
-    over whole views; the decoders' losses do not reach it.
+    thawed: the encoder, or those levels of it alone that the correlation is made of, goes on
+    learning too, by the contrastive loss of the coarsest level, here over whole views and with the
+    neighbours heard; the decoders' losses do not reach it.
     """
 
     def __init__(
@@ -97,12 +102,13 @@ class DecoderStage(nn.Module):
         net: DGCNet,
         end_to_end: bool = False,
         robust_cells: float | None = 4.0,
-        thawed: bool = False,
+        thawed: Thawed | None = None,
     ) -> None:
         super().__init__()
         self.net = net
-        self.net.pyramid.requires_grad_(False)
-        self.net.pyramid.get_submodule(f"level_{COARSEST}").requires_grad_(thawed)
+        moving = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
+        for level, module in enumerate(self.net.pyramid.children()):
+            module.requires_grad_(level > COARSEST - moving[thawed])
         self.end_to_end = end_to_end
         self.thawed = thawed
         self.robust_cells = robust_cells
@@ -126,13 +132,13 @@ class DecoderStage(nn.Module):
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         features = self.net.features(images.contiguous(memory_format=torch.channels_last))
-        total, figures = self._coarsest_loss(features[COARSEST], pairs, draws)
+        total, figures = self._coarsest_loss(features, pairs)
         features = [f.detach() for f in features]
         source = [f.chunk(2)[0] for f in features]
         target = [f.chunk(2)[1] for f in features]
         noisy = draws.uniform(len(pairs.map)) < noise_share
         offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)
-        state = self.net.coarsest(source[COARSEST], target[COARSEST])
+        state = self.net.coarsest(source, target)
         part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), lesson)
         total = total + part
         figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error
@@ -157,15 +163,16 @@ class DecoderStage(nn.Module):
         return total, figures
 
     def _coarsest_loss(
-        self, features: Tensor, pairs: TrainingPairs, draws: Draws
+        self, features: list[Tensor], pairs: TrainingPairs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The contrastive loss of a thawed coarsest level, and the share of cells found there."""
-        if not self.thawed:
-            return features.new_zeros(()), {}
-        scale = features.new_tensor(INITIAL_SCALE, dtype=torch.float32)
-        if self.net.config.soft_argmax:
-            scale = cast(Tensor, self.net.correlation_scale)
-        loss, found = _contrast(COARSEST, features, pairs, scale, draws)
+        if self.thawed is None:
+            return pairs.image1.new_zeros(()), {}
+        config = self.net.config
+        scales = torch.full((config.correlated_levels,), INITIAL_SCALE, device=pairs.image1.device)
+        if config.soft_argmax:
+            scales = cast(Tensor, self.net.correlation_scales)
+        loss, found = _contrast_coarsest(features, pairs, scales, config.consensus_passes)
         return loss, {f"found{COARSEST}": found}
 
     def _level_loss(
@@ -223,17 +230,41 @@ class DecoderStage(nn.Module):
         return torch.cat([place.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
 
+def _contrast_coarsest(
+    features: list[Tensor], pairs: TrainingPairs, scales: Tensor, passes: int = 0
+) -> tuple[Tensor, Tensor]:
+    """The contrastive loss of the coarsest level's evidence, and the share of its cells found.
+
+    features: of each level (2B, C, n, n), those of the pairs' first images and then of their
+    second; scales: of the levels that the evidence is made of.
+    """
+    levels = range(COARSEST, COARSEST - len(scales), -1)
+    halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
+    evidence = match_evidence([h[0] for h in halves], [h[1] for h in halves], scales)
+    truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
+    logits, stride = evidence.flatten(2), 2**COARSEST
+    return contrastive_loss(logits, truth.flatten(1, 2), valid.flatten(1), stride, passes)
+
+
 def _contrast(
     level: int, features: Tensor, pairs: TrainingPairs, scale: Tensor, draws: Draws
 ) -> tuple[Tensor, Tensor]:
-    """The contrastive loss of a level, and the share of its cells found.
+    """The contrastive loss of a level alone, and the share of its cells found.
 
-    features: (2B, C, n, n), those of the pairs' first images and then of their second.
+    features: (2B, C, n, n). At level 2 some random target cells stand for all.
     """
     source, target = l2_normalise(features.float()).chunk(2)
     truth, valid = level_truth(pairs.map, pairs.valid, source.shape[-1])
-    queries = _QUERIES if level == 2 else None
-    return contrastive_loss(source, target, truth, valid, scale, 2**level, queries, draws)
+    truth, valid = truth.flatten(1, 2), valid.flatten(1)
+    columns, target = source.transpose(2, 3).flatten(2), target.flatten(2)
+    batch, channels, count = target.shape
+    if level == 2 and count > _QUERIES:
+        chosen = draws.uniform(batch, count).topk(_QUERIES, 1).indices
+        target = target.gather(2, chosen[:, None].expand(-1, channels, -1))
+        truth = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
+        valid = valid.gather(1, chosen)
+    logits = torch.bmm(columns.transpose(1, 2), target) * scale
+    return contrastive_loss(logits, truth, valid, 2**level)
 
 
 def _error(

@@ -22,7 +22,7 @@ def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
     """Put the weights of a file (or a shipped name) into a net, in place.
 
     Of the encoder alone, or of another preset with the same pyramid, an ablation for one, the net
-    takes the pyramid and the correlation's temperature. Raises WeightsError where the pyramids
+    takes the pyramid and the correlation's temperatures. Raises WeightsError where the pyramids
     differ too.
     """
     other = load_network(weights)
@@ -35,15 +35,18 @@ def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
         )
     net.pyramid.load_state_dict(other.pyramid.state_dict())
     if net.config.soft_argmax and other.config.soft_argmax:
-        net.correlation_scale = other.correlation_scale
+        levels = min(net.config.correlated_levels, other.config.correlated_levels)
+        scales = cast(Tensor, net.correlation_scales)
+        scales[:levels] = cast(Tensor, other.correlation_scales)[:levels]
 
 
 @torch.no_grad()
 def take_up(net: DGCNet, stage: EncoderStage, images: Tensor) -> None:
-    """Let the encoder's stage begin with the net's pyramid and temperature; images: normalised."""
+    """Let the encoder's stage begin with the net's pyramid and temperatures; images: normalised."""
     unfold_batch_norm(net.pyramid, stage.pyramid, images)
     if net.config.soft_argmax:
-        stage.log_scale.copy_(cast(Tensor, net.correlation_scale).log())
+        scales = cast(Tensor, net.correlation_scales).log()
+        stage.log_scales.fill_(float(scales[0]))[: len(scales)].copy_(scales)
 
 
 @torch.no_grad()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -11,6 +12,7 @@ from dgc_pose.network.correlation import (
     global_correlation,
     l2_normalise,
     local_correlation,
+    match_evidence,
     match_scores,
     peaks,
 )
@@ -65,11 +67,32 @@ def test_local_correlation_looks_around_each_cell() -> None:
                     )
 
 
+def test_evidence_sums_what_the_levels_say() -> None:
+    """Of a finer level: the best inside the source's cell, on the mean inside the target's."""
+    scales = (2.0, 5.0, 0.5)
+    source = [_features(7 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
+    target = [_features(17 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
+    found = match_evidence(source, target, torch.tensor(scales, dtype=torch.float64))
+    assert found.shape == (2, 6, 2, 3)
+    for b, xs, ys, xt, yt in itertools.product(range(2), range(3), range(2), range(3), range(2)):
+        expected = 0.0
+        for k, scale in enumerate(scales):
+            f = 2**k
+            inside = source[k][b, :, f * ys : f * ys + f, f * xs : f * xs + f].flatten(1)
+            bests = [
+                float((target[k][b, :, f * yt + y, f * xt + x] @ inside).max())
+                for y in range(f)
+                for x in range(f)
+            ]
+            expected += scale * sum(bests) / len(bests)
+        assert math.isclose(float(found[b, xs * 2 + ys, yt, xt]), expected, abs_tol=1e-9)
+
+
 def test_peaks_are_where_the_features_came_from() -> None:
     """A target that is the source turned by 90 degrees finds every cell's true place."""
     source = l2_normalise(_features(5, 1, 64, 15, 15))
     target = torch.rot90(source, 1, (2, 3))
-    scores = match_scores(global_correlation(source, target), torch.tensor(60.0))
+    scores = match_scores(60.0 * global_correlation(source, target))
     places, clear = peaks(scores)
     rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
     truth_x, truth_y = torch.rot90(columns, 1), torch.rot90(rows, 1)
@@ -82,7 +105,7 @@ def test_a_far_second_peak_does_not_move_the_place() -> None:
     correlation = torch.zeros(1, 225, 15, 15, dtype=torch.float64)
     correlation[0, 3 * 15 + 4, 7, 7] = 1.0
     correlation[0, 12 * 15 + 10, 7, 7] = 0.98
-    places, clear = peaks(match_scores(correlation, torch.tensor(40.0)))
+    places, clear = peaks(match_scores(40.0 * correlation))
     expected = torch.tensor([3.0, 4.0], dtype=torch.float64)
     torch.testing.assert_close(places[0, :, 7, 7], expected, atol=1e-3, rtol=0)
     assert 0.5 < clear[0, 7, 7] < 0.9  # two peaks, the higher one the clearer
@@ -90,7 +113,7 @@ def test_a_far_second_peak_does_not_move_the_place() -> None:
 
 def test_scores_are_the_product_of_both_softmaxes() -> None:
     correlation = _features(6, 1, 12, 3, 4)
-    scores = match_scores(correlation, torch.tensor(3.0)).view(12, 12)
+    scores = match_scores(3.0 * correlation).view(12, 12)
     raw = 3.0 * correlation.view(12, 12).numpy()
     for source in range(12):
         for target in range(12):

@@ -7,7 +7,8 @@ import math
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.network.correlation import l2_normalise
+from dgc_pose.network.consensus import consensus
+from dgc_pose.network.correlation import global_correlation, l2_normalise, match_scores
 from dgc_pose.training.losses import contrastive_loss, level_truth, map_loss, mask_loss
 
 
@@ -48,7 +49,8 @@ def test_contrastive_loss_equals_its_definition() -> None:
     source, target = l2_normalise(torch.randn(2, 1, 6, size, size, generator=generator))
     truth = 31 * torch.rand(1, size, size, 2, generator=generator)
     valid = torch.rand(1, size, size, generator=generator) < 0.7
-    loss, share = contrastive_loss(source, target, truth, valid, torch.tensor(scale), stride)
+    evidence = scale * global_correlation(source, target).flatten(2)
+    loss, share = contrastive_loss(evidence, truth.flatten(1, 2), valid.flatten(1), stride)
     total, near = 0.0, 0
     logits = {
         (s, t): scale * float(source[0, :, s // size, s % size] @ target[0, :, t // size, t % size])
@@ -75,6 +77,22 @@ def test_contrastive_loss_equals_its_definition() -> None:
     assert math.isclose(float(share), near / count, rel_tol=1e-6)
 
 
+def test_where_neighbours_are_heard_their_belief_counts_beside_the_features() -> None:
+    generator = torch.Generator().manual_seed(4)
+    logits = 3 * torch.randn(1, 25, 25, generator=generator)
+    truth = (torch.randint(5, (1, 25, 2), generator=generator) + 0.5) * 8 - 0.5  # cells' centres
+    valid = torch.rand(1, 25, generator=generator) < 0.7
+    alone, share = contrastive_loss(logits, truth, valid, 8)
+    both, same = contrastive_loss(logits, truth, valid, 8, passes=3)
+    belief = consensus(match_scores(logits.view(1, 25, 5, 5)), 3).flatten(2)
+    x, y = ((truth + 0.5) / 8 - 0.5).long().unbind(-1)
+    expected = -sum(
+        float(belief[0, 5 * int(x[0, t]) + int(y[0, t]), t]) for t in range(25) if valid[0, t]
+    )
+    assert math.isclose(float(both - alone), expected / int(valid.sum()), rel_tol=1e-4)
+    assert float(share) == float(same)
+
+
 def test_map_loss_is_the_mean_over_valid_cells() -> None:
     error = torch.tensor([[[[1.0, -2.0], [3.0, 0.0]], [[torch.nan, 1.0], [0.5, 0.5]]]])
     valid = torch.tensor([[[True, True], [False, True]]])
@@ -90,7 +108,9 @@ def test_nothing_flows_back_from_what_is_not_valid() -> None:
     truth = 31 * torch.rand(1, 4, 4, 2)
     valid = torch.rand(1, 4, 4) < 0.5
     truth[~valid] = torch.nan
-    loss, share = contrastive_loss(source, target, truth, valid, torch.tensor(7.0), 8)
+    evidence = 7.0 * global_correlation(source, target).flatten(2)
+    flat = truth.flatten(1, 2), valid.flatten(1)
+    loss, share = contrastive_loss(evidence, *flat, 8, passes=2)
     (gradient,) = torch.autograd.grad(loss, source)
     assert loss.isfinite() and share.isfinite() and gradient.isfinite().all()
 

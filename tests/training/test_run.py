@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 from photo_folder import drawn_photos
+from torch import Tensor
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
@@ -23,7 +24,7 @@ from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos, load_photos
 from dgc_pose.training.run import RunOptions, Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
-from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.stages import DecoderStage, EncoderStage, Thawed
 from dgc_pose.training.validation import validate, validation_pairs
 
 _WARPS_ONLY = PairOptions(scene_share=0.0)
@@ -84,10 +85,13 @@ def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> 
         assert torch.equal(value, before[key])
 
 
-def test_a_thawed_coarsest_level_learns_by_its_own_loss_alone(photos: Photos) -> None:
+@pytest.mark.parametrize("thawed", ["coarsest", "encoder"])
+def test_what_is_thawed_learns_by_its_own_loss_alone(
+    photos: Photos, thawed: Thawed
+) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite"))
-    stage = DecoderStage(net, thawed=True)
+    stage = DecoderStage(net, thawed=thawed)
     stage.train()
     before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
     pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
@@ -95,20 +99,27 @@ def test_a_thawed_coarsest_level_learns_by_its_own_loss_alone(photos: Photos) ->
     loss, figures = stage(pairs, _draws())
     assert 0 <= figures["found4"] <= 1
     loss.backward()
-    gradients = [p.grad.clone() for p in net.pyramid.level_4.parameters() if p.grad is not None]
+    gradients = _gradients(net)
     optimizer.step()
+    learning = ("level_3.", "level_4.") if thawed == "coarsest" else ("level_",)
     for key, value in net.pyramid.state_dict().items():
-        assert torch.equal(value, before[key]) != key.startswith("level_4."), key
+        assert torch.equal(value, before[key]) != key.startswith(learning), key
     # The same whatever the decoders make of the features.
     net.pyramid.load_state_dict(before)
     for level in range(5):
         torch.nn.init.zeros_(net.get_submodule(f"reg_{level}.final").weight)
     net.zero_grad()
     stage(pairs, _draws())[0].backward()
-    again = [p.grad for p in net.pyramid.level_4.parameters() if p.grad is not None]
-    assert len(again) == len(gradients) > 0
-    for one, other in zip(gradients, again, strict=True):
-        torch.testing.assert_close(one, other)
+    again = _gradients(net)
+    assert again.keys() == gradients.keys() and gradients
+    for key, one in gradients.items():
+        torch.testing.assert_close(one, again[key])
+
+
+def _gradients(net: DGCNet) -> dict[str, Tensor]:
+    """Of those of the pyramid's parameters that have one."""
+    named = net.pyramid.named_parameters()
+    return {name: p.grad.clone() for name, p in named if p.grad is not None}
 
 
 def test_the_noised_truth_is_near_the_truth(photos: Photos) -> None:

@@ -30,8 +30,8 @@ def test_an_unfolded_pyramid_gives_the_same_features(name: str, training: bool) 
         scale = float(expected[level].abs().max())
         torch.testing.assert_close(found[level], expected[level], rtol=1e-3, atol=2e-3 * scale)
     if name == "dgcm-lite":
-        scales = stage.log_scale.exp()
-        torch.testing.assert_close(scales, net.get_buffer("correlation_scale").expand(3))
+        scales = stage.log_scales.exp()
+        torch.testing.assert_close(scales[:2], net.get_buffer("correlation_scales"))
 
 
 def _differs(net: DGCNet, other: DGCNet, prefix: str) -> bool:
@@ -43,12 +43,13 @@ def _differs(net: DGCNet, other: DGCNet, prefix: str) -> bool:
 def test_an_ablation_takes_the_pyramid_and_a_twin_all_or_the_pyramid(tmp_path: Path) -> None:
     torch.manual_seed(1)
     trained = DGCNet(preset("dgcm-lite"))
-    trained.get_buffer("correlation_scale").fill_(33.0)
+    trained.get_buffer("correlation_scales").fill_(33.0)
     save_weights(trained, tmp_path / "w.safetensors")
     cases: list[tuple[str, InitPart, bool]] = [
         ("dgcm-lite", "all", False),
         ("dgcm-lite", "encoder", True),
         ("dgcm-lite+flow", "all", True),
+        ("dgcm-lite+coarsest-alone", "all", True),
     ]
     for name, part, decoders_differ in cases:
         net = DGCNet(preset(name))
@@ -56,7 +57,7 @@ def test_an_ablation_takes_the_pyramid_and_a_twin_all_or_the_pyramid(tmp_path: P
         adopt(net, tmp_path / "w.safetensors", part)
         assert not _differs(net, trained, "pyramid.")
         assert _differs(net, trained, "reg_3.") == decoders_differ
-        assert float(net.get_buffer("correlation_scale")) == 33.0
+        assert (net.get_buffer("correlation_scales") == 33.0).all()
 
 
 def test_another_pyramid_is_refused(tmp_path: Path) -> None:
