@@ -23,6 +23,7 @@ from dgc_pose.training.photometric import PhotometricOptions, random_photometric
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.warp_lists import WarpRow, list_pairs
 from dgc_pose.training.warps import (
+    FAR,
     PAPER_AFFINE,
     PAPER_AFFINE_TPS,
     PAPER_HOMOGRAPHY,
@@ -65,9 +66,17 @@ def synthetic_cases(
     while done < pairs:
         batch = next(made)
         kept = min(len(batch.map), pairs - done)
-        names = tuple(f"{name} {done + index}" for index in range(kept))
+        names = tuple(
+            f"{name} {done + index}" + ", past its horizon" * beyond
+            for index, beyond in enumerate(_see_past_the_horizon(batch)[:kept])
+        )
         yield Case(name, names, batch.chosen(slice(kept)))
         done += kept
+
+
+def _see_past_the_horizon(pairs: TrainingPairs) -> list[bool]:
+    """Of which pairs the target shows more than the plane: no camera sees it turned so far."""
+    return (pairs.map >= FAR).flatten(1).any(1).tolist()
 
 
 def listed_cases(rows: Sequence[WarpRow], root: str | Path) -> Iterator[Case]:

@@ -16,6 +16,7 @@ from torch import Tensor
 from dgc_pose.errors import InputError
 
 Warp = Callable[[Tensor], Tensor]
+FAR = 1e6  # normalised; what lies beyond a homography's horizon is put there
 
 
 @dataclass(frozen=True)
@@ -90,10 +91,10 @@ def random_warp(batch: int, options: WarpOptions, generator: torch.Generator) ->
 
 
 def apply_homography(matrix: Tensor, points: Tensor) -> Tensor:
-    """Points (B, N, 2) through homographies (B, 3, 3); beyond the horizon they become 1e6."""
+    """Points (B, N, 2) through homographies (B, 3, 3); beyond the horizon they become FAR."""
     moved = points @ matrix[:, :, :2].transpose(1, 2) + matrix[:, None, :, 2]
     depth = moved[..., 2:]
-    return torch.where(depth > 1e-6, moved[..., :2] / depth.clamp(min=1e-6), 1e6).clamp(-1e6, 1e6)
+    return torch.where(depth > 1e-6, moved[..., :2] / depth.clamp(min=1e-6), FAR).clamp(-FAR, FAR)
 
 
 def thin_plate_spline(control: Tensor, values: Tensor) -> Warp:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -75,6 +76,23 @@ def test_half_of_affine_tps_is_no_affine_map_and_homographies_are_homographies(
             offset = row - row[0]
             cross = chord[0] * offset[:, 1] - chord[1] * offset[:, 0]
             assert np.abs(cross).max() / np.linalg.norm(chord) < 1e-2
+
+
+def test_names_say_which_homographies_look_past_the_horizon(photos: Photos) -> None:
+    """Where the denominator of the homography, fitted to the map, changes sign in the view."""
+    said, found = [], []
+    y, x = np.mgrid[0:240, 0:240].astype(float)
+    for case in synthetic_cases(photos, "homography", 64, 2):
+        said += [name.endswith(", past its horizon") for name in case.names]
+        for truth, valid in zip(case.pairs.map.double().numpy(), case.pairs.valid, strict=True):
+            here = np.column_stack([x[valid], y[valid]])
+            matrix, _ = cv2.findHomography(here, truth[valid.numpy()])
+            denominator = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
+            found.append(bool(denominator.min() < 0 < denominator.max()))
+    assert said == found and 0 < sum(said) < 16
+    for name in ("affine", "affine-tps", "scenes"):
+        names = next(synthetic_cases(photos, name, 8, 2)).names
+        assert names == tuple(f"{name} {index}" for index in range(8))
 
 
 def test_the_same_seed_gives_the_same_pairs_and_more_only_add(photos: Photos) -> None:
