@@ -56,7 +56,7 @@ def match_evidence(
     best cells inside the source's fit those inside the target's, on the mean of the latter.
     """
     batch, _, height, width = target[0].shape
-    evidence = target[0].new_zeros(batch, height * width, height, width)
+    said = []
     for index, (one, other) in enumerate(zip(source, target, strict=True)):
         correlation = global_correlation(one, other)
         if index > 0:
@@ -65,8 +65,8 @@ def match_evidence(
             inside = correlation.view(batch, width * f, height * f, cells).permute(0, 3, 1, 2)
             best = F.max_pool2d(inside, f).permute(0, 2, 3, 1)
             correlation = F.avg_pool2d(best.reshape(batch, -1, height * f, width * f), f)
-        evidence = evidence + scales[index] * correlation
-    return evidence
+        said.append(correlation)
+    return torch.tensordot(scales, torch.stack(said), 1)
 
 
 def match_scores(evidence: Tensor) -> Tensor:

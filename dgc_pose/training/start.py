@@ -46,7 +46,8 @@ def take_up(net: DGCNet, stage: EncoderStage, images: Tensor) -> None:
     unfold_batch_norm(net.pyramid, stage.pyramid, images)
     if net.config.soft_argmax:
         scales = cast(Tensor, net.correlation_scales).log()
-        stage.log_scales.fill_(float(scales[0]))[: len(scales)].copy_(scales)
+        stage.log_scales[:] = scales[0]
+        stage.log_scales[: len(scales)] = scales
 
 
 @torch.no_grad()
