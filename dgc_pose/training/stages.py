@@ -44,7 +44,7 @@ class EncoderStage(nn.Module):
     """The pyramid with batch norm, trained contrastively at levels 4, 3 and 2.
 
     Trained so, an encoder is usable after minutes where the whole network end to end learns next
-    to nothing; the inverse temperature of level 4 goes on into the correlation's soft-argmax.
+    to nothing; the inverse temperatures of level 4's evidence go on into the soft-argmax.
     """
 
     def __init__(self, net: DGCNet) -> None:
