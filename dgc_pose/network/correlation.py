@@ -45,20 +45,17 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
     return torch.stack(scores, 1)
 
 
-def match_evidence(
-    source: Sequence[Tensor], target: Sequence[Tensor], scales: Tensor
-) -> Tensor:
+def match_evidence(correlations: Sequence[Tensor], scales: Tensor) -> Tensor:
     """What the features of several levels say for each pair of the coarsest level's cells.
 
-    source, target: features (B, C_k, S_k, S_k), coarsest first; scales: (levels,) inverse
-    temperatures. Returns (B, h * w, h, w), laid out as by `global_correlation`: the levels'
-    correlations, each times its scale, summed. A finer level says of a pair of cells how well the
-    best cells inside the source's fit those inside the target's, on the mean of the latter.
+    correlations: by `global_correlation`, the coarsest level's first; scales: (levels,) inverse
+    temperatures. Returns (B, h * w, h, w), laid out as the first: the levels' correlations, each
+    times its scale, summed. A finer level says of a pair of cells how well the best cells inside
+    the source's fit those inside the target's, on the mean of the latter.
     """
-    batch, _, height, width = target[0].shape
+    batch, _, height, width = correlations[0].shape
     said = []
-    for index, (one, other) in enumerate(zip(source, target, strict=True)):
-        correlation = global_correlation(one, other)
+    for index, correlation in enumerate(correlations):
         if index > 0:
             f, cells = 2**index, correlation.shape[1]
             # The source's cells as an image, the target's as its channels; and back.

@@ -112,15 +112,16 @@ class DGCNet(nn.Module):
         if config.normalise_features:
             source, target = [l2_normalise(f) for f in source], [l2_normalise(f) for f in target]
         if config.correlation == "global":
-            correlation = global_correlation(source[0], target[0])
+            correlations = list(map(global_correlation, source, target))
         else:
             radius = config.local_correlation_radius
-            correlation = local_correlation(source[0], target[0], radius)
+            correlations = [local_correlation(source[0], target[0], radius)]
+        correlation = correlations[0]
         batch, _, height, width = correlation.shape
         start = correlation.new_zeros(batch, config.map_channels, height, width)
         if config.soft_argmax:
             scales = cast(Tensor, self.correlation_scales)
-            scores = match_scores(match_evidence(source, target, scales))
+            scores = match_scores(match_evidence(correlations, scales))
             if config.consensus_passes > 0:
                 scores = consensus(scores, config.consensus_passes)
             cells, clear = peaks(scores)

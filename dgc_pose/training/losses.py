@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.network.consensus import consensus
+from dgc_pose.network.correlation import match_scores
 from dgc_pose.training.processes import joint_sum
 
 # A cell whose four central pixels map this far apart (pixels) straddles two surfaces: no truth.
@@ -75,9 +76,7 @@ def contrastive_loss(
     size = math.isqrt(logits.shape[1])
     truth = torch.where(valid[..., None], truth, 0)
     cells = (truth + 0.5) / stride - 0.5  # the true place in source cells
-    over_source = logits.log_softmax(1)
-    over_target = logits.log_softmax(2)
-    scores = over_source + over_target
+    scores = match_scores(logits)
     index, weight = _bilinear_cells(cells, size)
     likely = scores / 2
     if passes > 0:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
-from dgc_pose.network.correlation import l2_normalise, match_evidence
+from dgc_pose.network.correlation import global_correlation, l2_normalise, match_evidence
 from dgc_pose.network.net import INITIAL_SCALE, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
@@ -240,7 +240,7 @@ def _contrast_coarsest(
     """
     levels = range(COARSEST, COARSEST - len(scales), -1)
     halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
-    evidence = match_evidence([h[0] for h in halves], [h[1] for h in halves], scales)
+    evidence = match_evidence([global_correlation(*pair) for pair in halves], scales)
     truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
     logits, stride = evidence.flatten(2), 2**COARSEST
     return contrastive_loss(logits, truth.flatten(1, 2), valid.flatten(1), stride, passes)

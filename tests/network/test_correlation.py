@@ -72,7 +72,8 @@ def test_evidence_sums_what_the_levels_say() -> None:
     scales = (2.0, 5.0, 0.5)
     source = [_features(7 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
     target = [_features(17 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
-    found = match_evidence(source, target, torch.tensor(scales, dtype=torch.float64))
+    correlations = list(map(global_correlation, source, target))
+    found = match_evidence(correlations, torch.tensor(scales, dtype=torch.float64))
     assert found.shape == (2, 6, 2, 3)
     for b, xs, ys, xt, yt in itertools.product(range(2), range(3), range(2), range(3), range(2)):
         expected = 0.0
