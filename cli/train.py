@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     "--ablation",
     "ablations",
     multiple=True,
-    help="no-l2, flow, no-dilation, local-correlation, no-consensus or coarsest-alone; may be "
-    "given several times.",
+    help="no-l2, flow, no-dilation, local-correlation, no-consensus, coarsest-alone or one-size; "
+    "may be given several times.",
 )
 @click.option("--minutes", type=float, help="Of training: a complete schedule in so many.")
 @click.option("--steps", type=int, help="The same in steps; such a run repeats exactly.")
@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     "--split",
     default="45,45,10",
     show_default=True,
-    help="Shares of the time for encoder, decoders and polish, in percent.",
+    help="Shares of the time for encoder, decoders and polish, in percent; or for encoder, its "
+    "coarsest levels, decoders and polish.",
 )
 @click.option(
     "--scene-share",
@@ -90,7 +91,7 @@ if TYPE_CHECKING:
     "--thaw",
     type=click.Choice(["coarsest", "encoder"]),
     default=None,
-    help="The encoder, or its coarsest level, goes on learning while the decoders do.",
+    help="The encoder, or its coarsest levels, goes on learning while the decoders do.",
 )
 @click.option("--teacher", help="Weights of a net with a mask to learn from, beside the truth.")
 @click.option(
@@ -171,7 +172,7 @@ def train(
         minutes=minutes,
         steps=steps,
         seed=seed,
-        schedule=Schedule(*_percent(split)),
+        schedule=Schedule.parse(split),
         pairs=PairOptions(
             scene_share=scene_share, real_share=real_share, warps=_warps(warps)
         ),
@@ -228,12 +229,3 @@ def _real_scenes(folders: tuple[Path, ...]) -> DepthScenes | None:
     if not folders:
         return None
     return load_depth_scenes([hold_back(read_rgbd(folder))[0] for folder in folders])
-
-
-def _percent(text: str) -> tuple[float, float, float]:
-    try:
-        encoder, decoders, polish = (float(part) / 100 for part in text.split(","))
-    except ValueError:
-        message = "must be three percentages: 45,45,10"
-        raise click.BadParameter(message, param_hint="--split") from None
-    return encoder, decoders, polish

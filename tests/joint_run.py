@@ -19,8 +19,10 @@ from dgc_pose.training.processes import (
     rank,
 )
 from dgc_pose.training.run import RunOptions, Trainer
+from dgc_pose.training.schedule import Schedule
 
-PROGRESS = {"encoder": 0.2, "decoders": 0.6}  # of the schedule
+_SCHEDULE = Schedule(0.3, 0.5, 0.0, coarsest=0.2)
+PROGRESS = {"encoder": 0.2, "coarsest": 0.4, "decoders": 0.6}  # of the schedule
 
 
 def joint_run(out: Path) -> dict[str, dict[str, object]]:
@@ -30,7 +32,15 @@ def joint_run(out: Path) -> dict[str, dict[str, object]]:
     """
     photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
     pairs = PairOptions(scene_share=0.0)
-    options = RunOptions("dgcm-lite", 1.0, pairs=pairs, validation_count=1, batch=2, parts=2)
+    options = RunOptions(
+        "dgcm-lite",
+        1.0,
+        schedule=_SCHEDULE,
+        pairs=pairs,
+        validation_count=1,
+        batch=2,
+        parts=2,
+    )
     results: dict[str, dict[str, object]] = {}
     for stage, progress in PROGRESS.items():
         trainer = Trainer((photos, photos), out / stage, options)

@@ -70,6 +70,9 @@ class NetworkConfig:
     soft_argmax: bool = False  # the first map from the correlation's peak instead of zeros (ours)
     # Levels, from the coarsest, whose features have a say in that peak (ours).
     correlated_levels: int = 1
+    # Pixels a side at which both images are encoded once more, and each matched with the other at
+    # full size, for that peak: a view that shows things larger finds them there (ours).
+    second_size: int | None = None
     consensus_passes: int = 0  # rounds in which cells hear their neighbours before the peak (ours)
     # Whether -1 and +1 are the centres of the outer pixels (True, what the authors' weights were
     # made for) or the outer edges (False, the same place at every level).
@@ -88,6 +91,9 @@ class NetworkConfig:
             raise InputError("consensus_passes must not be negative, and needs soft_argmax")
         if not 1 <= self.correlated_levels <= (len(LEVEL_SIZES) if self.soft_argmax else 1):
             raise InputError("correlated_levels must be 1 to 5, and without soft_argmax 1")
+        coarsest = INPUT_SIZE // LEVEL_SIZES[COARSEST]
+        if self.second_size is not None and (self.second_size % coarsest or not self.soft_argmax):
+            raise InputError(f"second_size must be a multiple of {coarsest}, and needs soft_argmax")
 
     @property
     def level_channels(self) -> tuple[int, ...]:
@@ -164,6 +170,7 @@ PRESETS: dict[str, NetworkConfig] = {
         matchability="decoder",
         soft_argmax=True,
         correlated_levels=2,
+        second_size=128,
         consensus_passes=4,
         align_corners=False,
     ),
@@ -194,7 +201,12 @@ def without_dilation(config: NetworkConfig) -> NetworkConfig:
 
 def _local_correlation(config: NetworkConfig) -> NetworkConfig:
     return replace(
-        config, correlation="local", soft_argmax=False, correlated_levels=1, consensus_passes=0
+        config,
+        correlation="local",
+        soft_argmax=False,
+        correlated_levels=1,
+        second_size=None,
+        consensus_passes=0,
     )
 
 
@@ -205,5 +217,6 @@ ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
     "no-dilation": without_dilation,
     "local-correlation": _local_correlation,
     "no-consensus": lambda config: replace(config, consensus_passes=0),
+    "one-size": lambda config: replace(config, second_size=None),
     "coarsest-alone": lambda config: replace(config, correlated_levels=1),
 }

@@ -45,25 +45,30 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
     return torch.stack(scores, 1)
 
 
+def cell_correlation(source: Tensor, target: Tensor, side: int) -> Tensor:
+    """As `global_correlation`, of cells that hold side x side features each.
+
+    Takes (B, C, h side, w side) of both; returns (B, h * w, h, w): how well the best features
+    inside the source's cell fit those inside the target's, on the mean of the latter.
+    """
+    if side == 1:
+        return global_correlation(source, target)
+    batch, channels, height, width = target.shape
+    h, w = height // side, width // side
+    places = [f.view(batch, channels, h, side, w, side) for f in (source, target)]
+    columns = places[0].permute(0, 3, 5, 4, 2, 1).reshape(batch, -1, channels)
+    rows = places[1].permute(0, 1, 3, 5, 2, 4).reshape(batch, channels, -1)
+    scores = torch.bmm(columns, rows).view(batch, side**2, h * w, side**2, h * w)
+    return scores.amax(1).mean(2).view(batch, h * w, h, w)
+
+
 def match_evidence(correlations: Sequence[Tensor], scales: Tensor) -> Tensor:
     """What the features of several levels say for each pair of the coarsest level's cells.
 
-    correlations: by `global_correlation`, the coarsest level's first; scales: (levels,) inverse
-    temperatures. Returns (B, h * w, h, w), laid out as the first: the levels' correlations, each
-    times its scale, summed. A finer level says of a pair of cells how well the best cells inside
-    the source's fit those inside the target's, on the mean of the latter.
+    correlations: (B, h * w, h, w) of each level, by `cell_correlation`; scales: (levels,) inverse
+    temperatures. Returns their sum, each times its scale.
     """
-    batch, _, height, width = correlations[0].shape
-    said = []
-    for index, correlation in enumerate(correlations):
-        if index > 0:
-            f, cells = 2**index, correlation.shape[1]
-            # The source's cells as an image, the target's as its channels; and back.
-            inside = correlation.view(batch, width * f, height * f, cells).permute(0, 3, 1, 2)
-            best = F.max_pool2d(inside, f).permute(0, 2, 3, 1)
-            correlation = F.avg_pool2d(best.reshape(batch, -1, height * f, width * f), f)
-        said.append(correlation)
-    return torch.tensordot(scales, torch.stack(said), 1)
+    return torch.tensordot(scales, torch.stack(list(correlations)), 1)
 
 
 def match_scores(evidence: Tensor) -> Tensor:

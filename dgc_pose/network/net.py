@@ -13,7 +13,7 @@ from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, NetworkCo
 from dgc_pose.network.consensus import consensus
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
-    global_correlation,
+    cell_correlation,
     l2_normalise,
     local_correlation,
     match_evidence,
@@ -41,6 +41,21 @@ class Prediction:
     logits: tuple[Tensor, ...]
 
 
+@dataclass(frozen=True)
+class Correlation:
+    """What the features of a batch of pairs have in common."""
+
+    coarsest: Tensor  # (B, 225, 15, 15) of level 4, or (B, n^2, 15, 15) where it is local
+    # (B, 225, 15, 15) for each pair of cells, by all that have a say; None where it is local
+    evidence: Tensor | None
+
+    def detached(self) -> Correlation:
+        """The same, that hands no gradient on."""
+        return Correlation(
+            self.coarsest.detach(), None if self.evidence is None else self.evidence.detach()
+        )
+
+
 class DGCNet(nn.Module):
     """DGC-Net and its kin (Melekhov et al., WACV 2019), as a `NetworkConfig` says.
 
@@ -61,9 +76,8 @@ class DGCNet(nn.Module):
             self.add_module(f"reg_{level}", decoder)
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
-        if config.soft_argmax:
-            scales = torch.full((config.correlated_levels,), INITIAL_SCALE)
-            self.register_buffer("correlation_scales", scales)
+        scales = torch.full((config.correlated_levels,), INITIAL_SCALE)
+        self.register_buffer("correlation_scales", scales, persistent=config.soft_argmax)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
         expected = (3, INPUT_SIZE, INPUT_SIZE)
@@ -75,10 +89,29 @@ class DGCNet(nn.Module):
         return self.decode(self.features(source), self.features(target))
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
+        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S).
+
+        With `second_size`, those of the correlated levels of the image at that size follow, the
+        coarsest first, on the grids of the same levels.
+        """
+        features = self._encode(image)
+        if self.config.second_size is not None:
+            size = (self.config.second_size,) * 2
+            smaller = self._encode(F.interpolate(image, size, mode="bilinear", antialias=True))
+            features += [
+                F.interpolate(smaller[level], features[level].shape[2:], mode="bilinear")
+                for level in self._correlated_levels
+            ]
+        return features
+
+    def _encode(self, image: Tensor) -> list[Tensor]:
         with self._precision(image):
             features = self.pyramid(image)
         return [feature.to(image.dtype) for feature in features]
+
+    @property
+    def _correlated_levels(self) -> range:
+        return range(COARSEST, COARSEST - self.config.correlated_levels, -1)
 
     def decode(
         self, source: list[Tensor], target: list[Tensor], finest: int = INPUT_SIZE
@@ -104,24 +137,44 @@ class DGCNet(nn.Module):
     def coarsest(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
         """Level 4: (B, 2 or 3, 15, 15), the map and the mask logit where decoders carry it.
 
-        From the features of both images, levels 0 to 4.
+        From the features of both images, as `features` gives them.
         """
+        return self.start(self.correlate(source, target))
+
+    def correlate(self, source: list[Tensor], target: list[Tensor]) -> Correlation:
+        """What the features of both images, as `features` gives them, have in common."""
         config = self.config
-        levels = range(COARSEST, COARSEST - config.correlated_levels, -1)
-        source, target = [source[k] for k in levels], [target[k] for k in levels]
-        if config.normalise_features:
-            source, target = [l2_normalise(f) for f in source], [l2_normalise(f) for f in target]
-        if config.correlation == "global":
-            correlations = list(map(global_correlation, source, target))
-        else:
+        (source, *source_smaller), (target, *target_smaller) = map(self._looks, (source, target))
+        if config.correlation == "local":
             radius = config.local_correlation_radius
-            correlations = [local_correlation(source[0], target[0], radius)]
-        correlation = correlations[0]
-        batch, _, height, width = correlation.shape
-        start = correlation.new_zeros(batch, config.map_channels, height, width)
+            return Correlation(local_correlation(source[0], target[0], radius), None)
+        scales = cast(Tensor, self.correlation_scales)
+        correlations = _correlations(source, target)
+        evidence = match_evidence(correlations, scales)
+        others = [(smaller, target) for smaller in source_smaller]
+        others += [(source, smaller) for smaller in target_smaller]
+        for pair in others:
+            evidence = evidence.maximum(match_evidence(_correlations(*pair), scales))
+        return Correlation(correlations[0], evidence)
+
+    def _looks(self, features: list[Tensor]) -> list[list[Tensor]]:
+        """The correlated levels, the coarsest first: at full size, and at the second size."""
+        looks = [[features[level] for level in self._correlated_levels]]
+        if self.config.second_size is not None:
+            looks.append(features[len(LEVEL_SIZES) :])
+        if self.config.normalise_features:
+            return [[l2_normalise(level) for level in look] for look in looks]
+        return looks
+
+    def start(self, correlation: Correlation) -> Tensor:
+        """The state of level 4, as of `coarsest`, from what the features have in common."""
+        config = self.config
+        inputs = correlation.coarsest
+        batch, _, height, width = inputs.shape
+        start = inputs.new_zeros(batch, config.map_channels, height, width)
         if config.soft_argmax:
-            scales = cast(Tensor, self.correlation_scales)
-            scores = match_scores(match_evidence(correlations, scales))
+            assert correlation.evidence is not None
+            scores = match_scores(correlation.evidence)
             if config.consensus_passes > 0:
                 scores = consensus(scores, config.consensus_passes)
             cells, clear = peaks(scores)
@@ -131,8 +184,8 @@ class DGCNet(nn.Module):
             if config.matchability == "decoder":
                 start[:, 2] = clear.clamp(*_CLEAR).logit()
         if config.normalise_correlation:
-            correlation = l2_normalise(correlation.relu())
-        return self._decode_level(COARSEST, correlation, start)
+            inputs = l2_normalise(inputs.relu())
+        return self._decode_level(COARSEST, inputs, start)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
@@ -209,3 +262,9 @@ class DGCNet(nn.Module):
 def upsample(state: Tensor) -> Tensor:
     """The state of a level at twice its size, bilinear, align_corners False in every preset."""
     return F.interpolate(state, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def _correlations(source: list[Tensor], target: list[Tensor]) -> list[Tensor]:
+    """Of each level, the coarsest first: (B, h * w, h, w) of the coarsest level's cells."""
+    levels = enumerate(zip(source, target, strict=True))
+    return [cell_correlation(*pair, side=2**index) for index, pair in levels]

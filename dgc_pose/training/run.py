@@ -32,7 +32,7 @@ from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.processes import agreed, join_batch_norms, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
-from dgc_pose.training.stages import DecoderStage, EncoderStage, Thawed
+from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage, Thawed
 from dgc_pose.training.start import InitPart, adopt, take_up
 from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
@@ -147,9 +147,9 @@ class Trainer:
         self.stage: StageName | None = None
         self._meter = Meter(self.device)
         self.parameters: list[nn.Parameter]  # those that the stage trains
-        self._module: EncoderStage | DecoderStage
-        self._average: MovingAverage[EncoderStage | DecoderStage]
-        self._enter("encoder" if options.schedule.encoder > 0 else "decoders")
+        self._module: EncoderStage | CoarsestStage
+        self._average: MovingAverage[EncoderStage | CoarsestStage]
+        self._enter(options.schedule.at(0.0)[0])
         if path.exists():
             self._load(path)
 
@@ -234,7 +234,7 @@ class Trainer:
     def validate(self) -> dict[str, float]:
         """Figures of the averaged weights on the held-back photographs, each named `val_...`."""
         module = self._average.module
-        if isinstance(module, DecoderStage):
+        if isinstance(module, CoarsestStage):
             return {f"val_{k}": v for k, v in validate(module.net, self._validation).items()}
         draws = Draws(seeded("validation"), self.device)
         with torch.no_grad():
@@ -246,7 +246,7 @@ class Trainer:
     def averaged(self) -> DGCNet:
         """A copy of the network by the averaged weights of the stage."""
         module = self._average.module
-        if isinstance(module, DecoderStage):
+        if isinstance(module, CoarsestStage):
             return deepcopy(module.net)
         net = deepcopy(self.net)
         module.write(net)
@@ -306,9 +306,12 @@ class Trainer:
                 take_up(self.net, self._module, normalise(self._validation[0].image1))
             self.parameters = list(self._module.parameters())
         else:
-            self._module = DecoderStage(
-                self.net, end_to_end=stage == "polish", thawed=self.options.thaw
-            )
+            if stage == "coarsest":
+                self._module = CoarsestStage(self.net, self.options.thaw or "coarsest")
+            else:
+                self._module = DecoderStage(
+                    self.net, end_to_end=stage == "polish", thawed=self.options.thaw
+                )
             self.parameters = self._module.trainable()
         self._module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._module.train()
@@ -352,7 +355,7 @@ class Trainer:
 
     def _loss(self, pairs: TrainingPairs, within: float) -> tuple[Tensor, dict[str, Tensor]]:
         draws = Draws(seeded(self.options.seed, self.step, "stage"), self.device)
-        if isinstance(self._module, EncoderStage):
+        if not isinstance(self._module, DecoderStage):
             result: tuple[Tensor, dict[str, Tensor]] = self._shared(pairs, draws)
             return result
         noise_share = 0.0 if self.stage == "polish" else max(0.1, 0.6 * (1 - 2 * within))

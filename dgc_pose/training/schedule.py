@@ -8,7 +8,7 @@ from typing import Literal
 
 from dgc_pose.errors import InputError
 
-StageName = Literal["encoder", "decoders", "polish"]
+StageName = Literal["encoder", "coarsest", "decoders", "polish"]
 _WARM_UP = 0.02  # of a stage
 
 
@@ -30,20 +30,36 @@ class Schedule:
     encoder: float = 0.45
     decoders: float = 0.45
     polish: float = 0.10
+    coarsest: float = 0.0  # comes after the encoder's
 
     def __post_init__(self) -> None:
-        shares = (self.encoder, self.decoders, self.polish)
+        shares = tuple(getattr(self, name) for name in STAGES)
         if min(shares) < 0 or abs(sum(shares) - 1) > 1e-6:
             raise InputError(f"the stages' shares must be positive and sum to 1, not {shares}")
+
+    @classmethod
+    def parse(cls, text: str) -> Schedule:
+        """From percentages: "45,45,10" of encoder, decoders and polish, or "0,50,40,10" of all.
+
+        Raises InputError where the text is neither.
+        """
+        try:
+            shares = [float(part) / 100 for part in text.split(",")]
+        except ValueError:
+            shares = []
+        if len(shares) == 3:
+            return cls(*shares)
+        if len(shares) == 4:
+            return cls(**dict(zip(STAGES, shares, strict=True)))
+        raise InputError(
+            f"split must be three percentages, 45,45,10, or one of each stage "
+            f"({', '.join(STAGES)}), not {text}"
+        )
 
     def at(self, progress: float) -> tuple[StageName, float]:
         """The stage at a run's progress (0 to 1) and the progress within that stage."""
         start = 0.0
-        stages: tuple[tuple[StageName, float], ...] = (
-            ("encoder", self.encoder),
-            ("decoders", self.decoders),
-            ("polish", self.polish),
-        )
+        stages = [(name, float(getattr(self, name))) for name in STAGES]
         for name, share in stages:
             if share > 0 and progress < start + share:
                 return name, (progress - start) / share
@@ -55,6 +71,9 @@ class Schedule:
 STAGES: dict[StageName, StageOptions] = {
     "encoder": StageOptions(
         batch=16, gpu_batch=128, size=160, learning_rate=2e-3, weight_decay=1e-4
+    ),
+    "coarsest": StageOptions(
+        batch=8, gpu_batch=64, size=240, learning_rate=1e-3, weight_decay=1e-4
     ),
     "decoders": StageOptions(
         batch=8, gpu_batch=64, size=240, learning_rate=1e-3, weight_decay=1e-4

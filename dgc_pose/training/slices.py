@@ -132,7 +132,7 @@ def run(
         preset=preset,
         minutes=1.0 if trial else total_minutes,
         seed=seed,
-        schedule=Schedule(*_shares(split)),
+        schedule=Schedule.parse(split),
         pairs=PairOptions(scene_share=scene_share, warps=WARPS[warps]),
         init=init,
         rate=rate,
@@ -207,14 +207,6 @@ def _bytes(state: dict[str, Any]) -> bytes:
     file = io.BytesIO()
     torch.save(state, file)
     return file.getvalue()
-
-
-def _shares(text: str) -> tuple[float, float, float]:
-    try:
-        encoder, decoders, polish = (float(part) / 100 for part in text.split(","))
-    except ValueError:
-        raise InputError(f"split must be three percentages, 45,45,10, not {text}") from None
-    return encoder, decoders, polish
 
 
 def main() -> None:

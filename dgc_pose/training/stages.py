@@ -1,18 +1,19 @@
-"""The stages of a run: the encoder alone, then the decoders on the frozen encoder, then polish."""
+"""The stages of a run: the encoder, its coarsest levels, the decoders on it, polish."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from dgc_pose.errors import InputError
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
-from dgc_pose.network.correlation import global_correlation, l2_normalise, match_evidence
-from dgc_pose.network.net import INITIAL_SCALE, DGCNet, upsample
+from dgc_pose.network.correlation import cell_correlation, l2_normalise, match_evidence
+from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
 from dgc_pose.training.batch import TrainingPairs
@@ -69,7 +70,11 @@ class EncoderStage(nn.Module):
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.half_precision):
             features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
         scales = self.log_scales.exp().clamp(max=60)
-        total, share = _contrast_coarsest(features, pairs, scales[: self.correlated])
+        levels = range(COARSEST, COARSEST - self.correlated, -1)
+        halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
+        correlations = [cell_correlation(*half, 2**k) for k, half in enumerate(halves)]
+        evidence = match_evidence(correlations, scales[: self.correlated])
+        total, share = _contrast_evidence(evidence, pairs)
         shares = {f"found{COARSEST}": share}
         for level, scale in zip(_ALONE, scales[self.correlated :], strict=True):
             part, share = _contrast(level, features[level], pairs, scale, draws)
@@ -85,16 +90,65 @@ class EncoderStage(nn.Module):
             net.correlation_scales = scales.exp().clamp(max=60).clone()
 
 
-class DecoderStage(nn.Module):
+class CoarsestStage(nn.Module):
+    """The encoder, or those levels of it that the correlation is made of, without any decoder.
+
+    By the contrastive loss of the coarsest level, over whole views and with the neighbours heard.
+    What goes wrong there no decoder mends, and a step takes half the time of one with decoders.
+    Raises InputError for a network whose correlation is local.
+    """
+
+    def __init__(self, net: DGCNet, thawed: Thawed | None = "coarsest") -> None:
+        super().__init__()
+        if thawed is not None and net.config.correlation == "local":
+            raise InputError(f"{net.config.name} has nothing to thaw: its correlation is local")
+        self.net = net
+        self.thawed = thawed
+        net.requires_grad_(False)
+        moving = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
+        for level, module in enumerate(net.pyramid.children()):
+            module.requires_grad_(level > COARSEST - moving[thawed])
+
+    def train(self, mode: bool = True) -> CoarsestStage:
+        super().train(mode)
+        self.net.pyramid.eval()
+        return self
+
+    def trainable(self) -> list[nn.Parameter]:
+        """Every parameter but the frozen ones."""
+        return [p for p in self.net.parameters() if p.requires_grad]
+
+    def forward(
+        self, pairs: TrainingPairs, draws: Draws
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
+        return self._contrast(self.net.correlate(*self._features(pairs)), pairs)
+
+    def _features(self, pairs: TrainingPairs) -> tuple[list[Tensor], list[Tensor]]:
+        """Those of the first images and of the second."""
+        images = normalise(torch.cat([pairs.image1, pairs.image2]))
+        features = self.net.features(images.contiguous(memory_format=torch.channels_last))
+        halves = [f.chunk(2) for f in features]
+        return [half[0] for half in halves], [half[1] for half in halves]
+
+    def _contrast(
+        self, correlation: Correlation, pairs: TrainingPairs
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        assert correlation.evidence is not None
+        passes = self.net.config.consensus_passes
+        loss, found = _contrast_evidence(correlation.evidence, pairs, passes)
+        return loss, {f"found{COARSEST}": found}
+
+
+class DecoderStage(CoarsestStage):
     """All decoders at once on the frozen pyramid, each fed with its predecessor's detached map.
 
     A share of the pairs gets the true map plus smooth noise instead, so that the fine decoders
     learn before the coarse ones have; that share falls over the stage. The two finest levels are
     decoded on a random quarter of the view, where nearly all the time would go otherwise.
 
-    thawed: the encoder, or those levels of it alone that the correlation is made of, goes on
-    learning too, by the contrastive loss of the coarsest level, here over whole views and with the
-    neighbours heard; the decoders' losses do not reach it.
+    thawed: what of the encoder goes on learning too, as in `CoarsestStage`; the decoders' losses
+    do not reach it.
     """
 
     def __init__(
@@ -104,23 +158,12 @@ class DecoderStage(nn.Module):
         robust_cells: float | None = 4.0,
         thawed: Thawed | None = None,
     ) -> None:
-        super().__init__()
-        self.net = net
-        moving = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
-        for level, module in enumerate(self.net.pyramid.children()):
-            module.requires_grad_(level > COARSEST - moving[thawed])
+        super().__init__(net, thawed)
+        for name, module in net.named_children():
+            if name != "pyramid":
+                module.requires_grad_(True)
         self.end_to_end = end_to_end
-        self.thawed = thawed
         self.robust_cells = robust_cells
-
-    def train(self, mode: bool = True) -> DecoderStage:
-        super().train(mode)
-        self.net.pyramid.eval()
-        return self
-
-    def trainable(self) -> list[nn.Parameter]:
-        """Every parameter but the frozen ones of the pyramid."""
-        return [p for p in self.net.parameters() if p.requires_grad]
 
     def forward(
         self,
@@ -130,15 +173,16 @@ class DecoderStage(nn.Module):
         lesson: Lesson | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
-        images = normalise(torch.cat([pairs.image1, pairs.image2]))
-        features = self.net.features(images.contiguous(memory_format=torch.channels_last))
-        total, figures = self._coarsest_loss(features, pairs)
-        features = [f.detach() for f in features]
-        source = [f.chunk(2)[0] for f in features]
-        target = [f.chunk(2)[1] for f in features]
+        source, target = self._features(pairs)
+        correlation = self.net.correlate(source, target)
+        total: Tensor = pairs.image1.new_zeros(())
+        figures: dict[str, Tensor] = {}
+        if self.thawed is not None:
+            total, figures = self._contrast(correlation, pairs)
+        source, target = [f.detach() for f in source], [f.detach() for f in target]
         noisy = draws.uniform(len(pairs.map)) < noise_share
         offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)
-        state = self.net.coarsest(source, target)
+        state = self.net.start(correlation.detached())
         part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), lesson)
         total = total + part
         figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error
@@ -161,19 +205,6 @@ class DecoderStage(nn.Module):
             seen_valid, known = pairs.valid[:, rows, columns], pairs.known[:, rows, columns]
             total = total + mask_loss(self.net.mask(warped, seen), seen_valid, known)
         return total, figures
-
-    def _coarsest_loss(
-        self, features: list[Tensor], pairs: TrainingPairs
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The contrastive loss of a thawed coarsest level, and the share of cells found there."""
-        if self.thawed is None:
-            return pairs.image1.new_zeros(()), {}
-        config = self.net.config
-        scales = torch.full((config.correlated_levels,), INITIAL_SCALE, device=pairs.image1.device)
-        if config.soft_argmax:
-            scales = cast(Tensor, self.net.correlation_scales)
-        loss, found = _contrast_coarsest(features, pairs, scales, config.consensus_passes)
-        return loss, {f"found{COARSEST}": found}
 
     def _level_loss(
         self,
@@ -230,17 +261,10 @@ class DecoderStage(nn.Module):
         return torch.cat([place.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
 
-def _contrast_coarsest(
-    features: list[Tensor], pairs: TrainingPairs, scales: Tensor, passes: int = 0
+def _contrast_evidence(
+    evidence: Tensor, pairs: TrainingPairs, passes: int = 0
 ) -> tuple[Tensor, Tensor]:
-    """The contrastive loss of the coarsest level's evidence, and the share of its cells found.
-
-    features: of each level (2B, C, n, n), those of the pairs' first images and then of their
-    second; scales: of the levels that the evidence is made of.
-    """
-    levels = range(COARSEST, COARSEST - len(scales), -1)
-    halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
-    evidence = match_evidence([global_correlation(*pair) for pair in halves], scales)
+    """The contrastive loss of the coarsest level's evidence, and the share of its cells found."""
     truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
     logits, stride = evidence.flatten(2), 2**COARSEST
     return contrastive_loss(logits, truth.flatten(1, 2), valid.flatten(1), stride, passes)

@@ -43,7 +43,11 @@ def test_every_way_is_timed_and_compared() -> None:
     torch.manual_seed(0)
     # Random features are all but alike, and their first correlation peak a matter of rounding.
     config = replace(
-        preset("dgcm-lite"), soft_argmax=False, correlated_levels=1, consensus_passes=0
+        preset("dgcm-lite"),
+        soft_argmax=False,
+        correlated_levels=1,
+        second_size=None,
+        consensus_passes=0,
     )
     net = DGCNet(config).eval().requires_grad_(False)
     images = [torch.randn(1, 3, 240, 240) for _ in range(2)]

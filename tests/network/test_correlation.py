@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from dgc_pose.network.correlation import (
+    cell_correlation,
     global_correlation,
     l2_normalise,
     local_correlation,
@@ -72,7 +73,9 @@ def test_evidence_sums_what_the_levels_say() -> None:
     scales = (2.0, 5.0, 0.5)
     source = [_features(7 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
     target = [_features(17 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
-    correlations = list(map(global_correlation, source, target))
+    pairs = enumerate(zip(source, target, strict=True))
+    correlations = [cell_correlation(*pair, side=2**k) for k, pair in pairs]
+    torch.testing.assert_close(correlations[0], global_correlation(source[0], target[0]))
     found = match_evidence(correlations, torch.tensor(scales, dtype=torch.float64))
     assert found.shape == (2, 6, 2, 3)
     for b, xs, ys, xt, yt in itertools.product(range(2), range(3), range(2), range(3), range(2)):

@@ -80,9 +80,9 @@ def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path
     save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
     options = RunOptions(
         "dgcm-lite",
-        steps=3,
+        steps=4,
         batch=2,
-        schedule=Schedule(1 / 3, 1 / 3, 1 / 3),
+        schedule=Schedule(1 / 4, 1 / 4, 1 / 4, 1 / 4),
         pairs=_STILL,
         validation_count=1,
         init=str(tmp_path / "w.safetensors"),
@@ -96,7 +96,7 @@ def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path
     ) -> tuple[list[float], list[float]]:
         """Losses and mean errors, and the shares of pixels."""
         trainer = Trainer((photos, photos), tmp_path / name, options, real=real, device=device)
-        steps = [trainer.train_step(step / 3)["loss"] for step in range(3)]
+        steps = [trainer.train_step(step / 4)["loss"] for step in range(4)]
         seen.update(waits)
         found = [float(loss) for loss in steps]
         state = trainer.state()

@@ -24,7 +24,7 @@ from dgc_pose.training.pairs import PairOptions, make_pairs
 from dgc_pose.training.photos import Photos, load_photos
 from dgc_pose.training.run import RunOptions, Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
-from dgc_pose.training.stages import DecoderStage, EncoderStage, Thawed
+from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage, Thawed
 from dgc_pose.training.validation import validate, validation_pairs
 
 _WARPS_ONLY = PairOptions(scene_share=0.0)
@@ -111,9 +111,18 @@ def test_what_is_thawed_learns_by_its_own_loss_alone(
     net.zero_grad()
     stage(pairs, _draws())[0].backward()
     again = _gradients(net)
-    assert again.keys() == gradients.keys() and gradients
-    for key, one in gradients.items():
-        torch.testing.assert_close(one, again[key])
+    # And without them.
+    net.zero_grad()
+    loss, alone = CoarsestStage(net, thawed).train()(pairs, _draws())
+    loss.backward()
+    assert alone == {"found4": figures["found4"]}
+    assert {n for n, p in net.named_parameters() if p.requires_grad} == {
+        f"pyramid.{name}" for name in gradients
+    }
+    for others in (again, _gradients(net)):
+        assert others.keys() == gradients.keys() and gradients
+        for key, one in gradients.items():
+            torch.testing.assert_close(one, others[key])
 
 
 def _gradients(net: DGCNet) -> dict[str, Tensor]:
@@ -161,6 +170,17 @@ def test_schedule_is_complete_in_the_time_given() -> None:
     assert rates[0] < rates[2] > rates[-1] and rates[-1] < 0.02 * max(rates)
     with pytest.raises(InputError, match="sum to 1"):
         Schedule(0.5, 0.5, 0.5)
+
+
+def test_shares_are_read_with_and_without_the_coarsest_levels() -> None:
+    assert Schedule.parse("45,45,10") == Schedule(0.45, 0.45, 0.1)
+    schedule = Schedule.parse("20, 40, 30, 10")
+    assert schedule == Schedule(0.2, 0.3, 0.1, coarsest=0.4)
+    stages = [schedule.at((share + 0.5) / 10)[0] for share in range(10)]
+    assert stages == ["encoder"] * 2 + ["coarsest"] * 4 + ["decoders"] * 3 + ["polish"]
+    for text in ("45,55", "a,b,c", ""):
+        with pytest.raises(InputError, match="three percentages.*encoder, coarsest, decoders"):
+            Schedule.parse(text)
 
 
 @pytest.mark.parametrize("progress", [0.2, 0.7])
@@ -248,10 +268,10 @@ def test_a_run_writes_weights_that_load_and_a_log(
     ticks = itertools.count()
     monkeypatch.setattr("dgc_pose.training.run.time.perf_counter", lambda: float(next(ticks)))
     rows: list[dict[str, object]] = []
-    options = _options(minutes=0.5, schedule=Schedule(0.4, 0.4, 0.2), validate_minutes=0.1)
+    options = _options(minutes=0.5, schedule=Schedule(0.3, 0.3, 0.2, 0.2), validate_minutes=0.1)
     net = Trainer((photos, photos), tmp_path, options).run(rows.append)
     stages = [str(row["stage"]) for row in rows]
-    assert sorted(set(stages), key=stages.index) == ["encoder", "decoders", "polish"]
+    assert sorted(set(stages), key=stages.index) == list(STAGES)
     assert all(float(row["pairs_per_second"]) > 0 for row in rows)
     loaded = load_network(tmp_path / "dgcm-lite.safetensors")
     pairs = validation_pairs(photos, 1, 1, _WARPS_ONLY)

@@ -64,7 +64,7 @@ def test_what_is_not_known_teaches_nothing(pairs: TrainingPairs) -> None:
         loss, _ = stage(replace(pairs, map=truth), draws, noise_share=1.0)
         net.zero_grad()
         loss.backward()
-        losses.append(float(loss))
+        losses.append(float(loss.detach()))
         gradients.append(net.get_submodule("reg_2.final").weight.grad.clone())
     assert losses[0] == losses[1] and torch.equal(*gradients)
 
