@@ -116,7 +116,7 @@ class DGCNet(nn.Module):
     def decode(
         self, source: list[Tensor], target: list[Tensor], finest: int = INPUT_SIZE
     ) -> Prediction:
-        """The prediction from the features of both images, levels 0 to 4 of `Pyramid`.
+        """The prediction from the features of both images, as `features` gives them.
 
         finest: cells a side of the last level decoded, one of LEVEL_SIZES.
         """
@@ -151,8 +151,8 @@ class DGCNet(nn.Module):
         scales = cast(Tensor, self.correlation_scales)
         correlations = _correlations(source, target)
         evidence = match_evidence(correlations, scales)
-        others = [(smaller, target) for smaller in source_smaller]
-        others += [(source, smaller) for smaller in target_smaller]
+        others = [(look, target) for look in source_smaller]
+        others += [(source, look) for look in target_smaller]
         for pair in others:
             evidence = evidence.maximum(match_evidence(_correlations(*pair), scales))
         return Correlation(correlations[0], evidence)

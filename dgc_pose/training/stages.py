@@ -72,7 +72,7 @@ class EncoderStage(nn.Module):
         scales = self.log_scales.exp().clamp(max=60)
         levels = range(COARSEST, COARSEST - self.correlated, -1)
         halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
-        correlations = [cell_correlation(*half, 2**k) for k, half in enumerate(halves)]
+        correlations = [cell_correlation(one, other, 2**k) for k, (one, other) in enumerate(halves)]
         evidence = match_evidence(correlations, scales[: self.correlated])
         total, share = _contrast_evidence(evidence, pairs)
         shares = {f"found{COARSEST}": share}
