@@ -146,8 +146,8 @@ class Refiner:
         options = self.options
         cache = self.cache or native_cache()
 
-        def at(zoom: float) -> Matches:
-            return match_features(
+        def at(zoom: float) -> tuple[Matches, int]:
+            found = match_features(
                 self.dense.net,
                 image1,
                 image2,
@@ -157,14 +157,17 @@ class Refiner:
                 candidates=options.candidates,
                 cache=cache,
             )
+            return found, len(consistent(found, options.neighbours).index)
 
-        found = at(2.0 ** round(math.log2(zoom_between(correspondences))))
+        shown = 2.0 ** round(math.log2(zoom_between(correspondences)))
+        found, agreeing = at(shown)
         if correspondences.matchability.mean() >= self.dense.options.roll_share:
             return found
-        agreeing = len(consistent(found, options.neighbours).index)
-        for zoom in _ZOOMS if agreeing < _FEW * len(found) else ():
-            other = at(zoom)
-            count = len(consistent(other, options.neighbours).index)
+        # What a weak map shows is a guess, and that things are equally large as good a one.
+        for zoom in (1.0, *_ZOOMS):
+            if zoom == shown or (zoom != 1.0 and agreeing >= _FEW * len(found)):
+                continue
+            other, count = at(zoom)
             if count > agreeing:
                 found, agreeing = other, count
         return found

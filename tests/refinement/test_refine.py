@@ -104,10 +104,26 @@ def test_auto_takes_the_map_only_where_the_features_leave_too_few(
     assert found.error_px == 0.5 and len(found) > 150
 
 
-@pytest.mark.parametrize("sure, tried", [(0.9, [1.0]), (0.1, [1.0, 1 / 3, 3.0])])
-def test_other_zooms_are_tried_where_the_map_is_weak_and_few_agree(
-    images: tuple[Image, Image], sure: float, tried: list[float], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    "sure, shown, true, tried",
+    [
+        (0.9, 1.1, 3.0, [1.0]),
+        (0.9, 2.2, 3.0, [2.0]),
+        (0.1, 1.1, 3.0, [1.0, 1 / 3, 3.0]),
+        (0.1, 2.2, 3.0, [2.0, 1.0, 1 / 3, 3.0]),
+        (0.1, 2.2, 1.0, [2.0, 1.0]),
+        (0.1, 2.2, 2.0, [2.0, 1.0]),
+    ],
+)
+def test_other_zooms_are_tried_where_the_map_is_weak(
+    images: tuple[Image, Image],
+    sure: float,
+    shown: float,
+    true: float,
+    tried: list[float],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The images' own always, the others where few of the matches agree; the best is kept."""
     rng = np.random.default_rng(0)
     points2 = rng.uniform((60, 40), (260, 200), (400, 2))
     zooms: list[object] = []
@@ -115,16 +131,17 @@ def test_other_zooms_are_tried_where_the_map_is_weak_and_few_agree(
     def match_features(*arguments: object, zoom: float, **options: object) -> Matches:
         zooms.append(zoom)
         points1 = dense_scene.places_in_image1(points2)
-        if zoom != 3.0:
+        if zoom != true:
             points1 = rng.permutation(points1)
         return Matches(points1, points2, np.ones(400), 1.0)
 
     monkeypatch.setattr("dgc_pose.refinement.refine.match_features", match_features)
+    monkeypatch.setattr("dgc_pose.refinement.refine.zoom_between", lambda found: shown)
     dense = _dense()
     dense.correspondences.matchability[:] = sure
     found = Refiner(dense, RefinementOptions(source="features")).match(*images)
     assert zooms == pytest.approx(tried)
-    assert (np.median(_off(found)) < 0.1) == (sure < 0.5)
+    assert (np.median(_off(found)) < 0.1) == (true in tried)
 
 
 def test_a_cache_spares_native_passes_and_changes_nothing(images: tuple[Image, Image]) -> None:
