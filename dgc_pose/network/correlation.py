@@ -62,10 +62,16 @@ def cell_correlation(source: Tensor, target: Tensor, side: int) -> Tensor:
     return scores.amax(1).mean(2).view(batch, h * w, h, w)
 
 
+def cell_correlations(source: Sequence[Tensor], target: Sequence[Tensor]) -> list[Tensor]:
+    """Of each level, the coarsest first: `cell_correlation` of the coarsest level's cells."""
+    levels = enumerate(zip(source, target, strict=True))
+    return [cell_correlation(*pair, side=2**index) for index, pair in levels]
+
+
 def match_evidence(correlations: Sequence[Tensor], scales: Tensor) -> Tensor:
     """What the features of several levels say for each pair of the coarsest level's cells.
 
-    correlations: (B, h * w, h, w) of each level, by `cell_correlation`; scales: (levels,) inverse
+    correlations: (B, h * w, h, w) of each level, by `cell_correlations`; scales: (levels,) inverse
     temperatures. Returns their sum, each times its scale.
     """
     return torch.tensordot(scales, torch.stack(list(correlations)), 1)

@@ -13,7 +13,7 @@ from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, NetworkCo
 from dgc_pose.network.consensus import consensus
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
-    cell_correlation,
+    cell_correlations,
     l2_normalise,
     local_correlation,
     match_evidence,
@@ -149,12 +149,12 @@ class DGCNet(nn.Module):
             radius = config.local_correlation_radius
             return Correlation(local_correlation(source[0], target[0], radius), None)
         scales = cast(Tensor, self.correlation_scales)
-        correlations = _correlations(source, target)
+        correlations = cell_correlations(source, target)
         evidence = match_evidence(correlations, scales)
         others = [(look, target) for look in source_smaller]
         others += [(source, look) for look in target_smaller]
         for pair in others:
-            evidence = evidence.maximum(match_evidence(_correlations(*pair), scales))
+            evidence = evidence.maximum(match_evidence(cell_correlations(*pair), scales))
         return Correlation(correlations[0], evidence)
 
     def _looks(self, features: list[Tensor]) -> list[list[Tensor]]:
@@ -262,9 +262,3 @@ class DGCNet(nn.Module):
 def upsample(state: Tensor) -> Tensor:
     """The state of a level at twice its size, bilinear, align_corners False in every preset."""
     return F.interpolate(state, scale_factor=2, mode="bilinear", align_corners=False)
-
-
-def _correlations(source: list[Tensor], target: list[Tensor]) -> list[Tensor]:
-    """Of each level, the coarsest first: (B, h * w, h, w) of the coarsest level's cells."""
-    levels = enumerate(zip(source, target, strict=True))
-    return [cell_correlation(*pair, side=2**index) for index, pair in levels]

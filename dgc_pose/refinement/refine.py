@@ -146,8 +146,8 @@ class Refiner:
         options = self.options
         cache = self.cache or native_cache()
 
-        def at(zoom: float) -> tuple[Matches, int]:
-            found = match_features(
+        def at(zoom: float) -> Matches:
+            return match_features(
                 self.dense.net,
                 image1,
                 image2,
@@ -157,17 +157,21 @@ class Refiner:
                 candidates=options.candidates,
                 cache=cache,
             )
-            return found, len(consistent(found, options.neighbours).index)
+
+        def agreeing(found: Matches) -> int:
+            return len(consistent(found, options.neighbours).index)
 
         shown = 2.0 ** round(math.log2(zoom_between(correspondences)))
-        found, agreeing = at(shown)
+        found = at(shown)
         if correspondences.matchability.mean() >= self.dense.options.roll_share:
             return found
+        most = agreeing(found)
         # What a weak map shows is a guess, and that things are equally large as good a one.
         for zoom in (1.0, *_ZOOMS):
-            if zoom == shown or (zoom != 1.0 and agreeing >= _FEW * len(found)):
+            if zoom == shown or (zoom != 1.0 and most >= _FEW * len(found)):
                 continue
-            other, count = at(zoom)
-            if count > agreeing:
-                found, agreeing = other, count
+            other = at(zoom)
+            count = agreeing(other)
+            if count > most:
+                found, most = other, count
         return found

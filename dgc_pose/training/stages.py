@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
-from dgc_pose.network.correlation import cell_correlation, l2_normalise, match_evidence
+from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
 from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
@@ -72,7 +72,7 @@ class EncoderStage(nn.Module):
         scales = self.log_scales.exp().clamp(max=60)
         levels = range(COARSEST, COARSEST - self.correlated, -1)
         halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
-        correlations = [cell_correlation(one, other, 2**k) for k, (one, other) in enumerate(halves)]
+        correlations = cell_correlations(*zip(*halves, strict=True))
         evidence = match_evidence(correlations, scales[: self.correlated])
         total, share = _contrast_evidence(evidence, pairs)
         shares = {f"found{COARSEST}": share}

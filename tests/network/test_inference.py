@@ -61,8 +61,10 @@ def test_the_same_map(name: str, compiled: bool) -> None:
     assert apart.median() < 1e-3 and apart.quantile(0.99) < 0.05
     # As probabilities: a logit of -10 carries a hundredth of rounding, which says nothing.
     found_mask, wanted_mask = found.logits[-1].sigmoid(), wanted.logits[-1].sigmoid()
-    # A few places lie on image 1's border, where warped features fade and their norm magnifies it.
-    off = (found_mask - wanted_mask).abs()
+    off = (found_mask - wanted_mask).abs()[:, 0]
+    # On image 1's border warped features fade, and their norm magnifies it.
+    from_border_px = (wanted.maps[-1].abs().amax(1) - 1).abs() * INPUT_SIZE / 2
+    assert off[from_border_px > 2].max() < 1e-3
     assert off.quantile(0.999) < 1e-4 and off.max() < 1e-2
 
 
