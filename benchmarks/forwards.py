@@ -87,7 +87,6 @@ def time_forwards(
     ways: dict[str, DGCNet] = {
         "torch, eager": net,
         "batch norm folded": for_inference(net),
-        "compiled": for_inference(net, compiled=True),
     }
     if multiplies_bfloat16(images[0].device):
         ways["bfloat16"] = half

@@ -20,7 +20,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
 from dgc_pose.matching.dense import resize
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.synthesis.map_pairs import MapPairs
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
@@ -72,7 +72,7 @@ def find_pairs(root: str | Path) -> HomographySet:
     return HomographySet(tuple(found), tuple(missing))
 
 
-def load_pair(pair: HomographyPair) -> TrainingPairs:
+def load_pair(pair: HomographyPair) -> MapPairs:
     """A batch of the one pair at 240x240, its true map, and where that lies in image 1.
 
     Raises ImageError for an image that cannot be read, InputError where a list was made for a size
@@ -89,7 +89,7 @@ def load_pair(pair: HomographyPair) -> TrainingPairs:
     for image in (image1, image2):
         square = resize(image.pixels, (INPUT_SIZE, INPUT_SIZE))
         images.append(torch.from_numpy(square).permute(2, 0, 1)[None].float() / 255)
-    return TrainingPairs(
+    return MapPairs(
         images[0],
         images[1],
         torch.from_numpy(truth.astype(np.float32))[None],

@@ -9,7 +9,8 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from dgc_pose.benchmarks.map_scores import (
+from dgc_pose.benchmarks.table import aligned
+from dgc_pose.evaluation.map_scores import (
     FOUND_PX,
     PCK_THRESHOLDS,
     RIGHT_PX,
@@ -19,7 +20,6 @@ from dgc_pose.benchmarks.map_scores import (
     pooled_reliability,
     summarise,
 )
-from dgc_pose.benchmarks.table import aligned
 from dgc_pose.metrics import Reliability
 from dgc_pose.network.config import LEVEL_SIZES
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.benchmarks.map_scores import PairScores, score
+from dgc_pose.evaluation.map_comparison import Comparison, compare
+from dgc_pose.evaluation.map_scores import PairScores, score
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.batch import TrainingPairs
-from dgc_pose.training.validation import Comparison, compare
+from dgc_pose.synthesis.map_pairs import MapPairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Case:
 
     group: str  # that the figures are averaged in
     names: tuple[str, ...]  # of each pair
-    pairs: TrainingPairs
+    pairs: MapPairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class WorstPairs:
         return self._kept.get(method, [])
 
 
-def _picture(pairs: TrainingPairs, index: int, number: int) -> np.ndarray:
+def _picture(pairs: MapPairs, index: int, number: int) -> np.ndarray:
     image = (pairs.image1 if number == 1 else pairs.image2)[index]
     pixels: np.ndarray = (255 * image.permute(1, 2, 0)).round().byte().cpu().numpy()
     return pixels

@@ -34,11 +34,11 @@ from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.camera import Camera, check_size, parse_camera
 from dgc_pose.cli.options import split_names
-from dgc_pose.cli.staging import staged
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.consensus import run_seeds
 from dgc_pose.estimation.poselib_backend import run_poselib
+from dgc_pose.files import staged
 from dgc_pose.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, load_matcher
@@ -228,7 +228,6 @@ def result_data(
 @click.argument("image2", required=False, type=click.Path(path_type=Path))
 @click.argument("k", metavar="[K]", required=False)
 @click.option("--weights", default=DEFAULT_WEIGHTS, show_default=True, help="A name or a path.")
-@click.option("--compiled", is_flag=True, help="The stages with the compiled kernel.")
 @click.option(
     "--forward",
     "networks",
@@ -245,7 +244,6 @@ def main(
     image2: Path | None,
     k: str | None,
     weights: str,
-    compiled: bool,
     networks: str,
     repetitions: int,
     threads: int | None,
@@ -258,14 +256,14 @@ def main(
                 torch.set_num_threads(threads)
                 cv2.setNumThreads(threads)
             configs = {f"{name}, random": preset(name) for name in split_names(networks)}
-            refiner = Refiner(load_matcher(weights, device="cpu", compiled=compiled))
+            refiner = Refiner(load_matcher(weights, device="cpu"))
             pair = _pair(image1, image2, k, Path(folder))
             nets = {refiner.name: load_network(weights)}
             for name, config in configs.items():
                 torch.manual_seed(0)
                 nets[name] = DGCNet(config).eval().requires_grad_(False)
             setup = Setup(*pair, refiner, EstimationOptions())
-            data = _measure(setup, nets, repetitions, {"compiled": compiled})
+            data = _measure(setup, nets, repetitions, {})
             if json_path is not None:
                 stage(json_path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     except DgcPoseError as error:

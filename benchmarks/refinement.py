@@ -30,7 +30,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, Matcher, load_match
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import folded, pose_auc
 from dgc_pose.refinement import MatchSource, RefinementOptions, Refiner
-from dgc_pose.render import SceneOptions, render_pairs
+from dgc_pose.synthesis.render import SceneOptions, render_pairs
 
 # "SOURCE" aligns the matches of a source, "SOURCE-only" does not; "none" is the dense map alone.
 VARIANTS = (
@@ -100,7 +100,7 @@ def listed_cases(pair_list: Path, root: Path | None, limit: int | None) -> Itera
 
 def rendered_cases(photos: Path, count: int, seed: int) -> Iterator[Case]:
     """Seeded views, 1024 pixels square, of scenes of the photographs that training holds back."""
-    from dgc_pose.training.photos import load_held_back
+    from dgc_pose.synthesis.photos import load_held_back
 
     held_back = load_held_back(photos)
     generator = torch.Generator().manual_seed(seed)

@@ -16,13 +16,13 @@ from torch import Tensor
 from dgc_pose.benchmarks.map_run import Case
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.render import SceneOptions, render_pairs
-from dgc_pose.training.batch import TrainingPairs
-from dgc_pose.training.pairs import PairOptions, make_pairs
-from dgc_pose.training.photometric import PhotometricOptions, random_photometric
-from dgc_pose.training.photos import Photos
-from dgc_pose.training.warp_lists import WarpRow, list_pairs
-from dgc_pose.training.warps import (
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.photometric import PhotometricOptions, random_photometric
+from dgc_pose.synthesis.photos import Photos
+from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
+from dgc_pose.synthesis.render import SceneOptions, render_pairs
+from dgc_pose.synthesis.warp_lists import WarpRow, list_pairs
+from dgc_pose.synthesis.warps import (
     FAR,
     PAPER_AFFINE,
     PAPER_AFFINE_TPS,
@@ -74,7 +74,7 @@ def synthetic_cases(
         done += kept
 
 
-def _see_past_the_horizon(pairs: TrainingPairs) -> list[bool]:
+def _see_past_the_horizon(pairs: MapPairs) -> list[bool]:
     """Of which pairs the target shows more than the plane: no camera sees it turned so far."""
     return (pairs.map >= FAR).flatten(1).any(1).tolist()
 
@@ -94,7 +94,7 @@ def listed_cases(rows: Sequence[WarpRow], root: str | Path) -> Iterator[Case]:
 
 def _warped(
     photos: Photos, warps: WarpOptions, generator: torch.Generator, changed: bool
-) -> Iterator[TrainingPairs]:
+) -> Iterator[MapPairs]:
     options = PairOptions(
         scene_share=0.0, warps=warps, view_scale=(_VIEW, _VIEW), view_roll_deg=0.0
     )
@@ -106,7 +106,7 @@ def _warped(
 
 def _scenes(
     photos: Photos, generator: torch.Generator, changed: bool
-) -> Iterator[TrainingPairs]:
+) -> Iterator[MapPairs]:
     """Batches of those scenes whose cameras differ by ROTATION_DEG."""
     scenes = SceneOptions(rotation_deg=ROTATION_DEG, supersample=2)
     while True:
@@ -117,7 +117,7 @@ def _scenes(
         if changed:
             options = PhotometricOptions()
             images = [random_photometric(image, options, generator) for image in images]
-        yield TrainingPairs(images[0], images[1], views.map, views.visible).chosen(kept)
+        yield MapPairs(images[0], images[1], views.map, views.visible).chosen(kept)
 
 
 def _rotation_deg(R: Tensor) -> Tensor:

@@ -21,8 +21,8 @@ from dgc_pose.image import Image
 from dgc_pose.matching import DEFAULT_WEIGHTS, CorrespondenceMap, load_matcher
 from dgc_pose.matching.selection import MatchingOptions, cell_size, select_matches
 from dgc_pose.metrics import folded, pose_auc
-from dgc_pose.render import RenderedPairs, SceneOptions, render_pairs
-from dgc_pose.training.photos import load_held_back
+from dgc_pose.synthesis.photos import load_held_back
+from dgc_pose.synthesis.render import RenderedPairs, SceneOptions, render_pairs
 
 _SIZE = 480  # pixels a side of the rendered views: the matcher halves them, as it does photographs
 _MATCHABILITIES = (0.2, 0.5, 0.7, 0.8, 0.9, 0.95)

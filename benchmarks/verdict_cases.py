@@ -19,8 +19,8 @@ from dgc_pose.benchmarks.refinement import rendered_cases
 from dgc_pose.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import Image, load_image
-from dgc_pose.render.scene_pair import PairKind, render_scene_pair
-from dgc_pose.training.photos import held_back_paths
+from dgc_pose.synthesis.photos import held_back_paths
+from dgc_pose.synthesis.render.scene_pair import PairKind, render_scene_pair
 
 # "turned": a camera that only turned, which has no translation to find.
 CaseKind = Literal["unrelated", "true", "turned"]

@@ -42,9 +42,9 @@ from dgc_pose.cli.options import (
     split_names,
 )
 from dgc_pose.cli.output import json_text
-from dgc_pose.cli.staging import staged
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files import staged
 from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.device import choose_device
 from dgc_pose.network.weights import shipped

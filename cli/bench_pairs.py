@@ -23,8 +23,8 @@ from dgc_pose.cli.options import (
     split_names,
 )
 from dgc_pose.cli.output import json_text
-from dgc_pose.cli.staging import staged
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files import staged
 from dgc_pose.matching import Matcher, MatchingOptions
 from dgc_pose.network.weights import shipped
 from dgc_pose.refinement import MatchSource

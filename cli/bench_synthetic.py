@@ -22,8 +22,8 @@ from dgc_pose.benchmarks.synthetic import PHOTO_SIDE, SETS, listed_cases, synthe
 from dgc_pose.cli.map_bench import MapBench, map_bench_options, reliability_lines
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
-from dgc_pose.training.photos import load_held_back
-from dgc_pose.training.warp_lists import WarpList
+from dgc_pose.synthesis.photos import load_held_back
+from dgc_pose.synthesis.warp_lists import WarpList
 
 
 @click.command()

@@ -10,8 +10,8 @@ from dgc_pose.benchmarks.dtu.dataset import Layout, open_dataset
 from dgc_pose.benchmarks.dtu.pairs import PairOptions, draw, find_pairs, pair_of
 from dgc_pose.benchmarks.dtu.scene import LIGHTS
 from dgc_pose.benchmarks.pair_list import write_pairs
-from dgc_pose.cli.staging import staged
 from dgc_pose.errors import InputError
+from dgc_pose.files import staged
 
 DEFAULTS = PairOptions()
 

@@ -13,8 +13,8 @@ from dgc_pose.cli.options import (
 )
 from dgc_pose.cli.output import json_text, matches_arrays, pose_data, pose_text, write_npz
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
-from dgc_pose.cli.staging import staged
 from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.files import staged
 
 STDOUT = "-"
 

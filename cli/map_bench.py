@@ -22,11 +22,11 @@ from dgc_pose.benchmarks.map_report import (
     write_pairs,
 )
 from dgc_pose.benchmarks.map_run import Case, Outcome, WorstPairs, run
-from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores, pooled_reliability
 from dgc_pose.benchmarks.methods import load_networks
 from dgc_pose.cli.options import device_option, split_names
 from dgc_pose.cli.output import json_text
-from dgc_pose.cli.staging import staged
+from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores, pooled_reliability
+from dgc_pose.files import staged
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import shipped
 from dgc_pose.viz import save_figure

@@ -6,7 +6,7 @@ import click
 
 from dgc_pose.cli.options import MatcherChoice, matcher_options
 from dgc_pose.cli.output import matches_arrays, write_npz
-from dgc_pose.cli.staging import staged
+from dgc_pose.files import staged
 from dgc_pose.image import load_image
 
 

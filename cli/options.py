@@ -69,14 +69,13 @@ class MatcherChoice:
     device: str
     options: MatchingOptions
     refinement: RefinementOptions | None  # None: the dense map's own matches
-    compiled: bool = False  # convolutions by a kernel compiled on its first use
 
     def load(self) -> DenseMatcher | Refiner:
         from dgc_pose.matching import load_matcher
         from dgc_pose.refinement import Refiner
 
         dense = load_matcher(
-            self.weights, device=self.device, options=self.options, compiled=self.compiled
+            self.weights, device=self.device, options=self.options
         )
         return dense if self.refinement is None else Refiner(dense, self.refinement)
 
@@ -186,7 +185,7 @@ def refinement_options(
 
 
 def matcher_options(command: Command) -> Command:
-    """--weights, --device, --finest, --compiled, the filters and --refine, as
+    """--weights, --device, --finest, the filters and --refine, as
     `network: MatcherChoice`."""
 
     @click.option(
@@ -203,12 +202,6 @@ def matcher_options(command: Command) -> Command:
         show_default=True,
         help="Cells a side of the dense map: the coarser, the faster.",
     )
-    @click.option(
-        "--compiled",
-        is_flag=True,
-        help="On the CPU, a faster kernel for the network's convolutions, compiled by the C++ "
-        "compiler of this machine on its first use.",
-    )
     @filter_options
     @refine_option
     @functools.wraps(command)
@@ -217,7 +210,6 @@ def matcher_options(command: Command) -> Command:
         weights: str,
         device: str,
         finest: str,
-        compiled: bool,
         filters: MatchingOptions,
         refine: MatchSource | None,
         **kwargs: Any,
@@ -225,7 +217,7 @@ def matcher_options(command: Command) -> Command:
         size = next(one for one in get_args(FinestLevel) if str(one) == finest)
         options = replace(filters, finest=size)
         refinement = refinement_options(refine, filters)
-        choice = MatcherChoice(weights, device, options, refinement, compiled)
+        choice = MatcherChoice(weights, device, options, refinement)
         return command(*args, network=choice, **kwargs)
 
     return wrapper

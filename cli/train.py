@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from dgc_pose.training.depth_scenes import DepthScenes
+    from dgc_pose.synthesis.depth_scenes import DepthScenes
+    from dgc_pose.synthesis.warps import WarpOptions
     from dgc_pose.training.stages import Thawed
     from dgc_pose.training.start import InitPart
-    from dgc_pose.training.warps import WarpOptions
 
 
 @click.command()
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     "--photos",
     required=True,
     type=click.Path(path_type=Path),
-    help="Folder of photographs, searched through, or a pack of them (see docs/training.md); one "
+    help="Folder of photographs, searched through; one "
     "in twenty is held back for validation.",
 )
 @click.option("--preset", default="dgcm-lite", show_default=True, help="dgc, dgcm or dgcm-lite.")
@@ -153,10 +153,9 @@ def train(
     import torch
 
     from dgc_pose.network.device import choose_device, multiplies_bfloat16
+    from dgc_pose.synthesis.photos import load_photos
+    from dgc_pose.synthesis.random_pairs import PairOptions
     from dgc_pose.training.curriculum import Curriculum
-    from dgc_pose.training.pairs import PairOptions
-    from dgc_pose.training.photo_pack import load_photo_pack
-    from dgc_pose.training.photos import load_photos
     from dgc_pose.training.processes import process_group, rank
     from dgc_pose.training.progress import ProgressLine
     from dgc_pose.training.run import RunOptions, Trainer
@@ -193,9 +192,8 @@ def train(
     if real_share > 0 and not rgbd:
         raise click.BadParameter("needs --rgbd", param_hint="--real-share")
     with process_group(chosen) as own_device:
-        is_pack = photos.suffix == ".safetensors"
         trainer = Trainer(
-            load_photo_pack(photos, limit) if is_pack else load_photos(photos, limit=limit),
+            load_photos(photos, limit=limit),
             out,
             options,
             real=_real_scenes(rgbd),
@@ -214,7 +212,7 @@ def train(
 
 
 def _warps(name: str) -> WarpOptions:
-    from dgc_pose.training.warps import WARPS
+    from dgc_pose.synthesis.warps import WARPS
 
     if name not in WARPS:
         raise click.BadParameter(f"must be one of {', '.join(WARPS)}", param_hint="--warps")
@@ -223,8 +221,8 @@ def _warps(name: str) -> WarpOptions:
 
 def _real_scenes(folders: tuple[Path, ...]) -> DepthScenes | None:
     """The frames that train; the rest of each walk is held back."""
-    from dgc_pose.training.depth_scenes import hold_back, load_depth_scenes
-    from dgc_pose.training.posed_depth import read_rgbd
+    from dgc_pose.synthesis.depth_scenes import hold_back, load_depth_scenes
+    from dgc_pose.synthesis.posed_depth import read_rgbd
 
     if not folders:
         return None

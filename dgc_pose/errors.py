@@ -17,7 +17,3 @@ class ImageError(DgcPoseError):
 
 class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
-
-
-class CompilerError(DgcPoseError):
-    """A kernel that cannot be compiled or loaded on this machine; the message says why."""

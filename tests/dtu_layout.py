@@ -13,11 +13,11 @@ import torch
 
 from dgc_pose.benchmarks.dtu.calibration import View
 from dgc_pose.camera import Camera
-from dgc_pose.render.bank import TextureBank
-from dgc_pose.render.cameras import Cameras
-from dgc_pose.render.demo_scene import demo_scene
-from dgc_pose.render.procedural import procedural_textures
-from dgc_pose.render.raycast import Lighting, cast, describe, shade
+from dgc_pose.synthesis.render.bank import TextureBank
+from dgc_pose.synthesis.render.cameras import Cameras
+from dgc_pose.synthesis.render.demo_scene import demo_scene
+from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.raycast import Lighting, cast, describe, shade
 
 SIZE = (160, 120)
 # DTU's camera at a tenth of its size.

@@ -8,9 +8,9 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from dgc_pose.render.procedural import procedural_textures
-from dgc_pose.training.pairs import PairOptions
-from dgc_pose.training.photos import Photos
+from dgc_pose.synthesis.photos import Photos
+from dgc_pose.synthesis.random_pairs import PairOptions
+from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.training.processes import (
     join_batch_norms,
     joint_sum,

@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import torch
 
-from dgc_pose.render.procedural import procedural_textures
-from dgc_pose.training.photos import Photos
+from dgc_pose.synthesis.photos import Photos
+from dgc_pose.synthesis.render.procedural import procedural_textures
 
 
 def drawn_photos(count: int, side: int) -> Photos:

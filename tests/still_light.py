@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dgc_pose.training.photometric import PhotometricOptions
+from dgc_pose.synthesis.photometric import PhotometricOptions
 
 STILL = PhotometricOptions(
     gain=0,

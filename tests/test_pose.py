@@ -15,7 +15,7 @@ import dgc_pose
 from dgc_pose import Camera, ImageError, InputError, estimate_relative_pose, trace_relative_pose
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
-from dgc_pose.render.scene_pair import RenderedPair, render_scene_pair
+from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 
 @pytest.fixture(scope="module")

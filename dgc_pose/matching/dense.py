@@ -180,16 +180,12 @@ def load_matcher(
     device: str = "auto",
     options: MatchingOptions | None = None,
     cache: FeatureCache | None = None,
-    compiled: bool = False,
 ) -> DenseMatcher:
     """A matcher with shipped weights, by name, or with those of a file (see `load_network`).
 
-    compiled: on the CPU, convolutions by a kernel of our own, compiled on its first use, which
-    takes seconds; without a C++ compiler torch's are used, with a warning (see `for_inference`).
-
     Raises WeightsError where the weights cannot be had, InputError where the device cannot.
     """
-    net = for_inference(load_network(weights, choose_device(device)), compiled=compiled)
+    net = for_inference(load_network(weights, choose_device(device)))
     return DenseMatcher(net, options, cache)
 
 

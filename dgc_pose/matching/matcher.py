@@ -1,9 +1,10 @@
-"""What a matcher is, and the dense map that the network's matcher makes on the way."""
+"""The contract of all matchers: two images in, matches out, and the dense map where there is one."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -11,28 +12,40 @@ from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 
 
-class Matcher(Protocol):
-    """Anything that matches two images."""
-
-    @property
-    def name(self) -> str:
-        """What results and tables call it."""
-        ...
-
-    def match(self, image1: Image, image2: Image) -> Matches:
-        """Matches in pixels of the original images."""
-        ...
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CorrespondenceMap:
-    """A dense map over image 2's grid. All places are pixels of the original images."""
+    """A dense map over image 2's grid. All points are in pixels of the original images."""
 
     map: np.ndarray  # (H, W, 2) float32, for each cell of image 2 its x and y in image 1; no NaN
     grid: np.ndarray  # (H, W, 2) float32, the cells' x and y in image 2
     matchability: np.ndarray  # (H, W) float32 in [0, 1]; 1 everywhere for a net without a mask
     size1: tuple[int, int]  # (width, height) of image 1
     size2: tuple[int, int]  # (width, height) of image 2
-    # (H, W) float32, pixels of image 2: how far the cell's place in image 1 maps back from it;
-    # None where the way back was not asked for
+    # (H, W) float32, pixels of image 2: distance of the cell from where the reverse map sends its
+    # point in image 1; None where the reverse map was not computed
     cycle: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class MatchResult:
+    """What a matcher found in two images."""
+
+    matches: Matches  # those that a pose is estimated from, pixels of the original images
+    correspondence_map: CorrespondenceMap | None  # None for a matcher of key points
+
+
+class Matcher(ABC):
+    """Anything that matches two images: the network, SIFT, optical flow, files, a refined matcher."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """The name in results and tables."""
+
+    @abstractmethod
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        """Matches in pixels of the original images, and the dense map where one is made."""
+
+    def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
+        """As `match` for each pair. A network overrides this to decode the pairs together."""
+        return [self.match(*pair) for pair in pairs]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from dgc_pose.errors import InputError
-from dgc_pose.render import SceneOptions
-from dgc_pose.training.pairs import PairOptions
-from dgc_pose.training.warps import WarpOptions
+from dgc_pose.synthesis.random_pairs import PairOptions
+from dgc_pose.synthesis.render import SceneOptions
+from dgc_pose.synthesis.warps import WarpOptions
 
 
 @dataclass(frozen=True)

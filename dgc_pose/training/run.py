@@ -21,15 +21,14 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_checkpoint, save_weights
+from dgc_pose.synthesis.depth_scenes import DepthScenes
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.photos import Photos
+from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
 from dgc_pose.training.average import MovingAverage
-from dgc_pose.training.batch import TrainingPairs
-from dgc_pose.training.compact import expanded
 from dgc_pose.training.curriculum import Curriculum
-from dgc_pose.training.depth_scenes import DepthScenes
 from dgc_pose.training.draws import Draws, seeded
 from dgc_pose.training.log import Meter, Row, append
-from dgc_pose.training.pairs import PairOptions, make_pairs
-from dgc_pose.training.photos import Photos
 from dgc_pose.training.processes import agreed, join_batch_norms, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage, Thawed
@@ -278,7 +277,7 @@ class Trainer:
         }
 
     def _load(self, path: Path) -> None:
-        state = expanded(load_checkpoint(path, self.device))
+        state = load_checkpoint(path, self.device)
         if state["preset"] != self.options.preset:
             raise WeightsError(
                 f"{path}: a run of preset {state['preset']}, not {self.options.preset}"
@@ -338,7 +337,7 @@ class Trainer:
             if self._batch(stage) % parts:
                 raise InputError(f"{self._batch(stage)} pairs do not divide into {parts} parts")
 
-    def _make_pairs(self, progress: float) -> TrainingPairs:
+    def _make_pairs(self, progress: float) -> MapPairs:
         """This process's pairs of the step."""
         assert self.stage is not None
         options = self.options.pairs
@@ -351,9 +350,9 @@ class Trainer:
         for part in range(rank() * own, (rank() + 1) * own):
             generator = seeded(self.options.seed, self.step, "pairs", part)
             made.append(make_pairs(self.photos, each, size, generator, options, self.real))
-        return made[0] if own == 1 else TrainingPairs.joined(made)
+        return made[0] if own == 1 else MapPairs.joined(made)
 
-    def _loss(self, pairs: TrainingPairs, within: float) -> tuple[Tensor, dict[str, Tensor]]:
+    def _loss(self, pairs: MapPairs, within: float) -> tuple[Tensor, dict[str, Tensor]]:
         draws = Draws(seeded(self.options.seed, self.step, "stage"), self.device)
         if not isinstance(self._module, DecoderStage):
             result: tuple[Tensor, dict[str, Tensor]] = self._shared(pairs, draws)

@@ -16,16 +16,10 @@ from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_
 from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
-from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.synthesis.level_truth import level_known, level_truth
+from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.training.draws import Draws
-from dgc_pose.training.losses import (
-    contrastive_loss,
-    joint_mean,
-    level_known,
-    level_truth,
-    map_loss,
-    mask_loss,
-)
+from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mask_loss
 
 Thawed = Literal["coarsest", "encoder"]
 _ALONE = (3, 2)  # levels that the contrastive loss runs on beside the coarsest
@@ -60,7 +54,7 @@ class EncoderStage(nn.Module):
         self.log_scales = nn.Parameter(torch.full((self.correlated + len(_ALONE),), 2.5))
 
     def forward(
-        self, pairs: TrainingPairs, draws: Draws
+        self, pairs: MapPairs, draws: Draws
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The contrastive loss of a batch, and the share of cells found at each level.
 
@@ -119,12 +113,12 @@ class CoarsestStage(nn.Module):
         return [p for p in self.net.parameters() if p.requires_grad]
 
     def forward(
-        self, pairs: TrainingPairs, draws: Draws
+        self, pairs: MapPairs, draws: Draws
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
         return self._contrast(self.net.correlate(*self._features(pairs)), pairs)
 
-    def _features(self, pairs: TrainingPairs) -> tuple[list[Tensor], list[Tensor]]:
+    def _features(self, pairs: MapPairs) -> tuple[list[Tensor], list[Tensor]]:
         """Those of the first images and of the second."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         features = self.net.features(images.contiguous(memory_format=torch.channels_last))
@@ -132,7 +126,7 @@ class CoarsestStage(nn.Module):
         return [half[0] for half in halves], [half[1] for half in halves]
 
     def _contrast(
-        self, correlation: Correlation, pairs: TrainingPairs
+        self, correlation: Correlation, pairs: MapPairs
     ) -> tuple[Tensor, dict[str, Tensor]]:
         assert correlation.evidence is not None
         passes = self.net.config.consensus_passes
@@ -167,7 +161,7 @@ class DecoderStage(CoarsestStage):
 
     def forward(
         self,
-        pairs: TrainingPairs,
+        pairs: MapPairs,
         draws: Draws,
         noise_share: float = 0.0,
         lesson: Lesson | None = None,
@@ -210,7 +204,7 @@ class DecoderStage(CoarsestStage):
         self,
         level: int,
         state: Tensor,
-        pairs: TrainingPairs,
+        pairs: MapPairs,
         window: tuple[slice, slice],
         lesson: Lesson | None,
     ) -> tuple[Tensor, Tensor]:
@@ -236,7 +230,7 @@ class DecoderStage(CoarsestStage):
         self,
         level: int,
         previous: Tensor,
-        pairs: TrainingPairs,
+        pairs: MapPairs,
         window: tuple[slice, slice],
         draws: Draws,
     ) -> Tensor:
@@ -262,7 +256,7 @@ class DecoderStage(CoarsestStage):
 
 
 def _contrast_evidence(
-    evidence: Tensor, pairs: TrainingPairs, passes: int = 0
+    evidence: Tensor, pairs: MapPairs, passes: int = 0
 ) -> tuple[Tensor, Tensor]:
     """The contrastive loss of the coarsest level's evidence, and the share of its cells found."""
     truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
@@ -271,7 +265,7 @@ def _contrast_evidence(
 
 
 def _contrast(
-    level: int, features: Tensor, pairs: TrainingPairs, scale: Tensor, draws: Draws
+    level: int, features: Tensor, pairs: MapPairs, scale: Tensor, draws: Draws
 ) -> tuple[Tensor, Tensor]:
     """The contrastive loss of a level alone, and the share of its cells found.
 

@@ -13,7 +13,7 @@ from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_network
-from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.training.stages import Lesson
 
 
@@ -36,7 +36,7 @@ class Teacher:
         return cls(net.to(memory_format=torch.channels_last), weight)  # type: ignore[call-overload]
 
     @torch.no_grad()
-    def teach(self, pairs: TrainingPairs) -> tuple[TrainingPairs, Lesson]:
+    def teach(self, pairs: MapPairs) -> tuple[MapPairs, Lesson]:
         """The pairs, with its own map as the truth where none is known, and its lesson."""
         source, target = (
             normalise(image).contiguous(memory_format=torch.channels_last)

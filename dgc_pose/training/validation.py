@@ -3,68 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from dgc_pose.metrics import aepe, endpoint_errors, jaccard
+from dgc_pose.evaluation.map_comparison import compare
+from dgc_pose.metrics import jaccard
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
-from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
-from dgc_pose.training.batch import TrainingPairs
-from dgc_pose.training.losses import level_truth
-from dgc_pose.training.pairs import PairOptions, make_pairs
-from dgc_pose.training.photos import Photos
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.photos import Photos
+from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
 
 _SEED = 20190108  # of the validation pairs, whatever a run's own seed
 
 
-@dataclass(frozen=True, eq=False)
-class LevelMap:
-    """A level's map of one pair beside the truth, in pixels of the 240x240 input."""
-
-    found: np.ndarray  # (S, S, 2) float32, for each cell of the target its place in the source
-    truth: np.ndarray  # (S, S, 2) float32
-    valid: np.ndarray  # (S, S) bool, where the truth holds
-
-    @property
-    def aepe(self) -> float:
-        """Mean Euclidean error over the valid cells, pixels; NaN where there are none."""
-        return aepe(self.found, self.truth, self.valid)
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """What a network says of one pair, beside the truth."""
-
-    levels: tuple[LevelMap, ...]  # coarse to fine, 15 to 240 cells a side
-    matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None for a net without a mask
-    known: np.ndarray  # (240, 240) bool, where it is known whether there is something to find
-
-    @property
-    def finest(self) -> LevelMap:
-        return self.levels[-1]
-
-    @property
-    def errors(self) -> np.ndarray:
-        """Euclidean error (240, 240) of every pixel; infinite where there is nothing to find."""
-        distance = np.full(self.finest.valid.shape, np.inf)
-        finest = self.finest
-        distance[finest.valid] = endpoint_errors(finest.found, finest.truth, finest.valid)
-        return distance
-
-    @property
-    def mask(self) -> np.ndarray | None:
-        """(240, 240) bool, where the matchability is above one half."""
-        return None if self.matchability is None else self.matchability > 0.5
-
-
 def validation_pairs(
     photos: Photos, pairs: int, batch: int, options: PairOptions
-) -> list[TrainingPairs]:
+) -> list[MapPairs]:
     """The same pairs for every run: batches of 240x240 from the held-back photographs."""
     generator = torch.Generator().manual_seed(_SEED)
     return [
@@ -73,41 +29,7 @@ def validation_pairs(
     ]
 
 
-@torch.no_grad()
-def compare(net: DGCNet, pairs: TrainingPairs) -> list[Comparison]:
-    """The net's bare forward pass on a batch of 240x240 pairs, pair by pair beside the truth.
-
-    The net is taken in evaluation mode and left in the mode it came in.
-    """
-    was_training = net.training
-    net.eval()
-    images = [
-        normalise(image).contiguous(memory_format=torch.channels_last)
-        for image in (pairs.image1, pairs.image2)
-    ]
-    prediction = net(*images)
-    net.train(was_training)
-    size = (INPUT_SIZE, INPUT_SIZE)
-    levels = []
-    for level in prediction.maps:
-        truth, valid = level_truth(pairs.map, pairs.valid, level.shape[-1])
-        found = to_pixels(level.float().movedim(1, -1), size, net.config.align_corners)
-        levels.append([_array(values) for values in (found, truth, valid)])
-    matchability = None
-    if prediction.logits:
-        matchability = _array(prediction.logits[-1][:, 0].float().sigmoid())
-    known = _array(pairs.known)
-    return [
-        Comparison(
-            tuple(LevelMap(found[i], truth[i], valid[i]) for found, truth, valid in levels),
-            None if matchability is None else matchability[i],
-            known[i],
-        )
-        for i in range(len(pairs.map))
-    ]
-
-
-def validate(net: DGCNet, batches: Iterable[TrainingPairs]) -> dict[str, float]:
+def validate(net: DGCNet, batches: Iterable[MapPairs]) -> dict[str, float]:
     """Figures over the pairs, in pixels of 240.
 
     `aepe` (over valid pixels, mean of a pair, then over pairs), `epe_median` (of all valid
@@ -137,10 +59,6 @@ def validate(net: DGCNet, batches: Iterable[TrainingPairs]) -> dict[str, float]:
         "jaccard": _mean(overlaps),
     }
     return figures | {f"aepe{cells}": _mean(values) for cells, values in per_level.items()}
-
-
-def _array(values: Tensor) -> np.ndarray:
-    return values.cpu().numpy()
 
 
 def _mean(values: list[float] | np.ndarray) -> float:

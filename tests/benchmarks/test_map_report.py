@@ -18,7 +18,7 @@ from dgc_pose.benchmarks.map_report import (
     summaries,
     write_pairs,
 )
-from dgc_pose.benchmarks.map_scores import PairScores
+from dgc_pose.evaluation.map_scores import PairScores
 from dgc_pose.metrics import Reliability
 
 

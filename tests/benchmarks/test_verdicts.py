@@ -25,7 +25,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, VerdictOptions
 from dgc_pose.image import Image
 from dgc_pose.matching.sift import SiftMatcher
-from dgc_pose.render.scene_pair import render_scene_pair
+from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
 GOOD = Judged("a", "rendered", "true", "ok", True, 300, GOOD_EVIDENCE, 0.1, 0.2, 0.15, 0.15)
 

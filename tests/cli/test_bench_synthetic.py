@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from map_nets import MapNet, half_sure, shifted
 
 from dgc_pose.cli.main import main
-from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.procedural import procedural_textures
 
 
 @pytest.fixture

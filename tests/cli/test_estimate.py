@@ -46,7 +46,7 @@ def network(monkeypatch):
     """Puts a map in the network's place; returns the function that chooses it."""
 
     def use(correspondences):
-        def load_matcher(weights, *, device, options, compiled=False):
+        def load_matcher(weights, *, device, options):
             return dense_scene.MapMatcher(correspondences, options)
 
         monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)

@@ -19,7 +19,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pictures(tmp_path)
 
-    def load_matcher(weights, *, device, options, compiled=False):
+    def load_matcher(weights, *, device, options):
         return dense_scene.MapMatcher(dense_scene.true_map(), options)
 
     monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)

@@ -10,8 +10,8 @@ from photo_folder import write_photos
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
+from dgc_pose.synthesis.photos import load_photos
 from dgc_pose.training.photo_pack import pack_photos
-from dgc_pose.training.photos import load_photos
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import warnings
 from importlib import resources
 
 import pytest
@@ -16,7 +14,6 @@ from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.weights import load_network, shipped
-from dgc_pose.network.winograd import WinogradConv2d
 
 
 def _net(name: str) -> DGCNet:
@@ -44,15 +41,12 @@ def _apart_px(one: Prediction, other: Prediction) -> Tensor:
 
 
 @pytest.mark.parametrize("name", ["dgcm", "dgcm-lite"])
-@pytest.mark.parametrize("compiled", [False, True])
-def test_the_same_map(name: str, compiled: bool) -> None:
-    if compiled and not any(map(shutil.which, ("g++", "clang++", "c++"))):
-        pytest.skip("no C++ compiler")
+def test_the_same_map(name: str) -> None:
     # Random features are all but alike, and their first correlation peak a matter of rounding.
     net = load_network(name) if name in shipped() else _net(name)
-    fast = for_inference(net, compiled=compiled)
+    fast = for_inference(net)
     layers = [type(module) for module in fast.modules()]
-    assert nn.BatchNorm2d not in layers and (WinogradConv2d in layers) == compiled
+    assert nn.BatchNorm2d not in layers
     inputs = _inputs(net)
     with torch.inference_mode():
         wanted, found = net(*inputs), fast(*inputs)
@@ -86,29 +80,12 @@ def test_any_size_of_image_is_encoded_the_same() -> None:
             torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
 
 
-def test_without_a_compiler_a_warning_and_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shutil, "which", lambda *_: None)
-    from dgc_pose.network import winograd
-
-    winograd._library.cache_clear()
-    net = _net("dgcm-lite")
-    with pytest.warns(RuntimeWarning, match="uncompiled: no C"):
-        slow = for_inference(net, compiled=True)
-    assert not any(isinstance(module, WinogradConv2d) for module in slow.modules())
-    inputs = _inputs(net)
-    with torch.inference_mode():
-        assert _apart_px(slow(*inputs), net(*inputs)).median() < 1e-3
-
-
-def test_half_precision_keeps_torch_and_comes_near() -> None:
+def test_half_precision_comes_near() -> None:
     """bfloat16 convolutions, places in single precision: within a cell in the median."""
     net = _net("dgcm-lite")
     exact = for_inference(net)
     net.half_precision = True
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        half = for_inference(net, compiled=True)
-    assert not any(isinstance(module, WinogradConv2d) for module in half.modules())
+    half = for_inference(net)
     inputs = _inputs(net)
     with torch.inference_mode():
         found, wanted = half(*inputs), exact(*inputs)

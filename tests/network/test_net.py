@@ -14,7 +14,7 @@ from dgc_pose.network.coordinates import identity_map, to_normalised, to_pixels
 from dgc_pose.network.net import DGCNet, upsample
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_network
-from dgc_pose.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.procedural import procedural_textures
 
 _DECODERS = {0: 335_618, 1: 335_618, 2: 483_074, 3: 925_826, 4: 595_202}
 

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.random_pairs import PairOptions
+from dgc_pose.synthesis.warps import PAPER_AFFINE, WARPS, random_warp
 from dgc_pose.training.curriculum import Curriculum
-from dgc_pose.training.pairs import PairOptions
-from dgc_pose.training.warps import PAPER_AFFINE, WARPS, random_warp
 
 
 def test_ranges_grow_to_the_full_ones() -> None:

@@ -14,11 +14,11 @@ from pretend_gpu import DEVICE, MixedDevicesError, Pretended, pretended_gpu
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
+from dgc_pose.synthesis.depth_scenes import DepthScenes, load_depth_scenes
+from dgc_pose.synthesis.photos import Photos
+from dgc_pose.synthesis.posed_depth import read_rgbd
+from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
 from dgc_pose.training.compact import compacted, expanded
-from dgc_pose.training.depth_scenes import DepthScenes, load_depth_scenes
-from dgc_pose.training.pairs import PairOptions, make_pairs
-from dgc_pose.training.photos import Photos
-from dgc_pose.training.posed_depth import read_rgbd
 from dgc_pose.training.run import RunOptions, Trainer
 from dgc_pose.training.schedule import Schedule
 

@@ -19,9 +19,9 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.synthesis.photos import Photos, load_photos
+from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
 from dgc_pose.training.draws import Draws
-from dgc_pose.training.pairs import PairOptions, make_pairs
-from dgc_pose.training.photos import Photos, load_photos
 from dgc_pose.training.run import RunOptions, Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage, Thawed

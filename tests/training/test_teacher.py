@@ -12,14 +12,14 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
-from dgc_pose.training.batch import TrainingPairs
+from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.training.draws import Draws
 from dgc_pose.training.stages import DecoderStage, Lesson
 from dgc_pose.training.teacher import Teacher
 
 
 @pytest.fixture(scope="module")
-def pairs() -> TrainingPairs:
+def pairs() -> MapPairs:
     generator = torch.Generator().manual_seed(0)
     image1, image2 = torch.rand(2, 1, 3, 240, 240, generator=generator)
     known = torch.zeros(1, 240, 240, dtype=torch.bool)
@@ -27,7 +27,7 @@ def pairs() -> TrainingPairs:
     valid = known & (torch.rand(1, 240, 240, generator=generator) < 0.5)
     truth = torch.full((1, 240, 240, 2), torch.nan)
     truth[known] = 120.0
-    return TrainingPairs(image1, image2, truth, valid, known)
+    return MapPairs(image1, image2, truth, valid, known)
 
 
 def _strided(images: torch.Tensor) -> torch.Tensor:
@@ -35,7 +35,7 @@ def _strided(images: torch.Tensor) -> torch.Tensor:
     return normalise(images).contiguous(memory_format=torch.channels_last)
 
 
-def test_the_teacher_fills_in_what_is_not_known(pairs: TrainingPairs) -> None:
+def test_the_teacher_fills_in_what_is_not_known(pairs: MapPairs) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite")).eval()
     taught, lesson = Teacher(net, 0.7).teach(pairs)
@@ -52,7 +52,7 @@ def test_the_teacher_fills_in_what_is_not_known(pairs: TrainingPairs) -> None:
     assert torch.equal(taught.valid[:, :, 120:], sure[:, :, 120:])
 
 
-def test_what_is_not_known_teaches_nothing(pairs: TrainingPairs) -> None:
+def test_what_is_not_known_teaches_nothing(pairs: MapPairs) -> None:
     """Whatever stands at unknown pixels, the loss is the same, and so is the gradient."""
     losses, gradients = [], []
     torch.manual_seed(0)
@@ -69,12 +69,12 @@ def test_what_is_not_known_teaches_nothing(pairs: TrainingPairs) -> None:
     assert losses[0] == losses[1] and torch.equal(*gradients)
 
 
-def test_a_lesson_adds_its_weight_times_its_own_loss(pairs: TrainingPairs) -> None:
+def test_a_lesson_adds_its_weight_times_its_own_loss(pairs: MapPairs) -> None:
     """On pairs without any truth the map's loss is the lesson's: double the weight, double it."""
     torch.manual_seed(0)
     net = DGCNet(preset("dgc"))
     nothing = torch.zeros_like(pairs.valid)
-    blank = TrainingPairs(pairs.image1, pairs.image2, pairs.map, nothing, nothing)
+    blank = MapPairs(pairs.image1, pairs.image2, pairs.map, nothing, nothing)
     place = torch.full((1, 240, 240, 2), 60.0)
     losses = []
     for weight in (0.0, 0.5, 1.0):

@@ -10,12 +10,13 @@ import pytest
 import torch
 from map_nets import MapNet, half_sure, shifted
 
-from dgc_pose.training.batch import TrainingPairs
-from dgc_pose.training.validation import compare, validate
+from dgc_pose.evaluation.map_comparison import compare
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.training.validation import validate
 
 
 @pytest.fixture
-def pairs() -> TrainingPairs:
+def pairs() -> MapPairs:
     """Two pairs whose true maps are shifts with a small bend; a disk of pixels is not visible."""
     generator = torch.Generator().manual_seed(2)
     image1, image2 = torch.rand(2, 2, 3, 240, 240, generator=generator)
@@ -23,7 +24,7 @@ def pairs() -> TrainingPairs:
     truth = torch.stack([shifted(1, -2), shifted(0, 3) + bend])
     inside = ((truth >= 0) & (truth <= 239)).all(-1)
     hidden = (shifted(-100, -90).norm(dim=-1) < 40)[None]
-    return TrainingPairs(image1, image2, truth, inside & ~hidden)
+    return MapPairs(image1, image2, truth, inside & ~hidden)
 
 
 @pytest.fixture
@@ -31,7 +32,7 @@ def net() -> MapNet:
     return MapNet(shifted(0, 0), half_sure())
 
 
-def loop(pairs: TrainingPairs, index: int) -> list[tuple[int, int, float]]:
+def loop(pairs: MapPairs, index: int) -> list[tuple[int, int, float]]:
     """Row, column and distance of the valid pixels of a pair, for the net that says "no shift"."""
     rows = []
     for y, x in pairs.valid[index].nonzero().tolist():
@@ -40,7 +41,7 @@ def loop(pairs: TrainingPairs, index: int) -> list[tuple[int, int, float]]:
     return rows
 
 
-def test_a_comparison_holds_the_map_in_pixels(pairs: TrainingPairs, net: MapNet) -> None:
+def test_a_comparison_holds_the_map_in_pixels(pairs: MapPairs, net: MapNet) -> None:
     first, second = compare(net, pairs)
     assert [level.found.shape for level in first.levels] == [
         (cells, cells, 2) for cells in (15, 30, 60, 120, 240)
@@ -54,7 +55,7 @@ def test_a_comparison_holds_the_map_in_pixels(pairs: TrainingPairs, net: MapNet)
 
 
 def test_errors_are_distances_and_infinite_where_nothing_can_be_found(
-    pairs: TrainingPairs, net: MapNet
+    pairs: MapPairs, net: MapNet
 ) -> None:
     errors = compare(net, pairs)[1].errors
     expected = np.full((240, 240), np.inf)
@@ -63,7 +64,7 @@ def test_errors_are_distances_and_infinite_where_nothing_can_be_found(
     np.testing.assert_allclose(errors, expected, rtol=1e-4)
 
 
-def test_figures_are_those_of_a_loop(pairs: TrainingPairs, net: MapNet) -> None:
+def test_figures_are_those_of_a_loop(pairs: MapPairs, net: MapNet) -> None:
     figures = validate(net, [pairs])
     rows = [loop(pairs, 0), loop(pairs, 1)]
     means = [sum(d for *_, d in own) / len(own) for own in rows]
@@ -86,16 +87,16 @@ def test_figures_are_those_of_a_loop(pairs: TrainingPairs, net: MapNet) -> None:
     assert list(figures) == ["aepe", "epe_median", "pck3", "sure3", "jaccard", *keys]
 
 
-def test_a_pair_without_valid_pixels_does_not_count(pairs: TrainingPairs, net: MapNet) -> None:
+def test_a_pair_without_valid_pixels_does_not_count(pairs: MapPairs, net: MapNet) -> None:
     valid = pairs.valid.clone()
     valid[1] = False
-    blind = TrainingPairs(pairs.image1, pairs.image2, pairs.map, valid)
+    blind = MapPairs(pairs.image1, pairs.image2, pairs.map, valid)
     figures = validate(net, [blind])
     assert figures["aepe"] == pytest.approx(math.sqrt(5), rel=1e-4)
     assert figures["aepe15"] == pytest.approx(math.sqrt(5), rel=1e-4)
 
 
-def test_the_mask_is_not_judged_where_nothing_is_known(pairs: TrainingPairs, net: MapNet) -> None:
+def test_the_mask_is_not_judged_where_nothing_is_known(pairs: MapPairs, net: MapNet) -> None:
     """All that the mask says wrongly, to the right of nothing visible, is taken out."""
     left = (torch.arange(240) < 120).expand(2, 240, 240)
     known = (pairs.valid & left) | ~(pairs.valid | left)
@@ -104,14 +105,14 @@ def test_the_mask_is_not_judged_where_nothing_is_known(pairs: TrainingPairs, net
     assert validate(net, [part])["jaccard"] == 1
 
 
-def test_a_net_without_a_mask_has_no_figures_of_one(pairs: TrainingPairs) -> None:
+def test_a_net_without_a_mask_has_no_figures_of_one(pairs: MapPairs) -> None:
     figures = validate(MapNet(shifted(0, 0)), [pairs])
     assert math.isnan(figures["jaccard"]) and math.isnan(figures["sure3"])
     assert figures["aepe"] > 0
 
 
 @pytest.mark.parametrize("training", [True, False])
-def test_a_net_is_left_in_its_mode(pairs: TrainingPairs, net: MapNet, training: bool) -> None:
+def test_a_net_is_left_in_its_mode(pairs: MapPairs, net: MapNet, training: bool) -> None:
     net.train(training)
     compare(net, pairs)
     assert net.training is training

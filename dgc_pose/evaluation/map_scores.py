@@ -1,0 +1,127 @@
+"""Figures of dense maps as the paper gives them: of one pair, and over the pairs of a group.
+
+AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over pixels. All errors
+are in pixels of the 240x240 images, over the pixels whose true place is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.errors import InputError
+from dgc_pose.evaluation.map_comparison import Comparison
+from dgc_pose.metrics import Reliability, count_within, endpoint_errors, jaccard
+from dgc_pose.network.config import INPUT_SIZE
+
+PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
+PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
+WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
+RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
+# dgcm-lite's decoders carry a mask that means "visible, and found to within" so many pixels.
+FOUND_PX = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class PairScores:
+    """One method's figures of one pair."""
+
+    method: str
+    group: str
+    name: str
+    valid: int  # pixels whose place is known; without any, the errors below are NaN
+    aepe: float  # pixels
+    level_aepe: tuple[float, ...]  # coarse to fine: of the maps of 15 to 240 cells a side
+    near: np.ndarray  # (200,) int, valid pixels within each of PCK_THRESHOLDS
+    within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
+    jaccard: float  # of the mask against what is visible; NaN without a mask, as the next two
+    jaccard_found: float  # of the mask against what is visible and found to within FOUND_PX
+    # Matches within RIGHT_PX, over all pixels of the target where it is known what is visible.
+    reliability: Reliability | None
+
+
+@dataclass(frozen=True, eq=False)
+class MapSummary:
+    """One method's figures over the pairs of a group."""
+
+    method: str
+    group: str
+    pairs: int
+    aepe: float  # pixels, mean over the pairs that have valid pixels
+    level_aepe: tuple[float, ...]  # the same, coarse to fine
+    pck: np.ndarray  # (200,) share of all valid pixels within each of PCK_THRESHOLDS
+    within: tuple[float, ...]  # share of all valid pixels within each of WITHIN
+    jaccard: float  # mean over pairs; NaN without a mask, as the next
+    jaccard_found: float
+
+
+def score(
+    method: str, group: str, name: str, comparison: Comparison, per_axis: bool = False
+) -> PairScores:
+    """The figures of one pair. With `per_axis` the PCK curve takes max(|dx|, |dy|), as the authors'
+    evaluation does; all else is Euclidean."""
+    finest, mask = comparison.finest, comparison.mask
+    distances = comparison.errors
+    euclidean = distances[finest.valid]
+    curve = endpoint_errors(finest.found, finest.truth, finest.valid, per_axis=per_axis)
+    overlap = overlap_found = float("nan")
+    reliability = None
+    if mask is not None and comparison.matchability is not None:
+        known = comparison.known
+        overlap = jaccard(mask[known], finest.valid[known])
+        overlap_found = jaccard(mask[known], distances[known] < FOUND_PX)
+        reliability = Reliability.of(comparison.matchability[known], distances[known] <= RIGHT_PX)
+    return PairScores(
+        method=method,
+        group=group,
+        name=name,
+        valid=len(euclidean),
+        aepe=float(euclidean.mean()) if len(euclidean) else float("nan"),
+        level_aepe=tuple(level.aepe for level in comparison.levels),
+        near=count_within(curve, PCK_THRESHOLDS),
+        within=count_within(euclidean, WITHIN),
+        jaccard=overlap,
+        jaccard_found=overlap_found,
+        reliability=reliability,
+    )
+
+
+def summarise(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
+    """The figures of one method over its pairs, which the summary calls `group` if that is given.
+
+    Raises InputError where there are no scores or they are of several methods.
+    """
+    methods = {own.method for own in scores}
+    if len(methods) != 1:
+        raise InputError(f"scores of one method are needed, not of {len(methods)}")
+    seen = [own for own in scores if own.valid]
+    pixels = sum(own.valid for own in scores)
+    levels = zip(*(own.level_aepe for own in scores), strict=True)
+    return MapSummary(
+        method=methods.pop(),
+        group=scores[0].group if group is None else group,
+        pairs=len(scores),
+        aepe=_mean([own.aepe for own in seen]),
+        # A coarse level may have no valid cell where a finer one has some.
+        level_aepe=tuple(_mean([v for v in values if not np.isnan(v)]) for values in levels),
+        pck=_share(np.sum([own.near for own in scores], axis=0), pixels),
+        within=tuple(_share(np.sum([own.within for own in scores], axis=0), pixels).tolist()),
+        jaccard=_mean([own.jaccard for own in scores]),
+        jaccard_found=_mean([own.jaccard_found for own in scores]),
+    )
+
+
+def pooled_reliability(scores: Sequence[PairScores]) -> Reliability | None:
+    """The counts of all pairs together; None for a method without a mask."""
+    parts = [own.reliability for own in scores if own.reliability is not None]
+    return sum(parts[1:], parts[0]) if parts else None
+
+
+def _share(counts: np.ndarray, total: int) -> np.ndarray:
+    return counts / total if total else np.full(counts.shape, np.nan)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")

@@ -1,0 +1,259 @@
+"""Real scenes of known depth in memory: frames squared, and the pairs of them worth training on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from dgc_pose.errors import InputError
+from dgc_pose.image import load_image
+from dgc_pose.synthesis.posed_depth import PosedFrame
+
+SIDE = 288  # pixels; frames are kept as squares, as the network squares its input
+# Four neighbouring depths further apart than this (of the nearest) lie on several surfaces.
+_STRADDLES = 0.05
+# Depth that was measured elsewhere and moved here leaves cracks: places without depth are filled
+# from both sides where known depth of one surface lies within so many pixels.
+_CRACK_REACH = 3
+_AGREES = 0.03  # of the depth, where overlap is counted
+_PROBE = 16  # overlap is counted on so many pixels squared
+
+
+@dataclass(frozen=True)
+class PairChoice:
+    """Which two frames of a scene make a pair."""
+
+    # Share of the target's pixels of known depth that the source sees.
+    overlap: tuple[float, float] = (0.3, 0.98)
+    # Between the cameras, of the target's median depth.
+    baseline: tuple[float, float] = (0.03, 1.5)
+    rotation_deg: float = 60.0  # at most
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.overlap[0] <= self.overlap[1] <= 1:
+            raise InputError(f"overlap must be two shares, the lower first, not {self.overlap}")
+        if not 0 <= self.baseline[0] <= self.baseline[1]:
+            raise InputError(f"baseline must be (low, high), not {self.baseline}")
+        if not 0 < self.rotation_deg <= 180:
+            raise InputError(f"rotation_deg must lie in (0, 180], not {self.rotation_deg}")
+
+
+@dataclass(frozen=True)
+class DepthScenes:
+    """The frames of all scenes, and pairs of them. A scene's unit of length is its median depth."""
+
+    images: Tensor  # (N, 3, side, side) uint8, RGB
+    depth: Tensor  # (N, side, side) float16, along the optical axis, 0 where unknown
+    K: Tensor  # (N, 3, 3) float32, pixels of the squares
+    pairs: Tensor  # (P, 2) int64, source and target
+    source_from_target: Tensor  # (P, 3, 4) float32, X1 = R X2 + t
+
+    def to(self, device: torch.device | str) -> DepthScenes:
+        """The scenes on another device; `pairs` stays on the CPU, where it is drawn from."""
+        return replace(
+            self,
+            images=self.images.to(device),
+            depth=self.depth.to(device),
+            K=self.K.to(device),
+            source_from_target=self.source_from_target.to(device),
+        )
+
+
+def hold_back(
+    frames: Sequence[PosedFrame], share: float = 0.1
+) -> tuple[Sequence[PosedFrame], Sequence[PosedFrame]]:
+    """The frames that train, and the last `share` of the walk, which validates."""
+    if not 0 < share < 1:
+        raise InputError(f"share must lie between 0 and 1, not {share}")
+    first = len(frames) - round(share * len(frames))
+    return frames[:first], frames[first:]
+
+
+def load_depth_scenes(
+    scenes: Sequence[Sequence[PosedFrame]],
+    choice: PairChoice | None = None,
+    side: int = SIDE,
+) -> DepthScenes:
+    """Read the frames of scenes and choose their pairs.
+
+    Raises ImageError where a file cannot be read, InputError where no two frames make a pair.
+    """
+    choice = choice or PairChoice()
+    images: list[Tensor] = []
+    depths: list[Tensor] = []
+    matrices: list[Tensor] = []
+    pairs: list[Tensor] = []
+    poses: list[Tensor] = []
+    bar = tqdm(total=sum(map(len, scenes)), desc="frames", unit="", disable=None, leave=False)
+    with bar:
+        for frames in scenes:
+            first = len(images)
+            for frame in frames:
+                image, depth, K = _square(frame, side)
+                images.append(image)
+                depths.append(depth)
+                matrices.append(K)
+                bar.update()
+            if not frames:
+                continue
+            cam_from_world = torch.tensor(np.stack([f.cam_from_world for f in frames]))
+            unit = _median_depth(torch.stack(depths[first:]))
+            depths[first:] = [depth / unit for depth in depths[first:]]
+            cam_from_world[:, :3, 3] /= unit
+            found, pose = _choose(
+                torch.stack(depths[first:]),
+                torch.stack(matrices[first:]),
+                cam_from_world,
+                choice,
+            )
+            pairs.append(found + first)
+            poses.append(pose)
+    if sum(map(len, pairs)) == 0:
+        raise InputError(f"of {len(images)} frames no two overlap as they should to make a pair")
+    return DepthScenes(
+        images=torch.stack(images),
+        depth=torch.stack(depths).half(),
+        K=torch.stack(matrices).float(),
+        pairs=torch.cat(pairs),
+        source_from_target=torch.cat(poses).float(),
+    )
+
+
+def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Depth (B, n) at points (B, n, 2), pixels, of frames (B,) of (N, h, w), and where it is known.
+
+    Linear in the inverse depth, which is exact on planes. Not known outside, and where one of the
+    four neighbours is not or they lie on several surfaces; 1 there.
+    """
+    height, width = depth.shape[1:]
+    x, y = points.unbind(-1)
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
+    left, top = x.floor().clamp(max=width - 2), y.floor().clamp(max=height - 2)
+    u, v = x - left, y - top
+    first = frame[:, None] * (height * width) + top.long() * width + left.long()
+    steps = (0, 1, width, width + 1)
+    flat = depth.reshape(-1)
+    corners = torch.stack([flat[first + step] for step in steps]).to(points.dtype)
+    weights = torch.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v])
+    nearest = corners.amin(0)
+    known = inside & (nearest > 0) & (corners.amax(0) < (1 + _STRADDLES) * nearest)
+    inverse = (weights / corners).sum(0)
+    return torch.where(known, 1 / inverse, 1.0), known
+
+
+def close_cracks(depth: Tensor, reach: int) -> Tensor:
+    """Depth (h, w), 0 where unknown, filled where two or more lines through a place agree.
+
+    A line, level, upright or diagonal, tells the inverse depth linearly between the nearest known
+    places on both sides, each within `reach` pixels, where those are of one surface.
+    """
+    padded = torch.nn.functional.pad(depth, (reach,) * 4)
+    flat, width = padded.reshape(-1), padded.shape[1]
+    rows, columns = (depth <= 0).nonzero().unbind(1)
+    place = (rows + reach) * width + columns + reach
+
+    def nearest(step: int) -> tuple[Tensor, Tensor]:
+        """The first known depth that way and how many steps off; 0 and 1 where there is none."""
+        found = torch.zeros_like(place, dtype=depth.dtype)
+        distance = torch.ones_like(found)
+        for steps in range(reach, 0, -1):
+            there = flat[place + steps * step]
+            known = there > 0
+            found = torch.where(known, there, found)
+            distance.masked_fill_(known, steps)
+        return found, distance
+
+    total, count = torch.zeros_like(flat[place]), torch.zeros_like(flat[place])
+    lowest, highest = torch.full_like(total, torch.inf), torch.zeros_like(total)
+    for step in (1, width, width + 1, width - 1):
+        (before, back), (after, ahead) = nearest(-step), nearest(step)
+        low, high = torch.minimum(before, after), torch.maximum(before, after)
+        agrees = (low > 0) & (high < (1 + _STRADDLES) * low)
+        inverse = (ahead / before + back / after) / (back + ahead)
+        total += torch.where(agrees, inverse, 0.0)
+        count += agrees
+        lowest = torch.where(agrees, torch.minimum(lowest, low), lowest)
+        highest = torch.where(agrees, torch.maximum(highest, high), highest)
+    fills = (count >= 2) & (highest < (1 + _STRADDLES) * lowest)
+    closed = depth.clone()
+    closed[rows[fills], columns[fills]] = (count / total)[fills]
+    return closed
+
+
+def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Image (3, side, side) uint8, depth (side, side) float32 and K (3, 3) float64 of a square."""
+    pixels = load_image(frame.image).pixels
+    height, width = pixels.shape[:2]
+    interpolation = cv2.INTER_AREA if min(height, width) >= side else cv2.INTER_LINEAR
+    image = cv2.resize(pixels, (side, side), interpolation=interpolation)
+    K = frame.image_K.copy()
+    for axis, length in enumerate((width, height)):
+        scale = side / length
+        K[axis, axis] *= scale
+        K[axis, 2] = (K[axis, 2] + 0.5) * scale - 0.5
+    pixel = torch.arange(side, dtype=torch.float64)
+    x, y = (
+        (pixel - K[axis, 2]) / K[axis, axis] * frame.depth_K[axis, axis] + frame.depth_K[axis, 2]
+        for axis in (0, 1)
+    )
+    places = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)
+    stored = torch.from_numpy(frame.read_depth())
+    if min(stored.shape) < 2:
+        raise InputError(f"{frame.depth}: a depth image must have 2 pixels a side at least")
+    stored = close_cracks(stored, _CRACK_REACH)[None]
+    depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), places)
+    squared = torch.where(known, depth, 0.0).view(side, side).float()
+    planes = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
+    return planes, squared, torch.tensor(K)
+
+
+def _median_depth(depth: Tensor) -> float:
+    depth = depth[:, ::4, ::4]
+    known = depth[depth > 0]
+    return float(known.median()) if len(known) else 1.0
+
+
+def _choose(
+    depth: Tensor, K: Tensor, cam_from_world: Tensor, choice: PairChoice
+) -> tuple[Tensor, Tensor]:
+    """Pairs (P, 2) of the frames of one scene, source and target, and their poses (P, 3, 4)."""
+    count, side = len(depth), depth.shape[-1]
+    pixel = (torch.arange(_PROBE, dtype=torch.float64) + 0.5) * side / _PROBE - 0.5
+    points = torch.stack(torch.meshgrid(pixel, pixel, indexing="xy"), -1).view(1, -1, 2)
+    frames = torch.arange(count)
+    found, poses = [], []
+    for target in range(count):
+        z, known = depth_at(depth, frames[target : target + 1], points)
+        total = int(known.sum())
+        if total == 0:
+            continue
+        relative = cam_from_world @ torch.linalg.inv(cam_from_world[target])
+        rays = torch.cat([points, torch.ones_like(points[..., :1])], -1)
+        rays = rays @ torch.linalg.inv(K[target]).T
+        moved = (rays * z[..., None])[known] @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
+        in_front = moved[..., 2] > 1e-6
+        flat = moved @ K.mT
+        place = flat[..., :2] / flat[..., 2:].clamp(min=1e-6)
+        there, sees = depth_at(depth, frames, place)
+        sees &= in_front & ((there / moved[..., 2].clamp(min=1e-6) - 1).abs() < _AGREES)
+        overlap = sees.sum(1) / total
+        baseline = relative[:, :3, 3].norm(dim=1) / z[known].median()
+        cosine = (relative[:, :3, :3].diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
+        rotation = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
+        fits = (overlap >= choice.overlap[0]) & (overlap <= choice.overlap[1])
+        fits &= (baseline >= choice.baseline[0]) & (baseline <= choice.baseline[1])
+        fits &= rotation <= choice.rotation_deg
+        fits[target] = False
+        sources = frames[fits]
+        found.append(torch.stack([sources, torch.full_like(sources, target)], 1))
+        poses.append(relative[fits, :3])
+    if not found:
+        return torch.empty(0, 2, dtype=torch.int64), torch.empty(0, 3, 4, dtype=torch.float64)
+    return torch.cat(found), torch.cat(poses)

@@ -1,0 +1,90 @@
+"""Photographs for training, decoded once and kept in memory."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from dgc_pose.errors import ImageError
+from dgc_pose.synthesis.render import TextureBank
+
+SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input
+_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
+_HELD_BACK = 20  # one photograph in so many validates and never trains
+
+
+@dataclass(frozen=True)
+class Photos:
+    """Photographs in memory, as they are for the warps and packed for the ray-caster."""
+
+    pixels: Tensor  # (N, 3, side, side) uint8, RGB
+    textures: TextureBank
+
+    @classmethod
+    def of(cls, pixels: Tensor) -> Photos:
+        return cls(pixels, TextureBank.from_photos(pixels))
+
+    def to(self, device: torch.device | str) -> Photos:
+        return Photos(self.pixels.to(device), self.textures.to(torch.device(device)))
+
+
+def load_photos(
+    root: str | Path, side: int = SIDE, limit: int | None = None
+) -> tuple[Photos, Photos]:
+    """All photographs below a folder, squared: those that train, and those held back.
+
+    Which photographs are held back depends on their names alone, so that a photograph that
+    validated one run never trains another. Raises ImageError where the folder holds none.
+    """
+    paths = _paths(Path(root), limit)
+    held_back = [path for path in paths if _is_held_back(path)]
+    training = [path for path in paths if not _is_held_back(path)]
+    lacking = f"{root}: {len(paths)} photographs; training needs dozens at least"
+    return _decode(training, side, lacking), _decode(held_back, side, lacking)
+
+
+def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
+    """The photographs that `load_photos` holds back, without decoding the others.
+
+    Raises ImageError where there is none.
+    """
+    paths = _paths(Path(root))
+    held_back = [path for path in paths if _is_held_back(path)]
+    lacking = f"{root}: {len(paths)} photographs, none of them held back: take dozens at least"
+    return _decode(held_back, side, lacking)
+
+
+def held_back_paths(root: str | Path) -> list[Path]:
+    """The files below a folder that `load_photos` holds back, sorted."""
+    return [path for path in _paths(Path(root)) if _is_held_back(path)]
+
+
+def _paths(root: Path, limit: int | None = None) -> list[Path]:
+    return sorted(p for p in root.rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
+
+
+def _is_held_back(path: Path) -> bool:
+    digest = hashlib.sha256(path.name.encode()).digest()[0:4]
+    return int.from_bytes(digest, "big") % _HELD_BACK == 0
+
+
+def _decode(paths: list[Path], side: int, lacking: str) -> Photos:
+    squares: list[Tensor] = []
+    for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
+        pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
+        if pixels is None:
+            continue  # one damaged photograph in thousands is no reason to stop
+        shrinks = min(pixels.shape[:2]) >= side
+        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        square = cv2.resize(pixels, (side, side), interpolation=interpolation)[..., ::-1]
+        squares.append(torch.from_numpy(square.transpose(2, 0, 1).copy()))
+    if not squares:
+        raise ImageError(lacking)
+    return Photos.of(torch.stack(squares))

@@ -1,0 +1,79 @@
+"""Random pairs of cameras that look at about the same place."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
+from dgc_pose.synthesis.render.draw import Draw
+from dgc_pose.synthesis.render.options import SceneOptions
+
+_FIRST_ROLL_DEG = 5.0  # sigma
+
+
+def random_intrinsics(draw: Draw, batch: int, size: int, options: SceneOptions) -> Tensor:
+    """Calibration matrices (B, 3, 3) for square images of `size` pixels."""
+    focal = size * draw.log_uniform(batch, low=options.focal[0], high=options.focal[1])
+    largest = size * options.principal_offset
+    centre = (size - 1) / 2 + draw.uniform(batch, 2, low=-largest, high=largest)
+    zero, one = torch.zeros_like(focal), torch.ones_like(focal)
+    rows = (focal, zero, centre[:, 0], zero, focal, centre[:, 1], zero, zero, one)
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def random_camera_pair(
+    draw: Draw, batch: int, size: int, options: SceneOptions
+) -> tuple[Cameras, Cameras]:
+    """B pairs around the origin of the world, the second one turned as the options say."""
+    first_K, second_K = (random_intrinsics(draw, batch, size, options) for _ in range(2))
+    focal1, focal2 = first_K[:, 0, 0] / size, second_K[:, 0, 0] / size
+    distance1 = focal1 * draw.uniform(batch, low=options.distance[0], high=options.distance[1])
+    centre1 = distance1[:, None] * _viewpoints(draw, batch, options)
+    roll1 = math.radians(_FIRST_ROLL_DEG) * draw.normal(batch)
+    rotation1 = _about_z(roll1) @ look_at(centre1, torch.zeros_like(centre1))
+
+    rotation2 = _relative_rotation(draw, batch, options) @ rotation1
+    zoom = draw.uniform(batch, low=-options.zoom, high=options.zoom).exp()
+    distance2 = distance1 * focal2 / focal1 * zoom
+    aside = options.look_aside * draw.normal(batch, 2)
+    seen_at = torch.cat((aside, focal2[:, None]), dim=1) * (distance2 / focal2)[:, None]
+    orbiting = -(rotation2.mT @ seen_at[..., None])[..., 0]
+    step = draw.uniform(batch, 1, low=0.05, high=0.6) * distance1[:, None]
+    free = centre1 + step * draw.directions(batch)
+    centre2 = torch.where(draw.chance(batch, 1, share=options.free_share), free, orbiting)
+
+    return _cameras(first_K, rotation1, centre1, size), _cameras(second_K, rotation2, centre2, size)
+
+
+def _viewpoints(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
+    """Unit vectors (B, 3) from the look-at point to a camera; world y points down."""
+    low, high = (math.radians(angle) for angle in options.elevation_deg)
+    elevation = draw.uniform(batch, low=low, high=high)
+    azimuth = draw.uniform(batch, high=2 * math.pi)
+    level = elevation.cos()
+    return torch.stack((level * azimuth.sin(), -elevation.sin(), level * azimuth.cos()), dim=-1)
+
+
+def _relative_rotation(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
+    """Camera 2 from camera 1 (B, 3, 3): the optical axis turned sideways, then a roll."""
+    low, high = (math.radians(angle) for angle in options.rotation_deg)
+    tilt = draw.uniform(batch, low=low, high=high)
+    heading = draw.uniform(batch, high=2 * math.pi)
+    axis = torch.stack((heading.cos(), heading.sin(), torch.zeros_like(heading)), dim=-1)
+    sigma = math.radians(options.roll_deg)
+    wild = draw.chance(batch, share=options.wild_roll_share)
+    roll = draw.normal(batch) * sigma * (1 + 3 * wild)
+    return _about_z(roll) @ axis_angle(axis, tilt)
+
+
+def _about_z(angle: Tensor) -> Tensor:
+    axis = angle.new_tensor((0.0, 0.0, 1.0)).expand(*angle.shape, 3)
+    return axis_angle(axis, angle)
+
+
+def _cameras(K: Tensor, rotation: Tensor, centre: Tensor, size: int) -> Cameras:
+    translation = -(rotation @ centre[..., None])[..., 0]
+    return Cameras(K, rotation, translation, (size, size))

@@ -1,0 +1,193 @@
+"""Random scenes around the origin: a room, a table, a background, and things on and above them."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from dgc_pose.synthesis.render.cameras import Cameras, axis_angle
+from dgc_pose.synthesis.render.draw import Draw
+from dgc_pose.synthesis.render.options import SceneOptions
+from dgc_pose.synthesis.render.scene import FACES, Layout, Scene
+
+_UPRIGHT_SHARE = 0.6  # of the boxes and ellipsoids, which then stand on the table
+_PLANE_HALF_SIZE = 20.0
+_PLANE_SPAN = (1.0, 1.3)  # fields of view that the photo on a single plane covers
+_LARGE_ONES = 3  # room, background and table come first
+_LARGE_SPAN = 1.5  # and their photos are so much larger, or they would be seen again and again
+
+
+def random_scene(
+    draw: Draw,
+    first: Cameras,
+    second: Cameras,
+    texture_size: tuple[int, int],
+    textures: int,
+    options: SceneOptions,
+) -> Scene:
+    """One scene for each camera pair, built around the cameras so that none is outside the room.
+
+    Primitives: the room; background, table and tilted quads; boxes; ellipsoids.
+    """
+    batch = len(first.K)
+    layout = Layout(1, 2 + options.quads, options.boxes, options.ellipsoids)
+    table_height = draw.uniform(batch, low=0.1, high=0.4)
+    parts = (
+        _room(draw, first.centre, second.centre, table_height, options),
+        _background(draw, first.centre, options),
+        _table(draw, table_height),
+        _tilted_quads(draw, first.centre, options),
+        _solids(draw, table_height, options),
+    )
+    centre, axes, half_size = (torch.cat(tensors, dim=1) for tensors in zip(*parts, strict=True))
+    count = sum(layout)
+    active = draw.chance(batch, count, share=options.presence)
+    active[:, layout.span("room")] = True
+    texture = _texture_maps(draw, batch, count, texture_size, options.texture_span)
+    texture[:, :_LARGE_ONES, ..., :2] /= _LARGE_SPAN
+    return Scene(
+        layout=layout,
+        centre=centre,
+        axes=axes,
+        half_size=half_size,
+        active=active,
+        photo=draw.integers(batch, count, FACES, count=textures),
+        texture=texture,
+        light=_light(draw, parts[0]),
+    )
+
+
+def single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], photo: int) -> Scene:
+    """For each camera one plane through the origin that fills its view, turned by up to 30 deg.
+
+    It wears texture `photo`, whose middle lies at the origin.
+    """
+    batch = len(first.K)
+    towards = normalize(first.centre, dim=-1)[:, None]
+    texture = _texture_maps(draw, batch, 1, texture_size, _PLANE_SPAN)
+    texture[..., 2] = texture.new_tensor(texture_size) / 2
+    return Scene(
+        layout=Layout(0, 1, 0, 0),
+        centre=torch.zeros_like(towards),
+        axes=_facing(draw, towards, math.radians(30.0)),
+        half_size=torch.full_like(towards, _PLANE_HALF_SIZE),
+        active=torch.ones_like(towards[..., 0], dtype=torch.bool),
+        photo=torch.full((batch, 1, FACES), photo, device=towards.device),
+        texture=texture,
+        light=first.centre,
+    )
+
+
+Parts = tuple[Tensor, Tensor, Tensor]  # centre (B, n, 3), axes (B, n, 3, 3), half size (B, n, 3)
+
+
+def _room(
+    draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor, options: SceneOptions
+) -> Parts:
+    reach = draw.uniform(len(centre1), 3, low=0.5, high=0.8)
+    low = torch.minimum(torch.minimum(centre1, centre2), -reach)
+    high = torch.maximum(torch.maximum(centre1, centre2), reach)
+    high[:, 1] = torch.maximum(high[:, 1], table_height)
+    nearest, farthest = options.room_margin
+    low = low - draw.uniform(len(centre1), 3, low=nearest, high=farthest)
+    high = high + draw.uniform(len(centre1), 3, low=nearest, high=farthest)
+    axes = torch.eye(3, dtype=centre1.dtype, device=centre1.device).expand(len(centre1), 1, 3, 3)
+    return (low + high)[:, None] / 2, axes, (high - low)[:, None] / 2
+
+
+def _background(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
+    """A large rectangle behind the look-at point, turned off the first view by up to 45 degrees."""
+    batch = len(centre1)
+    towards = normalize(centre1, dim=-1)
+    axes = _facing(draw, towards[:, None], math.radians(45.0))
+    nearest, farthest = options.background
+    behind = draw.uniform(batch, 1, low=nearest, high=farthest)
+    half_size = draw.uniform(batch, 1, 3, low=0.5, high=1.5)
+    return (-behind * towards)[:, None], axes, half_size
+
+
+def _table(draw: Draw, height: Tensor) -> Parts:
+    batch = len(height)
+    zero = torch.zeros_like(height)
+    centre = torch.stack((zero, height, zero), dim=-1)[:, None]
+    up = torch.stack((zero, zero - 1, zero), dim=-1)[:, None]
+    half_size = draw.uniform(batch, 1, 3, low=0.5, high=1.2)
+    return centre, _facing(draw, up, 0.0), half_size
+
+
+def _tilted_quads(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
+    batch, count = len(centre1), options.quads
+    towards = normalize(centre1, dim=-1)[:, None].expand(batch, count, 3)
+    axes = _facing(draw, towards, math.radians(65.0))
+    low, high = options.object_size
+    half_size = draw.log_uniform(batch, count, 3, low=low, high=high) * 1.5
+    return _around(draw, batch, count, options), axes, half_size
+
+
+def _solids(draw: Draw, table_height: Tensor, options: SceneOptions) -> Parts:
+    """Boxes, then ellipsoids: standing on the table, turned about the vertical, or anyhow."""
+    batch, count = len(table_height), options.boxes + options.ellipsoids
+    low, high = options.object_size
+    half_size = draw.log_uniform(batch, count, 3, low=low, high=high)
+    centre = _around(draw, batch, count, options)
+    upright = draw.chance(batch, count, share=_UPRIGHT_SHARE)
+    standing = table_height[:, None] - half_size[..., 1]
+    centre[..., 1] = torch.where(upright, standing, centre[..., 1])
+    angle = draw.uniform(batch, count, high=2 * math.pi)
+    vertical = angle.new_tensor((0.0, 1.0, 0.0)).expand(batch, count, 3)
+    axis = torch.where(upright[..., None], vertical, draw.directions(batch, count))
+    return centre, axis_angle(axis, angle), half_size
+
+
+def _light(draw: Draw, room: Parts) -> Tensor:
+    """A light (B, 3) in the upper half of the room, so that no wall stands before it."""
+    centre, _, half_size = (part[:, 0] for part in room)
+    place = draw.uniform(len(centre), 3, low=-0.9, high=0.9)
+    place[:, 1] = -place[:, 1].abs()
+    return centre + place * half_size
+
+
+def _around(draw: Draw, batch: int, count: int, options: SceneOptions) -> Tensor:
+    """Places (B, n, 3) around the look-at point."""
+    places = draw.uniform(batch, count, 3, low=-options.spread, high=options.spread)
+    places[..., 1] *= 0.5
+    return places
+
+
+def _facing(draw: Draw, normal: Tensor, largest: float) -> Tensor:
+    """Axes (B, n, 3, 3) whose third is `normal` (B, n, 3), turned by up to `largest` radians."""
+    shape = normal.shape[:-1]
+    tilt = draw.uniform(*shape, high=1.0) * largest
+    third = (axis_angle(_perpendicular(draw, normal), tilt) @ normal[..., None])[..., 0]
+    first = _perpendicular(draw, third)
+    return torch.stack((first, torch.linalg.cross(third, first), third), dim=-2)
+
+
+def _perpendicular(draw: Draw, vector: Tensor) -> Tensor:
+    """Random unit vectors at right angles to unit vectors (..., 3)."""
+    return normalize(torch.linalg.cross(vector, draw.directions(*vector.shape[:-1])), dim=-1)
+
+
+def _texture_maps(
+    draw: Draw, batch: int, count: int, size: tuple[int, int], spans: tuple[float, float]
+) -> Tensor:
+    """Affine maps (B, P, 6, 2, 3) from places on a face to texels: scale, stretch, turn, shift."""
+    shape = (batch, count, FACES)
+    span = draw.log_uniform(*shape, low=spans[0], high=spans[1])
+    density = min(size) / span
+    stretch = draw.log_uniform(*shape, low=0.8, high=1.25)
+    turn = draw.uniform(*shape, high=2 * math.pi)
+    mirror = 1 - 2 * draw.chance(*shape, share=0.5).to(turn.dtype)
+    cosine, sine = turn.cos(), turn.sin()
+    rows = (
+        density * stretch * cosine,
+        -density * stretch * sine,
+        draw.uniform(*shape, high=size[0]),
+        density / stretch * sine * mirror,
+        density / stretch * cosine * mirror,
+        draw.uniform(*shape, high=size[1]),
+    )
+    return torch.stack(rows, dim=-1).unflatten(-1, (2, 3))

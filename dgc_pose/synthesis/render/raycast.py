@@ -1,0 +1,188 @@
+"""Cast rays into scenes: images, depth, and the exact map between two views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dgc_pose.synthesis.render.bank import TextureBank
+from dgc_pose.synthesis.render.cameras import Cameras, relative_pose
+from dgc_pose.synthesis.render.scene import FACES, Scene, intersect_all
+
+_OCCLUSION_TOLERANCE = 1e-4  # of the distance: another surface this close does not hide a point
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """How a point light shows on surfaces; without both shares, textures appear as they are."""
+
+    shading: float  # share of the light that depends on its angle (Lambert, wrapped: never black)
+    shadow: float  # share of the light that is lost where something stands before it
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The first surface along each of n rays a scene; depth is infinite where there is none."""
+
+    rays: Tensor  # (B, 3, n), in the camera, z = 1
+    depth: Tensor  # (B, n), along the optical axis
+    primitive: Tensor  # (B, n) int64
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What the rays met, all pixels of all scenes in one row of B * n."""
+
+    primitive: Tensor  # (B * n,) int64, counted through all scenes
+    face: Tensor  # (B * n,) int64
+    point: Tensor  # (3, B * n), world
+    normal: Tensor  # (3, B * n), unit, world, towards the camera
+    place: Tensor  # (2, B * n), units along the face
+
+
+def cast(scene: Scene, cameras: Cameras, pixels: Tensor) -> Hits:
+    """The first surface seen at pixels (2, n)."""
+    rays = cameras.rays(pixels)
+    depths = intersect_all(scene, cameras.centre, cameras.rotation.mT @ rays)
+    depth, primitive = depths.min(dim=1)
+    return Hits(rays, depth, primitive)
+
+
+def describe(scene: Scene, cameras: Cameras, hits: Hits) -> Surface:
+    """Normal, face and place on the face of each hit; arbitrary where nothing was hit."""
+    batch, count = scene.active.shape
+    first = torch.arange(batch, device=hits.primitive.device)[:, None] * count
+    primitive = (hits.primitive + first).reshape(-1)
+    direction = cameras.rotation.mT @ hits.rays
+    finite = hits.depth.nan_to_num(posinf=1.0)
+    point = (cameras.centre[..., None] + finite[:, None] * direction).transpose(0, 1).flatten(1)
+    direction = direction.transpose(0, 1).flatten(1)
+
+    table = torch.cat(
+        (scene.centre, scene.unit_from_world.flatten(2), scene.half_size), dim=-1
+    ).flatten(0, 1)
+    values = table.t().index_select(1, primitive)
+    to_unit = values[3:12].unflatten(0, (3, 3))
+    local = (to_unit * (point - values[:3])).sum(1)
+    place = local * values[12:15]
+
+    quad, ellipsoid = scene.layout.span("quad"), scene.layout.span("ellipsoid")
+    index = hits.primitive.reshape(-1)
+    is_quad = (index >= quad.start) & (index < quad.stop)
+    is_ellipsoid = index >= ellipsoid.start
+    axis = _largest_axis(local).masked_fill_(is_quad | is_ellipsoid, 2)
+    on_axis = local.gather(0, axis[None])[0]
+
+    along_axis = torch.zeros_like(local).scatter_(0, axis[None], 1.0)
+    gradient = torch.where(is_ellipsoid, local, along_axis)
+    normal = (to_unit * gradient[:, None]).sum(0)
+    away = (normal * direction).sum(0) > 0
+    normal = torch.where(away, -normal, normal)
+    normal = normal / normal.square().sum(0).sqrt().clamp(min=1e-30)
+
+    positive = torch.where(is_quad, ~away, on_axis > 0)
+    u = torch.where(axis == 0, place[2], place[0])
+    v = torch.where(axis == 1, place[2], place[1])
+    stretch = torch.where(is_ellipsoid, _azimuthal_stretch(local), 1.0)
+    face = 2 * axis + positive
+    return Surface(primitive, face, point, normal, torch.stack((u, v)) * stretch)
+
+
+def _largest_axis(local: Tensor) -> Tensor:
+    """Index of the largest of three magnitudes; argmax over the first axis is many times slower."""
+    x, y, z = local.abs()
+    return torch.where(z >= torch.maximum(x, y), 2, (y > x).long())
+
+
+def _azimuthal_stretch(local: Tensor) -> Tensor:
+    """Angle from the z axis over its sine: lays half a ball flat with little distortion."""
+    radius = (local[0].square() + local[1].square()).sqrt().clamp(min=1e-6)
+    return torch.atan2(radius, local[2].abs()) / radius
+
+
+def shade(
+    scene: Scene,
+    cameras: Cameras,
+    hits: Hits,
+    surface: Surface,
+    bank: TextureBank,
+    *,
+    light: Tensor,
+    lighting: Lighting,
+    samples: int = 1,
+) -> Tensor:
+    """Colours (B, 3, n) in [0, 1]; black where nothing was hit.
+
+    light: (B, 3), where the light is. samples: per pixel and direction, which sets the size of a
+    sample on the surface.
+    """
+    batch, count = scene.active.shape
+    face = surface.primitive * FACES + surface.face
+    photo = scene.photo.reshape(-1).index_select(0, face)
+    a, b, c, d, e, f = scene.texture.reshape(-1, 6).t().index_select(1, face)
+    u, v = surface.place
+    direction = (cameras.rotation.mT @ hits.rays).transpose(0, 1).flatten(1)
+    length = direction.square().sum(0).sqrt()
+    cosine = (direction * surface.normal).sum(0).abs() / length
+    focal = cameras.K[:, 0, 0].repeat_interleave(hits.depth.shape[1]) * samples
+    texels_per_unit = (a * e - b * d).abs().sqrt()
+    depth = hits.depth.reshape(-1).nan_to_num(posinf=1.0)
+    footprint = texels_per_unit * depth / focal / cosine.clamp(min=0.05).sqrt()
+    colour = bank.sample(photo, a * u + b * v + c, d * u + e * v + f, footprint)
+
+    if lighting.shading > 0 or lighting.shadow > 0:
+        colour = colour * _brightness(scene, hits, surface, light, lighting)
+    colour = colour.masked_fill(hits.depth.reshape(-1).isinf(), 0.0)
+    return colour.unflatten(1, (batch, -1)).transpose(0, 1)
+
+
+def _brightness(
+    scene: Scene, hits: Hits, surface: Surface, light: Tensor, lighting: Lighting
+) -> Tensor:
+    """Factors (B * n,) in [0, 1] for the colours of the surface."""
+    ray = surface.point.unflatten(1, hits.depth.shape).transpose(0, 1) - light[..., None]
+    away = ray.transpose(0, 1).flatten(1)
+    length = away.square().sum(0).sqrt().clamp(min=1e-12)
+    cosine = -(surface.normal * away).sum(0) / length
+    brightness = 1 - lighting.shading * (0.5 - 0.5 * cosine)
+    if lighting.shadow > 0:
+        shadowed = hidden(scene, light, ray, hits.primitive).reshape(-1) | (cosine <= 0)
+        brightness = brightness * (1 - lighting.shadow * shadowed)
+    return brightness
+
+
+def correspond(
+    scene: Scene, first: Cameras, second: Cameras, hits: Hits, surface: Surface
+) -> tuple[Tensor, Tensor]:
+    """Where the points hit from the second cameras lie in the first: map (B, 2, n), visible (B, n).
+
+    The map is exact wherever the point is in front of camera 1, seen or not; elsewhere, and where
+    nothing was hit, it is -1. A point is visible when it is inside the frame ([0, w-1] x [0, h-1]),
+    its surface faces camera 1 on the same side (every primitive is convex, so this alone tells
+    whether it hides itself), and the ray from camera 1 meets no other primitive before it.
+    """
+    pose = relative_pose(second, first)
+    depth = hits.depth.nan_to_num(posinf=1.0)[:, None]
+    point = pose[..., :3] @ (hits.rays * depth) + pose[..., 3:]
+    in_front = (point[:, 2] > 1e-6) & hits.depth.isfinite()
+    place = first.project(point).masked_fill(~in_front[:, None], -1.0)
+    width, height = first.size
+    inside = in_front & (place >= 0).all(1) & (place[:, 0] <= width - 1)
+    inside &= place[:, 1] <= height - 1
+
+    ray = first.rotation.mT @ point
+    normal = surface.normal.unflatten(1, depth.shape[::2]).transpose(0, 1)
+    faces = (normal * ray).sum(1) < 0
+    return place, inside & faces & ~hidden(scene, first.centre, ray, hits.primitive)
+
+
+def hidden(scene: Scene, origin: Tensor, direction: Tensor, primitive: Tensor) -> Tensor:
+    """(B, n) bool: another primitive lies between origin (B, 3) and origin + direction (B, 3, n).
+
+    primitive: (B, n), the one that the far end lies on, which is left out.
+    """
+    parameters = intersect_all(scene, origin, direction)
+    parameters.scatter_(1, primitive[:, None], torch.inf)
+    return parameters.amin(1) <= 1 - _OCCLUSION_TOLERANCE

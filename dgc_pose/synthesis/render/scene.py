@@ -1,0 +1,117 @@
+"""Scenes: batches of textured primitives, and the rays cast into them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from dgc_pose.synthesis.render.cameras import Cameras
+from dgc_pose.synthesis.render.primitives import (
+    intersect_box,
+    intersect_ellipsoid,
+    intersect_quad,
+    intersect_room,
+)
+
+Kind = Literal["room", "quad", "box", "ellipsoid"]
+KINDS: tuple[Kind, ...] = ("room", "quad", "box", "ellipsoid")
+FACES = 6  # -x +x -y +y -z +z of a box or room; -z and +z of a quad's sides, an ellipsoid's halves
+
+Batch = TypeVar("Batch", "Scene", Cameras)
+
+_INTERSECT = {
+    "room": intersect_room,
+    "quad": intersect_quad,
+    "box": intersect_box,
+    "ellipsoid": intersect_ellipsoid,
+}
+
+
+class Layout(NamedTuple):
+    """How many primitives of each kind a scene has; they are stored in this order."""
+
+    room: int
+    quad: int
+    box: int
+    ellipsoid: int
+
+    def span(self, kind: Kind) -> slice:
+        start = sum(self[: KINDS.index(kind)])
+        return slice(start, start + getattr(self, kind))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """B scenes of P primitives each. World y points down; a room is a box seen from inside."""
+
+    layout: Layout
+    centre: Tensor  # (B, P, 3), world units
+    axes: Tensor  # (B, P, 3, 3), rows are the primitive's axes in the world
+    half_size: Tensor  # (B, P, 3), world units, along those axes; a quad's third is not used
+    active: Tensor  # (B, P) bool, False: the primitive is not there
+    photo: Tensor  # (B, P, 6) int64, the texture of each face
+    texture: Tensor  # (B, P, 6, 2, 3), texels of the photo from units along the face, affine
+    light: Tensor  # (B, 3), a point light, world units
+
+    @property
+    def unit_from_world(self) -> Tensor:
+        """(B, P, 3, 3): world directions to the frame in which the primitive is a unit shape."""
+        size = self.half_size.clone()
+        size[:, self.layout.span("quad"), 2] = 1
+        return self.axes / size[..., None]
+
+    def contains(self, point: Tensor, margin: float) -> Tensor:
+        """(B,) bool: the points (B, 3) lie in a box or ellipsoid grown by `margin` world units."""
+        offset = (self.axes @ (point[:, None] - self.centre)[..., None])[..., 0]
+        local = offset.abs() / (self.half_size + margin)
+        inside = torch.zeros_like(self.active)
+        boxes, ellipsoids = self.layout.span("box"), self.layout.span("ellipsoid")
+        inside[:, boxes] = local[:, boxes].amax(-1) < 1
+        inside[:, ellipsoids] = local[:, ellipsoids].square().sum(-1) < 1
+        return (inside & self.active).any(-1)
+
+
+def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
+    """Two like dataclasses of tensors joined: the first where mask (B,) is True, else the second.
+
+    Fields that are no tensors are the first's.
+    """
+    chosen: dict[str, Any] = {}
+    for field in fields(first):
+        value = getattr(first, field.name)
+        if isinstance(value, Tensor):
+            shape = (-1,) + (1,) * (value.ndim - 1)
+            chosen[field.name] = torch.where(mask.view(shape), value, getattr(second, field.name))
+    return replace(first, **chosen)
+
+
+def part(batch: Batch, span: slice) -> Batch:
+    """Some of a batch's scenes or cameras."""
+    chosen: dict[str, Any] = {}
+    for field in fields(batch):
+        value = getattr(batch, field.name)
+        if isinstance(value, Tensor):
+            chosen[field.name] = value[span]
+    return replace(batch, **chosen)
+
+
+def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
+    """Ray parameters of every primitive's first hit: (B, P, n), infinity where there is none.
+
+    `origin` (B, 3) and `direction` (B, 3, n) are in the world; directions need no unit length.
+    """
+    batch, _, rays = direction.shape
+    to_unit = scene.unit_from_world
+    start = to_unit @ (origin[:, None] - scene.centre)[..., None]
+    hits = direction.new_empty(batch, sum(scene.layout), rays)
+    for kind in KINDS:
+        span = scene.layout.span(kind)
+        count = span.stop - span.start
+        if count == 0:
+            continue
+        local = (to_unit[:, span].flatten(1, 2) @ direction).unflatten(1, (count, 3))
+        hits[:, span] = _INTERSECT[kind](start[:, span], local)
+    return hits.masked_fill_(~scene.active[..., None], torch.inf)

@@ -1,0 +1,164 @@
+"""One pair of views of a seeded scene with procedural textures, as numpy arrays: for tests."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from dgc_pose.errors import InputError
+from dgc_pose.synthesis.render.bank import TextureBank
+from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
+from dgc_pose.synthesis.render.draw import Draw
+from dgc_pose.synthesis.render.options import SceneOptions
+from dgc_pose.synthesis.render.overlap import Candidate, overlapping
+from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.random_scene import random_scene, single_plane
+from dgc_pose.synthesis.render.raycast import Lighting
+from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, render_views
+
+PairKind = Literal["general", "planar", "rotation_only", "forward"]
+
+_OPTIONS = SceneOptions(
+    presence=0.9, texture_span=(0.45, 0.9), min_overlap=0.5, tries=12, shadow=0.3
+)
+_FOCAL = (1.0, 1.4)  # over the larger side
+_DISTANCE = 1.2  # from the look-at point, fields of view
+_ADVANCE = 0.3  # of that distance, for the forward kind
+_TEXTURES = 18
+_TEXTURE_SIZE = 384
+_PLANE_TEXTURE = 0  # leaves: no stripes or tiles, so a plane of it has no two places alike
+
+
+@dataclass(frozen=True)
+class RenderedPair:
+    """Two views with all that is true of them. Pixel (0, 0) is the top-left pixel's centre."""
+
+    image1: np.ndarray  # (h1, w1, 3) uint8, RGB
+    image2: np.ndarray  # (h2, w2, 3) uint8, RGB
+    K1: np.ndarray  # (3, 3) float64, pixels
+    K2: np.ndarray  # (3, 3) float64, pixels
+    R: np.ndarray  # (3, 3) float64, x2 = R x1 + t
+    t: np.ndarray  # (3,) float64, world units; zero for rotation_only
+    map: np.ndarray  # (h2, w2, 2) float64, (x, y) in pixels of image 1; (-1, -1) behind camera 1
+    visible: np.ndarray  # (h2, w2) bool, the surface point is seen in image 1
+    depth1: np.ndarray  # (h1, w1) float64, along the optical axis, world units
+    depth2: np.ndarray  # (h2, w2) float64
+
+
+def render_scene_pair(
+    seed: int,
+    *,
+    size1: tuple[int, int] = (320, 240),
+    size2: tuple[int, int] = (320, 240),
+    rotation_deg: float = 15.0,
+    kind: PairKind = "general",
+    supersample: int = 1,
+) -> RenderedPair:
+    """A pair whose cameras differ by a rotation of exactly `rotation_deg` and have their own K.
+
+    Sizes are (width, height). kind: "general", objects in a room, orbited; "planar", the same
+    motion before a single plane; "rotation_only", the room from one place; "forward", the room
+    with camera 2 ahead of camera 1 on its optical axis. The same seed gives the same pair.
+    Raises InputError for an unknown kind, a size below 16 or a rotation outside 0 to 180 degrees.
+    """
+    if kind not in ("general", "planar", "rotation_only", "forward"):
+        raise InputError(f"kind must be general, planar, rotation_only or forward, not {kind!r}")
+    if min(*size1, *size2) < 16:
+        raise InputError(f"size1 and size2 must be at least 16 pixels, not {size1} and {size2}")
+    if not 0 <= rotation_deg <= 180:
+        raise InputError(f"rotation_deg must be in [0, 180], not {rotation_deg}")
+    generator = torch.Generator().manual_seed(seed)
+    draw = Draw(generator, torch.device("cpu"), torch.float64)
+    bank = _bank()
+
+    def draw_candidate() -> Candidate:
+        first, second = _camera_pair(draw, size1, size2, math.radians(rotation_deg), kind)
+        if kind == "planar":
+            scene = single_plane(draw, first, bank.size, _PLANE_TEXTURE)
+        else:
+            scene = random_scene(draw, first, second, bank.size, bank.count, _OPTIONS)
+        return Candidate(scene, first, second)
+
+    scene, first, second = overlapping(
+        draw_candidate, min_overlap=_OPTIONS.min_overlap, tries=_OPTIONS.tries
+    )
+    pairs = render_views(
+        scene,
+        first,
+        second,
+        bank,
+        lights=(scene.light, scene.light),
+        lighting=Lighting(_OPTIONS.shading, _OPTIONS.shadow),
+        supersample=supersample,
+    )
+    return as_arrays(pairs)
+
+
+def as_arrays(pairs: RenderedPairs) -> RenderedPair:
+    """The first pair of a batch, as numpy arrays and 8-bit images."""
+    pose = pairs.cam2_from_cam1[0].double().numpy()
+    return RenderedPair(
+        image1=_as_image(pairs.image1[0]),
+        image2=_as_image(pairs.image2[0]),
+        K1=pairs.K1[0].double().numpy(),
+        K2=pairs.K2[0].double().numpy(),
+        R=pose[:, :3],
+        t=pose[:, 3],
+        map=pairs.map[0].double().numpy(),
+        visible=pairs.visible[0].numpy(),
+        depth1=pairs.depth1[0].double().numpy(),
+        depth2=pairs.depth2[0].double().numpy(),
+    )
+
+
+def _as_image(colours: Tensor) -> np.ndarray:
+    return (colours.permute(1, 2, 0) * 255).round().clamp(0, 255).byte().contiguous().numpy()
+
+
+@lru_cache(maxsize=1)
+def _bank() -> TextureBank:
+    return TextureBank.from_photos(procedural_textures(_TEXTURES, _TEXTURE_SIZE))
+
+
+def _camera_pair(
+    draw: Draw, size1: tuple[int, int], size2: tuple[int, int], rotation: float, kind: PairKind
+) -> tuple[Cameras, Cameras]:
+    K1, K2 = _intrinsics(draw, size1), _intrinsics(draw, size2)
+    elevation = draw.uniform(1, low=math.radians(15), high=math.radians(40))
+    azimuth = draw.uniform(1, high=2 * math.pi)
+    level = elevation.cos()
+    viewpoint = torch.stack((level * azimuth.sin(), -elevation.sin(), level * azimuth.cos()), -1)
+    centre1 = viewpoint * _DISTANCE * K1[:, 0, 0, None] / max(size1)
+    rotation1 = look_at(centre1, torch.zeros_like(centre1))
+
+    tilt = draw.normal(1, 3) * 0.3
+    tilt[:, 1] = 1 - 2 * draw.chance(1, share=0.5).to(tilt.dtype)
+    turn = axis_angle(normalize(tilt, dim=-1), torch.full_like(azimuth, rotation))
+    rotation2 = turn @ rotation1
+    if kind == "rotation_only":
+        centre2 = centre1
+    elif kind == "forward":
+        centre2 = centre1 * (1 - _ADVANCE)
+    else:
+        distance2 = draw.uniform(1, 1, low=0.9, high=1.1) * _DISTANCE * K2[:, 0, 0] / max(size2)
+        centre2 = -distance2 * rotation2[:, 2]
+    return _camera(K1, rotation1, centre1, size1), _camera(K2, rotation2, centre2, size2)
+
+
+def _intrinsics(draw: Draw, size: tuple[int, int]) -> Tensor:
+    focal = max(size) * draw.uniform(low=_FOCAL[0], high=_FOCAL[1])
+    K = torch.eye(3, dtype=focal.dtype)
+    K[0, 0] = K[1, 1] = focal
+    K[:2, 2] = (torch.tensor(size) - 1) / 2 + max(size) * draw.uniform(2, low=-0.03, high=0.03)
+    return K[None]
+
+
+def _camera(K: Tensor, rotation: Tensor, centre: Tensor, size: tuple[int, int]) -> Cameras:
+    return Cameras(K, rotation, -(rotation @ centre[..., None])[..., 0], size)

@@ -1,0 +1,189 @@
+"""The DGC-Net authors' lists of warps, so that their training and test pairs can be made.
+
+A list is a CSV of `fname,aff/tps/homo,t1,...,t18`, zero-padded. By the second column:
+
+- 0, affine: t1 to t6 are the 2x3 matrix, row by row; it takes places of the target view to places
+  of the source view, normalised to -1 and +1 at the centres of the outermost pixels.
+- 1, thin-plate spline: t1 to t9 the x and t10 to t18 the y of the places that the control points
+  of a 3x3 grid go to, x = -1 -1 -1 0 0 0 1 1 1 and y = -1 0 1 repeated; in the same coordinates.
+- 2, homography: t1 to t9, row by row, from source to target in pixels of a 768x576 photograph.
+
+Views of 0 and 1 are the middle 9/16 of a 640x480 photograph, mirrored beyond its edges; those of 2
+the 240x240 pixels from (264, 168) of a 768x576 photograph, its homographic image black beyond its
+edges.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from dgc_pose.errors import InputError
+from dgc_pose.image import load_image
+from dgc_pose.synthesis.random_pairs import MapPairs
+from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline
+
+WarpKind = Literal["affine", "tps", "homography"]
+_KINDS: tuple[WarpKind, ...] = get_args(WarpKind)  # in the order of their numbers in a list
+_PARAMETERS = 18
+_USED = {"affine": 6, "tps": 18, "homography": 9}
+
+_BENT_SIZE = (640, 480)  # width, height of the photograph that affine and spline views are cut from
+_VIEW = 9 / 16  # of its width and height
+_PLANE_SIZE = (768, 576)  # of the photograph that homography views are cut from
+_CROP = (264, 168)  # left, top; pixels
+_CROP_SIDE = 240
+
+
+@dataclass(frozen=True)
+class WarpRow:
+    """One pair of a list."""
+
+    file: str  # the photograph, below the folder of images
+    kind: WarpKind
+    parameters: tuple[float, ...]  # 18, as in the list
+
+
+@dataclass(frozen=True)
+class WarpList:
+    """The rows of a list, in its order."""
+
+    path: Path
+    rows: tuple[WarpRow, ...]
+
+    @classmethod
+    def read(cls, path: str | Path) -> WarpList:
+        """Raises InputError, with the path and the line, for what is no such list; OSError."""
+        path = Path(path)
+        with path.open(newline="", encoding="utf-8") as stream:
+            reader = csv.reader(stream)
+            try:
+                header = next(reader, [])
+                if [name.strip() for name in header[:2]] != ["fname", "aff/tps/homo"]:
+                    raise InputError(f"{path}:1: expected the columns fname,aff/tps/homo,t1,...")
+                rows = tuple(_parse(row, f"{path}:{reader.line_num}") for row in reader if row)
+            except (csv.Error, UnicodeDecodeError) as error:
+                raise InputError(f"{path}: not a list of warps ({error})") from None
+        if not rows:
+            raise InputError(f"{path}: the list has no rows")
+        return cls(path, rows)
+
+
+def list_pairs(
+    rows: Sequence[WarpRow],
+    root: str | Path,
+    size: int = _CROP_SIDE,
+    device: torch.device | str = "cpu",
+) -> MapPairs:
+    """The pairs of rows, `size` pixels a side, of photographs below `root`.
+
+    `valid` is the authors': both coordinates of the true place in [-1, 1]. Raises ImageError where
+    a photograph cannot be read, InputError where there is no row.
+    """
+    if not rows:
+        raise InputError("rows must not be empty")
+    places: list[int] = []
+    parts: list[tuple[Tensor, Tensor, Tensor]] = []
+    for bent in (True, False):
+        chosen = [i for i, row in enumerate(rows) if (row.kind != "homography") == bent]
+        if not chosen:
+            continue
+        places += chosen
+        photo_size = _BENT_SIZE if bent else _PLANE_SIZE
+        photos = torch.stack([_read(Path(root) / rows[i].file, photo_size) for i in chosen])
+        photos = photos.to(device).float() / 255
+        make = _bent_pairs if bent else _plane_pairs
+        parts.append(make([rows[i] for i in chosen], photos, size))
+    order = torch.tensor(places, device=device).argsort()
+    image1, image2, truth = (torch.cat(p)[order] for p in zip(*parts, strict=True))
+    valid = ((truth >= 0) & (truth <= size - 1)).all(-1)
+    return MapPairs(image1, image2, truth, valid)
+
+
+def _parse(fields: list[str], where: str) -> WarpRow:
+    if len(fields) != 2 + _PARAMETERS:
+        raise InputError(f"{where}: expected {2 + _PARAMETERS} fields, found {len(fields)}")
+    try:
+        number = float(fields[1])
+        parameters = tuple(float(field) for field in fields[2:])
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    if number not in (0, 1, 2):
+        raise InputError(f"{where}: the kind must be 0, 1 or 2, not {fields[1]}")
+    if not fields[0] or not all(math.isfinite(value) for value in parameters):
+        raise InputError(f"{where}: a file name and finite numbers are needed")
+    kind = _KINDS[int(number)]
+    if kind == "homography" and abs(np.linalg.det(np.reshape(parameters[:9], (3, 3)))) < 1e-12:
+        raise InputError(f"{where}: the homography cannot be inverted")
+    return WarpRow(fields[0], kind, parameters)
+
+
+def _read(path: Path, size: tuple[int, int]) -> Tensor:
+    pixels = load_image(path).pixels
+    shrinks = pixels.shape[1] >= size[0] and pixels.shape[0] >= size[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    resized = cv2.resize(pixels, size, interpolation=interpolation)
+    return torch.from_numpy(np.ascontiguousarray(resized.transpose(2, 0, 1)))
+
+
+def _bent_pairs(
+    rows: list[WarpRow], photos: Tensor, size: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Images of both views and the map (B, S, S, 2) in pixels, of affine and spline rows."""
+    axis = torch.linspace(-1, 1, size, device=photos.device)
+    grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
+    grid = grid.expand(len(rows), -1, -1)
+    values = photos.new_tensor([row.parameters for row in rows])
+    affine = torch.eye(3).repeat(len(rows), 1, 1).to(photos)
+    affine[:, :2] = values[:, :6].view(-1, 2, 3)
+    bends = torch.tensor([row.kind == "tps" for row in rows], device=photos.device)
+    knots = torch.cartesian_prod(*[torch.tensor([-1.0, 0.0, 1.0])] * 2)
+    targets = values.view(-1, 2, 9).transpose(1, 2).cpu()
+    spline = thin_plate_spline(knots, targets)
+    place = torch.where(bends[:, None, None], spline(grid), apply_homography(affine, grid))
+
+    width, height = _BENT_SIZE
+    side = photos.new_tensor([width, height])
+
+    def look(points: Tensor) -> Tensor:
+        # -1 and +1 are the outermost pixels of the photograph mirrored to twice its size.
+        pixels = (points * _VIEW / 2 + 1) * (2 * side - 1) / 2 - side / 2
+        normalised = ((2 * pixels + 1) / side - 1).view(len(rows), size, size, 2)
+        return F.grid_sample(photos, normalised, padding_mode="reflection", align_corners=False)
+
+    pixels = ((place + 1) * (size - 1) / 2).view(len(rows), size, size, 2)
+    return look(grid), look(place), pixels
+
+
+def _plane_pairs(
+    rows: list[WarpRow], photos: Tensor, size: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Images of both views and the map (B, S, S, 2) in pixels, of homography rows."""
+    step = _CROP_SIDE / size
+    axis = (torch.arange(size, device=photos.device) + 0.5) * step - 0.5
+    grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
+    crop = photos.new_tensor(_CROP)
+    grid = (grid + crop).expand(len(rows), -1, -1)
+    H = torch.tensor([row.parameters[:9] for row in rows], dtype=torch.float64).view(-1, 3, 3)
+    inverse = torch.linalg.inv(H)
+    middle = torch.tensor([(side - 1) / 2 for side in _PLANE_SIZE] + [1.0], dtype=torch.float64)
+    inverse = inverse / (inverse[:, 2] @ middle)[:, None, None]  # depths positive in the middle
+    place = apply_homography(inverse.to(photos), grid)
+    side = photos.new_tensor(_PLANE_SIZE)
+
+    def look(points: Tensor) -> Tensor:
+        normalised = ((2 * points + 1) / side - 1).view(len(rows), size, size, 2)
+        return F.grid_sample(photos, normalised, align_corners=False)
+
+    pixels = (place - crop + 0.5) / step - 0.5
+    return look(grid), look(place), pixels.view(len(rows), size, size, 2)

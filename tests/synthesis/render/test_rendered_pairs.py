@@ -1,0 +1,259 @@
+"""Training pairs: the truth they carry, checked by geometry done another way in float64."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import grid_sample
+
+from dgc_pose.errors import InputError
+from dgc_pose.synthesis.render import RenderedPairs, SceneOptions, TextureBank, render_pairs
+from dgc_pose.synthesis.render.procedural import procedural_textures
+
+SIZE = 64
+BATCH = 12
+
+
+@pytest.fixture(scope="module")
+def bank() -> TextureBank:
+    return TextureBank.from_photos(procedural_textures(9, 96))
+
+
+def rendered(bank: TextureBank, seed: int = 0, size: int = SIZE, **options) -> RenderedPairs:
+    generator = torch.Generator().manual_seed(seed)
+    return render_pairs(bank, BATCH, size, generator, SceneOptions(**options))
+
+
+@pytest.fixture(scope="module")
+def pairs(bank: TextureBank) -> RenderedPairs:
+    return rendered(bank)
+
+
+def points_of_view(K: torch.Tensor, depth: torch.Tensor) -> np.ndarray:
+    """Points (h, w, 3) in the camera, float64, by the inverse of K."""
+    height, width = depth.shape
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    rays = np.stack((x, y, np.ones_like(x)), axis=-1) @ np.linalg.inv(K.double().numpy()).T
+    return rays * depth.double().numpy()[..., None]
+
+
+def places_in_first(pairs: RenderedPairs, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Place (h, w, 2) in image 1 of each pixel of image 2, and depth there, from depth and pose."""
+    pose = pairs.cam2_from_cam1[k].double().numpy()
+    points2 = points_of_view(pairs.K2[k], pairs.depth2[k])
+    points1 = (points2 - pose[:, 3]) @ np.linalg.inv(pose[:, :3]).T
+    seen = points1 @ pairs.K1[k].double().numpy().T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return seen[..., :2] / seen[..., 2:], points1[..., 2]
+
+
+def test_shapes_and_ranges(pairs):
+    grid = (BATCH, SIZE, SIZE)
+    assert pairs.image1.shape == pairs.image2.shape == (BATCH, 3, SIZE, SIZE)
+    assert pairs.map.shape == (*grid, 2)
+    assert pairs.visible.shape == pairs.depth1.shape == pairs.depth2.shape == grid
+    assert pairs.K1.shape == pairs.K2.shape == (BATCH, 3, 3)
+    assert pairs.cam2_from_cam1.shape == (BATCH, 3, 4)
+    for image in (pairs.image1, pairs.image2):
+        assert image.min() >= 0 and image.max() <= 1 and image.std() > 0.05
+    assert pairs.map.isfinite().all()
+    assert (pairs.depth1 > 0).all() and (pairs.depth2 > 0).all()
+
+
+def test_rooms_leave_no_pixel_without_a_surface(pairs):
+    assert pairs.depth1.isfinite().all() and pairs.depth2.isfinite().all()
+
+
+def test_map_is_the_projection_of_the_surface_point(pairs):
+    for k in range(BATCH):
+        places, depth = places_in_first(pairs, k)
+        ahead = depth > 0.05
+        error = np.abs(pairs.map[k].numpy() - places)[ahead]
+        assert (error / np.maximum(1, np.abs(places[ahead]) / SIZE)).max() < 2e-3
+        assert (pairs.map[k].numpy()[depth < -0.05] == -1).all()
+
+
+def test_map_satisfies_the_epipolar_constraint(pairs):
+    y, x = np.mgrid[:SIZE, :SIZE].astype(np.float64)
+    pixels2 = np.stack((x, y, np.ones_like(x)), axis=-1)
+    for k in range(BATCH):
+        pose = pairs.cam2_from_cam1[k].double().numpy()
+        t = pose[:, 3] / np.linalg.norm(pose[:, 3])
+        cross = np.array(((0, -t[2], t[1]), (t[2], 0, -t[0]), (-t[1], t[0], 0)))
+        K1, K2 = (K[k].double().numpy() for K in (pairs.K1, pairs.K2))
+        F = np.linalg.inv(K2).T @ cross @ pose[:, :3] @ np.linalg.inv(K1)
+        visible = pairs.visible[k].numpy()
+        pixels1 = np.concatenate((pairs.map[k].numpy(), np.ones((SIZE, SIZE, 1))), axis=-1)
+        lines = pixels1[visible] @ F.T
+        residual = (pixels2[visible] * lines).sum(-1) / np.linalg.norm(lines[:, :2], axis=1)
+        assert np.abs(residual).max() < 5e-3
+
+
+def test_poses_are_rotations_of_the_asked_size(bank):
+    pairs = rendered(bank, rotation_deg=(10.0, 30.0), roll_deg=0.0)
+    R = pairs.cam2_from_cam1[..., :3].double()
+    identity = torch.eye(3, dtype=torch.float64).expand_as(R)
+    assert torch.allclose(R @ R.mT, identity, atol=1e-6)
+    angles = torch.rad2deg(torch.acos((R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2))
+    assert (angles > 9.99).all() and (angles < 30.01).all() and angles.std() > 2
+    assert (pairs.K1[:, 0, 0] / SIZE).min() >= 0.7 and (pairs.K1[:, 0, 0] / SIZE).max() <= 2.0
+    assert not torch.allclose(pairs.K1, pairs.K2)
+
+
+def nearest_depth_around(depth: torch.Tensor, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest depth of image 1 over the four pixels around each place."""
+    corner = np.clip(np.floor(places).astype(int), 0, SIZE - 2)
+    x, y = corner[:, 0], corner[:, 1]
+    around = np.stack([depth.numpy()[y + i, x + j] for i in (0, 1) for j in (0, 1)])
+    return around.min(0), around.max(0)
+
+
+def test_visible_means_the_depth_of_image_1_agrees(pairs):
+    """Visibility is decided by casting rays, and is checked here with the depth of image 1."""
+    wrong_visible = wrong_hidden = total_visible = total_hidden = 0
+    for k in range(BATCH):
+        places, depth = places_in_first(pairs, k)
+        with np.errstate(invalid="ignore"):
+            inside = (depth > 0) & (places >= 0).all(-1) & (places <= SIZE - 1).all(-1)
+        visible = pairs.visible[k].numpy()
+        assert not (visible & ~inside).sum() > 2  # a place on the border to a rounding error
+        nearest, farthest = nearest_depth_around(pairs.depth1[k], places[inside])
+        shown, z = visible[inside], depth[inside]
+        wrong_visible += (shown & ((z < 0.98 * nearest) | (z > 1.02 * farthest))).sum()
+        total_visible += shown.sum()
+        # Hidden: image 1 shows something nearer at one of the pixels around.
+        wrong_hidden += (~shown & (nearest > 0.998 * z)).sum()
+        total_hidden += (~shown).sum()
+    assert total_hidden > 1000 and total_visible > 10000
+    assert wrong_visible / total_visible < 0.003
+    assert wrong_hidden / total_hidden < 0.003
+
+
+def test_visible_pixels_look_alike_without_shading(bank):
+    """Smooth textures without light: image 1 sampled at the map is image 2 where visible."""
+    smooth = torch.nn.functional.interpolate(
+        torch.rand(6, 3, 5, 5, generator=torch.Generator().manual_seed(1)), (96, 96), mode="bicubic"
+    ).clamp(0, 1)
+    pairs = rendered(TextureBank.from_photos(smooth), size=96, shading=0.0, zoom=0.1)
+    warped = grid_sample(pairs.image1, pairs.map / 95 * 2 - 1, align_corners=True)
+    difference = (warped - pairs.image2).abs().mean(1)
+    assert difference[pairs.visible].median() < 0.01
+    assert difference[pairs.visible].mean() < 0.25 * difference[~pairs.visible].mean()
+
+
+def test_shading_and_shadow_only_darken(bank):
+    flat = rendered(bank, shading=0.0)
+    shaded = rendered(bank, shading=0.5)
+    shadowed = rendered(bank, shading=0.5, shadow=0.5)
+    assert (shaded.image1 <= flat.image1 + 1e-6).all()
+    assert (shadowed.image1 <= shaded.image1 + 1e-6).all()
+    share = (shadowed.image1 < 0.9 * shaded.image1).any(1).float().mean()
+    assert 0.02 < share < 0.98
+
+
+def test_pairs_overlap(bank):
+    share = rendered(bank, seed=3, min_overlap=0.3, tries=12).visible.float().mean((1, 2))
+    assert share.min() > 0.25  # the probe that decides is coarser than the image
+    assert rendered(bank, seed=3, min_overlap=0.0).visible.float().mean((1, 2)).min() < share.min()
+
+
+def test_supersampling_is_the_mean_of_the_samples(bank):
+    """Rendered at twice the size with the same cameras, then averaged over 2x2 pixels."""
+    once = rendered(bank, light_change=0.0)
+    twice = rendered(bank, supersample=2, light_change=0.0)
+    assert torch.equal(once.map, twice.map)
+    double = rendered(bank, size=2 * SIZE, light_change=0.0)
+    averaged = torch.nn.functional.avg_pool2d(double.image1, 2)
+    assert (averaged - twice.image1).abs().median() < 2e-3
+    assert (averaged - once.image1).abs().mean() > 2 * (averaged - twice.image1).abs().mean()
+
+
+def test_a_seed_reproduces_to_the_bit(bank):
+    first, second, other = rendered(bank, 5), rendered(bank, 5), rendered(bank, 6)
+    for field in fields(RenderedPairs):
+        assert torch.equal(getattr(first, field.name), getattr(second, field.name)), field.name
+    assert not torch.equal(first.image1, other.image1)
+    assert not torch.equal(first.image1[0], first.image1[1])
+
+
+def test_photos_may_be_a_tensor_or_a_list(bank):
+    photos = (procedural_textures(9, 96) * 255).round().byte()
+    first = rendered(bank, 2)
+    for given in (photos, list(photos), photos.float() / 255):
+        generator = torch.Generator().manual_seed(2)
+        pairs = render_pairs(given, BATCH, SIZE, generator)
+        assert torch.allclose(pairs.image1, first.image1, atol=1 / 255)
+
+
+def test_scenes_of_few_kinds_of_primitives(bank):
+    pairs = rendered(bank, quads=0, boxes=0, ellipsoids=0, presence=0.0)
+    assert pairs.depth1.isfinite().all()
+    assert pairs.visible.float().mean() > 0.2
+
+
+def test_scenes_rendered_in_parts_are_the_same(bank, pairs, monkeypatch):
+    monkeypatch.setattr("dgc_pose.synthesis.render.rendered_pairs._CPU_PIXELS", 5 * SIZE * SIZE)
+    parts = rendered(bank)
+    for field in fields(pairs):
+        assert torch.equal(getattr(parts, field.name), getattr(pairs, field.name)), field.name
+
+
+def test_layout_ranges_move_what_is_seen(bank, pairs):
+    """The same draws further off: the depth grows by the range, not by chance."""
+
+    def median(views):
+        return float(views.depth1.median())
+
+    options = SceneOptions()
+    twice = tuple(2 * value for value in options.distance)
+    assert median(rendered(bank, distance=twice)) > 1.5 * median(pairs)
+    alone = {"presence": 0.0, "min_overlap": 0.0}
+    near, far = (rendered(bank, room_margin=(m, m), **alone) for m in (0.1, 5.0))
+    assert median(far) > median(near) + 3.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    (
+        ("rotation_deg", (20.0, 10.0)),
+        ("rotation_deg", (-1.0, 10.0)),
+        ("rotation_deg", (0.0, 181.0)),
+        ("distance", (0.0, 1.0)),
+        ("elevation_deg", (0.0, 90.0)),
+        ("background", (1.0, 0.5)),
+        ("room_margin", (0.0, 1.0)),
+        ("spread", -0.1),
+        ("focal", (0.0, 1.0)),
+        ("focal", (1.0, float("inf"))),
+        ("object_size", (0.2, 0.1)),
+        ("texture_span", (0.0, 1.0)),
+        ("roll_deg", -1.0),
+        ("roll_deg", float("nan")),
+        ("presence", 1.5),
+        ("shading", -0.1),
+        ("shadow", 2.0),
+        ("min_overlap", 1.1),
+        ("principal_offset", 0.6),
+        ("boxes", -1),
+        ("boxes", 1.5),
+        ("tries", 0),
+        ("supersample", 0),
+    ),
+)
+def test_options_out_of_range_are_named(name, value):
+    with pytest.raises(InputError, match=name):
+        replace(SceneOptions(), **{name: value})
+
+
+def test_unusable_input_is_refused(bank):
+    generator = torch.Generator().manual_seed(0)
+    with pytest.raises(InputError, match="batch"):
+        render_pairs(bank, 0, SIZE, generator)
+    for photos in (torch.rand(3, 32, 32), torch.rand(2, 1, 32, 32), torch.rand(0, 3, 32, 32)):
+        with pytest.raises(InputError, match="photos"):
+            render_pairs(photos, 1, SIZE, generator)
+    with pytest.raises(InputError, match="photos"):
+        render_pairs([torch.rand(3, 32, 32), torch.rand(3, 32, 40)], 1, SIZE, generator)

@@ -1,0 +1,105 @@
+"""The pairs that tests of other rooms use, and the textures they wear."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from dgc_pose.errors import InputError
+from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
+
+KINDS = ("general", "planar", "rotation_only", "forward")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("rotation_deg", (5.0, 25.0))
+def test_pairs_carry_their_truth(kind, rotation_deg):
+    pair = render_scene_pair(
+        3, size1=(160, 120), size2=(120, 140), rotation_deg=rotation_deg, kind=kind
+    )
+    assert pair.image1.shape == (120, 160, 3) and pair.image1.dtype == np.uint8
+    assert pair.image2.shape == (140, 120, 3) and pair.map.shape == (140, 120, 2)
+    assert np.isclose(np.degrees(np.arccos((np.trace(pair.R) - 1) / 2)), rotation_deg, atol=1e-6)
+    assert np.allclose(pair.R @ pair.R.T, np.eye(3), atol=1e-12)
+    assert not np.allclose(pair.K1, pair.K2)
+    assert pair.visible.mean() > 0.3
+
+    y, x = np.nonzero(pair.visible)
+    rays2 = np.column_stack((x, y, np.ones(len(x)))) @ np.linalg.inv(pair.K2).T
+    points1 = (rays2 * pair.depth2[y, x, None] - pair.t) @ pair.R  # rows: R^T (X2 - t)
+    seen = points1 @ pair.K1.T
+    assert np.allclose(seen[:, :2] / seen[:, 2:], pair.map[y, x], atol=1e-6)
+
+
+def test_kinds_are_what_they_say():
+    pairs = {
+        kind: render_scene_pair(1, size1=(96, 96), size2=(96, 96), kind=kind) for kind in KINDS
+    }
+    assert np.linalg.norm(pairs["rotation_only"].t) < 1e-12
+    centre2 = -pairs["forward"].R.T @ pairs["forward"].t
+    assert centre2[2] > 0.1 and np.abs(centre2[:2]).max() < 1e-9
+    for kind in KINDS:
+        pair = pairs[kind]
+        y, x = np.nonzero(pair.visible)
+        H, inliers = cv2.findHomography(
+            np.column_stack((x, y)).astype(np.float64), pair.map[y, x], cv2.RANSAC, 0.05
+        )
+        share = inliers.mean()
+        assert share > 0.999 if kind in ("planar", "rotation_only") else share < 0.8, kind
+
+
+def test_pairs_can_be_matched():
+    """SIFT finds the true places: the textures have detail, and images agree with the map."""
+    pair = render_scene_pair(0, size1=(320, 240), size2=(300, 260), rotation_deg=10.0)
+    sift = cv2.SIFT_create()
+    points, descriptors = zip(
+        *(sift.detectAndCompute(image, None) for image in (pair.image1, pair.image2)), strict=True
+    )
+    nearest = cv2.BFMatcher().knnMatch(descriptors[1], descriptors[0], k=2)
+    errors = []
+    for best, second in nearest:
+        x, y = np.rint(points[1][best.queryIdx].pt).astype(int)
+        if best.distance < 0.8 * second.distance and pair.visible[y, x]:
+            found = np.array(points[0][best.trainIdx].pt) - points[1][best.queryIdx].pt + (x, y)
+            errors.append(np.linalg.norm(found - pair.map[y, x]))
+    assert len(errors) > 80
+    assert np.median(errors) < 1.0
+
+
+def test_a_seed_reproduces_to_the_bit():
+    first, second, other = (render_scene_pair(s, size1=(64, 48), size2=(48, 64)) for s in (1, 1, 2))
+    for field in fields(RenderedPair):
+        assert np.array_equal(getattr(first, field.name), getattr(second, field.name)), field.name
+    assert not np.array_equal(first.image1, other.image1)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    (
+        ("kind", {"kind": "sideways"}),
+        ("size1", {"size1": (4, 100)}),
+        ("rotation_deg", {"rotation_deg": -1.0}),
+        ("rotation_deg", {"rotation_deg": 200.0}),
+    ),
+)
+def test_unusable_arguments_are_named(name, arguments):
+    with pytest.raises(InputError, match=name):
+        render_scene_pair(0, **arguments)
+
+
+def test_textures_are_seeded_and_full_of_detail():
+    textures = procedural_textures(9, 64, seed=1)
+    assert textures.shape == (9, 3, 64, 64) and textures.dtype == torch.float32
+    assert textures.min() >= 0 and textures.max() <= 1
+    assert torch.equal(textures, procedural_textures(9, 64, seed=1))
+    assert torch.equal(textures[:4], procedural_textures(4, 64, seed=1))
+    assert not torch.equal(textures, procedural_textures(9, 64, seed=2))
+    patches = textures.mean(1).unfold(1, 16, 16).unfold(2, 16, 16).flatten(3).std(-1)
+    assert (patches > 0.01).float().mean() > 0.95
+    with pytest.raises(InputError, match="count"):
+        procedural_textures(0)

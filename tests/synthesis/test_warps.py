@@ -1,0 +1,132 @@
+"""Random warps against float64 references and the ranges they promise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import RBFInterpolator
+
+from dgc_pose.errors import InputError
+from dgc_pose.synthesis.warps import (
+    PAPER,
+    WIDE,
+    WarpOptions,
+    apply_homography,
+    homography_from_corners,
+    random_warp,
+    thin_plate_spline,
+)
+
+_CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+def _grid(batch: int, side: int = 9) -> torch.Tensor:
+    axis = torch.linspace(-1, 1, side)
+    return torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2).repeat(
+        batch, 1, 1
+    )
+
+
+def test_spline_agrees_with_scipys() -> None:
+    axis = torch.tensor([-1.0, 0.0, 1.0])
+    control = torch.cartesian_prod(axis, axis)
+    values = control + 0.2 * torch.randn(3, 9, 2, generator=torch.Generator().manual_seed(0))
+    points = _grid(3)
+    found = thin_plate_spline(control, values)(points)
+    for index in range(3):
+        reference = RBFInterpolator(
+            control.double().numpy(), values[index].double().numpy(), kernel="thin_plate_spline"
+        )
+        np.testing.assert_allclose(
+            found[index].numpy(), reference(points[index].double().numpy()), atol=1e-4
+        )
+
+
+def test_spline_passes_through_its_control_points() -> None:
+    control = torch.cartesian_prod(*[torch.tensor([-1.0, 0.0, 1.0])] * 2)
+    values = torch.randn(2, 9, 2, generator=torch.Generator().manual_seed(1))
+    warp = thin_plate_spline(control, values)
+    torch.testing.assert_close(warp(control.repeat(2, 1, 1)), values, atol=1e-4, rtol=0)
+
+
+def test_homography_takes_corners_to_corners() -> None:
+    shift = 0.5 * torch.rand(6, 4, 2, generator=torch.Generator().manual_seed(2)) - 0.25
+    matrix = homography_from_corners(_CORNERS + shift)
+    moved = apply_homography(matrix, _CORNERS.repeat(6, 1, 1))
+    torch.testing.assert_close(moved, _CORNERS + shift, atol=1e-5, rtol=0)
+
+
+def test_points_beyond_the_horizon_are_far_away_not_mirrored() -> None:
+    matrix = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [2, 0, 1]]])  # depth 1 + 2 x
+    far = apply_homography(matrix, torch.tensor([[[-0.9, 0.3]]]))
+    assert (far.abs() >= 1e5).all()
+
+
+def _linear_parts(options: WarpOptions, batch: int = 400) -> torch.Tensor:
+    points = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]]).repeat(batch, 1, 1)
+    moved = random_warp(batch, options, torch.Generator().manual_seed(3))(points)
+    return torch.stack([moved[:, 1] - moved[:, 0], moved[:, 2] - moved[:, 0]], -1)
+
+
+def test_affine_ranges_are_the_papers() -> None:
+    linear = _linear_parts(replace(PAPER, affine_share=1.0, tps_share=0.0))
+    values = torch.linalg.svdvals(linear)
+    assert 0.75 - 1e-4 < values.min() < 0.78 and 1.22 < values.max() < 1.25 + 1e-4
+    left, _, right = torch.linalg.svd(linear)
+    turn = left @ right
+    angle = torch.rad2deg(torch.atan2(turn[:, 1, 0], turn[:, 0, 0]))
+    assert 13 < angle.abs().max() < 15 + 1e-3
+
+
+def test_homography_of_the_paper_moves_the_corners_by_at_most_80_of_240_pixels() -> None:
+    options = replace(PAPER, affine_share=0.0, tps_share=0.0)
+    points = 0.1 * _grid(300, 3)
+    moved = random_warp(300, options, torch.Generator().manual_seed(4))(points)
+    corners = _CORNERS.double().numpy()[None]
+    largest = []
+    for index in range(300):
+        # The map is the inverse of the homography that moves the corners.
+        inverse, _ = cv2.findHomography(moved[index].numpy(), points[index].numpy())
+        shift = cv2.perspectiveTransform(corners, inverse) - corners
+        largest.append(np.abs(shift).max())
+    assert np.quantile(largest, 0.99) < 2 / 3 + 0.01
+    assert np.quantile(largest, 0.5) > 0.5
+
+
+def test_kinds_come_in_their_shares() -> None:
+    """A map of straight lines that keeps parallels is affine, one that does not a homography."""
+    points = torch.tensor([[[-0.6, 0.0], [0.0, 0.0], [0.6, 0.0]]]).repeat(2000, 1, 1)
+    moved = random_warp(2000, PAPER, torch.Generator().manual_seed(5))(points)
+    first, second = moved[:, 1] - moved[:, 0], moved[:, 2] - moved[:, 1]
+    affine = (first - second).norm(dim=-1) < 1e-4
+    straight = (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).abs() < 1e-4
+    assert abs(float(affine.float().mean()) - 0.25) < 0.04
+    assert abs(float((~straight).float().mean()) - 0.25) < 0.04
+
+
+def test_the_same_seed_gives_the_same_warp() -> None:
+    for options in (PAPER, WIDE):
+        one, two, other = (
+            random_warp(8, options, torch.Generator().manual_seed(seed))(_grid(8))
+            for seed in (6, 6, 7)
+        )
+        assert torch.equal(one, two) and not torch.equal(one, other)
+
+
+def test_wide_includes_any_rotation() -> None:
+    linear = _linear_parts(replace(WIDE, affine_share=1.0, tps_share=0.0), 1000)
+    turned = (torch.linalg.det(linear) > 0).all()
+    sine, cosine = linear[:, 1, 0] - linear[:, 0, 1], linear[:, 0, 0] + linear[:, 1, 1]
+    angle = torch.rad2deg(torch.atan2(sine, cosine))
+    assert turned and float((angle.abs() > 40).float().mean()) > 0.05
+
+
+def test_wrong_options_are_refused() -> None:
+    with pytest.raises(InputError, match="share"):
+        WarpOptions(affine_share=0.8, tps_share=0.4)
+    with pytest.raises(InputError, match="corner_shift"):
+        WarpOptions(corner_shift=1.0)
