@@ -1,4 +1,4 @@
-"""The contract of all matchers: two images in, matches out, and the dense map where there is one."""
+"""The contract of all matchers: two images in, matches out, with the dense map if there is one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class MatchResult:
 
 
 class Matcher(ABC):
-    """Anything that matches two images: the network, SIFT, optical flow, files, a refined matcher."""
+    """Anything that matches two images: the network, SIFT, optical flow, files, or a refiner."""
 
     @property
     @abstractmethod
