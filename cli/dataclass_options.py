@@ -44,13 +44,14 @@ def dataclass_options(
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
-        def wrapper(*args: Any, **kwargs: Any) -> Any:
+        def with_instance(*args: Any, **kwargs: Any) -> Any:
             values = {one.name: kwargs.pop(one.name) for one in chosen}
             return command(*args, **kwargs, **{argument: _made(cls, values, defaults, argument)})
 
+        decorated: Command = with_instance
         for one in reversed(chosen):
-            wrapper = one.decorate(wrapper)
-        return wrapper
+            decorated = one.decorate(decorated)
+        return decorated
 
     return decorate
 

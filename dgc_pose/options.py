@@ -60,7 +60,7 @@ def option_info(of: Field[Any]) -> OptionInfo | None:
 
 
 @cache
-def field_types(cls: type) -> dict[str, tuple[Any, bool]]:
+def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
     """For each field of a dataclass its type, without "or None", and whether None is allowed.
 
     The types must be importable at run time, not under TYPE_CHECKING alone.
@@ -74,7 +74,8 @@ def check_options(options: Any) -> None:
 
     For `__post_init__` of option dataclasses. Checks the fields made by `option`; None passes.
     """
-    types = field_types(type(options))
+    cls: Any = type(options)
+    types = field_types(cls)
     for one in fields(options):
         info, value = option_info(one), getattr(options, one.name)
         if info is None or value is None:
@@ -84,18 +85,21 @@ def check_options(options: Any) -> None:
             names = ", ".join(map(str, get_args(kind)))
             raise InputError(f"{one.name} must be one of {names}, not {value!r}")
         if not _in_range(info, value):
-            raise InputError(f"{one.name} must {_range(info)}, not {value}")
+            order = "be ascending and " if isinstance(value, tuple) else ""
+            raise InputError(f"{one.name} must {order}{_range(info)}, not {value}")
 
 
 def _in_range(info: OptionInfo, value: Any) -> bool:
-    """Whether a number is finite and within its bounds; True for what has no bounds."""
+    """Whether a number, or each of an ascending range (low, high), is finite and within bounds."""
     if info.min is None and info.above is None and info.max is None:
         return True
-    return (
-        math.isfinite(value)
-        and (info.min is None or value >= info.min)
-        and (info.above is None or value > info.above)
-        and (info.max is None or value <= info.max)
+    values = value if isinstance(value, tuple) else (value,)
+    return list(values) == sorted(values) and all(
+        math.isfinite(one)
+        and (info.min is None or one >= info.min)
+        and (info.above is None or one > info.above)
+        and (info.max is None or one <= info.max)
+        for one in values
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 from importlib import resources
 from pathlib import Path
@@ -15,6 +14,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.files import replaced
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS, preset
 from dgc_pose.network.net import DGCNet
 
@@ -54,11 +54,9 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
         for key, value in net.state_dict().items()
         if not key.endswith(_COUNTER)
     }
-    path = Path(path)
-    temporary = path.with_name(path.name + ".part")
-    # Not save_file, whose files only their owner may read.
-    temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
-    os.replace(temporary, path)
+    with replaced(Path(path)) as temporary:
+        # Not save_file, whose files only their owner may read.
+        temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:

@@ -1,4 +1,4 @@
-"""Real scenes of known depth in memory: frames squared, and the pairs of them worth training on."""
+"""Real scenes of known depth in memory: frames as squares, and which of them make pairs."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from dgc_pose.synthesis.posed_depth import PosedFrame
 SIDE = 288  # pixels; frames are kept as squares, as the network squares its input
 # Four neighbouring depths further apart than this (of the nearest) lie on several surfaces.
 _STRADDLES = 0.05
-# Depth that was measured elsewhere and moved here leaves cracks: places without depth are filled
-# from both sides where known depth of one surface lies within so many pixels.
+# Depth that was measured by another sensor and reprojected has cracks: pixels without depth are
+# filled if there is known depth of one surface on both sides within so many pixels.
 _CRACK_REACH = 3
-_AGREES = 0.03  # of the depth, where overlap is counted
+_AGREES = 0.03  # tolerance of the depth in the count of overlap, relative
 _PROBE = 16  # overlap is counted on so many pixels squared
 
 
@@ -29,7 +29,7 @@ _PROBE = 16  # overlap is counted on so many pixels squared
 class PairChoice:
     """Which two frames of a scene make a pair."""
 
-    # Share of the target's pixels of known depth that the source sees.
+    # Share of the target's pixels of known depth that are visible in the source.
     overlap: tuple[float, float] = (0.3, 0.98)
     # Between the cameras, of the target's median depth.
     baseline: tuple[float, float] = (0.03, 1.5)
@@ -49,13 +49,13 @@ class DepthScenes:
     """The frames of all scenes, and pairs of them. A scene's unit of length is its median depth."""
 
     images: Tensor  # (N, 3, side, side) uint8, RGB
-    depth: Tensor  # (N, side, side) float16, along the optical axis, 0 where unknown
+    depth: Tensor  # (N, side, side) float16, along the optical axis, 0: unknown
     K: Tensor  # (N, 3, 3) float32, pixels of the squares
     pairs: Tensor  # (P, 2) int64, source and target
     source_from_target: Tensor  # (P, 3, 4) float32, X1 = R X2 + t
 
     def to(self, device: torch.device | str) -> DepthScenes:
-        """The scenes on another device; `pairs` stays on the CPU, where it is drawn from."""
+        """The scenes on another device; `pairs` stays on the CPU, which draws from it."""
         return replace(
             self,
             images=self.images.to(device),
@@ -68,7 +68,7 @@ class DepthScenes:
 def hold_back(
     frames: Sequence[PosedFrame], share: float = 0.1
 ) -> tuple[Sequence[PosedFrame], Sequence[PosedFrame]]:
-    """The frames that train, and the last `share` of the walk, which validates."""
+    """The frames that train, and the last `share` of the sequence, which validates."""
     if not 0 < share < 1:
         raise InputError(f"share must lie between 0 and 1, not {share}")
     first = len(frames) - round(share * len(frames))
@@ -82,7 +82,7 @@ def load_depth_scenes(
 ) -> DepthScenes:
     """Read the frames of scenes and choose their pairs.
 
-    Raises ImageError where a file cannot be read, InputError where no two frames make a pair.
+    Raises ImageError if a file cannot be read, InputError if no two frames make a pair.
     """
     choice = choice or PairChoice()
     images: list[Tensor] = []
@@ -126,10 +126,11 @@ def load_depth_scenes(
 
 
 def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Depth (B, n) at points (B, n, 2), pixels, of frames (B,) of (N, h, w), and where it is known.
+    """Depth (B, n) at points (B, n, 2), pixels, of frames (B,) of (N, h, w), and a mask of the
+    points of known depth.
 
-    Linear in the inverse depth, which is exact on planes. Not known outside, and where one of the
-    four neighbours is not or they lie on several surfaces; 1 there.
+    Linear in the inverse depth, which is exact on planes. The depth is not known, and 1, outside
+    the frame, if one of the four neighbours is not known, or if they lie on several surfaces.
     """
     height, width = depth.shape[1:]
     x, y = points.unbind(-1)
@@ -149,28 +150,30 @@ def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tens
 
 
 def close_cracks(depth: Tensor, reach: int) -> Tensor:
-    """Depth (h, w), 0 where unknown, filled where two or more lines through a place agree.
+    """Depth (h, w), 0 if unknown, with the pixels filled that two or more lines through them agree
+    on.
 
-    A line, level, upright or diagonal, tells the inverse depth linearly between the nearest known
-    places on both sides, each within `reach` pixels, where those are of one surface.
+    Along a line, horizontal, vertical or diagonal, the inverse depth is interpolated linearly
+    between the nearest known pixels on both sides, if both are within `reach` pixels and on one
+    surface.
     """
     padded = torch.nn.functional.pad(depth, (reach,) * 4)
     flat, width = padded.reshape(-1), padded.shape[1]
     rows, columns = (depth <= 0).nonzero().unbind(1)
-    place = (rows + reach) * width + columns + reach
+    pixel = (rows + reach) * width + columns + reach
 
     def nearest(step: int) -> tuple[Tensor, Tensor]:
-        """The first known depth that way and how many steps off; 0 and 1 where there is none."""
-        found = torch.zeros_like(place, dtype=depth.dtype)
+        """The first known depth in that direction and its distance in steps; 0 and 1 if none."""
+        found = torch.zeros_like(pixel, dtype=depth.dtype)
         distance = torch.ones_like(found)
         for steps in range(reach, 0, -1):
-            there = flat[place + steps * step]
+            there = flat[pixel + steps * step]
             known = there > 0
             found = torch.where(known, there, found)
             distance.masked_fill_(known, steps)
         return found, distance
 
-    total, count = torch.zeros_like(flat[place]), torch.zeros_like(flat[place])
+    total, count = torch.zeros_like(flat[pixel]), torch.zeros_like(flat[pixel])
     lowest, highest = torch.full_like(total, torch.inf), torch.zeros_like(total)
     for step in (1, width, width + 1, width - 1):
         (before, back), (after, ahead) = nearest(-step), nearest(step)
@@ -203,12 +206,12 @@ def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
         (pixel - K[axis, 2]) / K[axis, axis] * frame.depth_K[axis, axis] + frame.depth_K[axis, 2]
         for axis in (0, 1)
     )
-    places = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)
+    points = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)
     stored = torch.from_numpy(frame.read_depth())
     if min(stored.shape) < 2:
         raise InputError(f"{frame.depth}: a depth image must have 2 pixels a side at least")
     stored = close_cracks(stored, _CRACK_REACH)[None]
-    depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), places)
+    depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), points)
     squared = torch.where(known, depth, 0.0).view(side, side).float()
     planes = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
     return planes, squared, torch.tensor(K)
@@ -240,8 +243,8 @@ def _choose(
         moved = (rays * z[..., None])[known] @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
         in_front = moved[..., 2] > 1e-6
         flat = moved @ K.mT
-        place = flat[..., :2] / flat[..., 2:].clamp(min=1e-6)
-        there, sees = depth_at(depth, frames, place)
+        projected = flat[..., :2] / flat[..., 2:].clamp(min=1e-6)
+        there, sees = depth_at(depth, frames, projected)
         sees &= in_front & ((there / moved[..., 2].clamp(min=1e-6) - 1).abs() < _AGREES)
         overlap = sees.sum(1) / total
         baseline = relative[:, :3, 3].norm(dim=1) / z[known].median()

@@ -1,9 +1,9 @@
-"""Frames with depth and pose, and the folders of posed RGB-D that they come from.
+"""Frames with depth and pose, and the posed RGB-D folders they are read from.
 
 A folder holds `images/`, `depth/`, `K.txt` (3x3, pixels of the images) and `poses.txt`, line i the
 4x4 world-from-camera matrix, row by row, of the i-th file in sorted order. Depth is 16-bit PNG of
-the images' size, along the optical axis, 0 where there is none; a millimetre a step, where the
-poses are in metres.
+the images' size, along the optical axis, 0 if unknown; a step is a millimetre if the poses are in
+metres.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class PosedFrame:
 
     image: Path
     depth: Path  # .png or .pfm: z along the optical axis; not positive or not finite: unknown
-    depth_step: float  # the poses' unit of length for a step of the depth
+    depth_step: float  # length of a step of the depth, in the poses' unit
     image_K: np.ndarray  # (3, 3) float64, pixels of the image as stored
     depth_K: np.ndarray  # (3, 3) float64, pixels of the depth as stored
     cam_from_world: np.ndarray  # (4, 4) float64
 
     def read_depth(self) -> np.ndarray:
-        """(h, w) float32 in the poses' unit, 0 where unknown. Raises ImageError with the path."""
+        """(h, w) float32 in the poses' unit, 0 if unknown. Raises ImageError with the path."""
         if not self.depth.is_file():
             raise ImageError(f"{self.depth} does not exist")
         data = np.fromfile(self.depth, np.uint8)
@@ -52,8 +52,8 @@ class PosedFrame:
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
     """The frames of a posed RGB-D folder, in order.
 
-    Raises InputError, with the path, where the folder is not of that layout, its files' numbers
-    differ or its matrices are none; ImageError where a file is no image.
+    Raises InputError, with the path, if the folder has another layout, the numbers of its files
+    differ or a matrix is malformed; ImageError if a file is not an image.
     """
     root = Path(root)
     images = _files(root / "images", _IMAGE_SUFFIXES)
@@ -89,14 +89,14 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 
 def check_intrinsics(K: np.ndarray, where: str | Path) -> None:
-    """Raise InputError where K (3, 3) is no intrinsic matrix without skew."""
+    """Raise InputError if K (3, 3) is not an intrinsic matrix without skew."""
     plain = np.array([[K[0, 0], 0, K[0, 2]], [0, K[1, 1], K[1, 2]], [0, 0, 1]])
     if min(K[0, 0], K[1, 1]) <= 0 or not np.allclose(K, plain, atol=1e-6 * abs(K[0, 0])):
         raise InputError(f"{where}: K must be fx 0 cx, 0 fy cy, 0 0 1 with fx, fy > 0")
 
 
 def check_rigid(pose: np.ndarray, where: str | Path) -> None:
-    """Raise InputError where a pose (4, 4) is no rotation and translation."""
+    """Raise InputError if a pose (4, 4) is not a rotation and a translation."""
     R = pose[:3, :3]
     is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0
     if not is_rotation or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):

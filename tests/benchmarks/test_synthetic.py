@@ -8,7 +8,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.benchmarks.map_run import Case
+from dgc_pose.benchmarks.map_run import MapCase
 from dgc_pose.benchmarks.synthetic import SETS, synthetic_cases
 from dgc_pose.errors import InputError
 from dgc_pose.synthesis.photos import Photos
@@ -21,7 +21,7 @@ def photos() -> Photos:
 
 
 @pytest.fixture(scope="module")
-def cases(photos: Photos) -> dict[str, Case]:
+def cases(photos: Photos) -> dict[str, MapCase]:
     """The first batch of every set."""
     return {name: next(synthetic_cases(photos, name, 4, 0)) for name in SETS}
 
@@ -36,7 +36,7 @@ def affine_fit(truth: np.ndarray) -> tuple[np.ndarray, float]:
     return solution, float(np.linalg.norm(design @ solution - values, axis=1).max())
 
 
-def test_the_source_at_the_map_is_the_target_pixel_by_pixel(cases: dict[str, Case]) -> None:
+def test_the_source_at_the_map_is_the_target_pixel_by_pixel(cases: dict[str, MapCase]) -> None:
     """No change of light and no occluders: what is left is the sampling."""
     for name in ("affine", "affine-tps", "homography"):
         pairs = cases[name].pairs
@@ -105,7 +105,7 @@ def test_the_same_seed_gives_the_same_pairs_and_more_only_add(photos: Photos) ->
     assert not torch.equal(first[0].pairs.map, other.pairs.map)
 
 
-def test_scenes_have_parallax_and_hidden_pixels(cases: dict[str, Case]) -> None:
+def test_scenes_have_parallax_and_hidden_pixels(cases: dict[str, MapCase]) -> None:
     case = cases["scenes"]
     assert case.group == "scenes" and len(case.names) == len(case.pairs.map) <= 4
     inside = ((case.pairs.map >= -0.5) & (case.pairs.map <= 239.5)).all(-1)

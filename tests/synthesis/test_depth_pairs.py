@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from depth_folder import rendered, write_rgbd
 
 from dgc_pose.errors import InputError
-from dgc_pose.synthesis.depth_pairs import DepthOptions, depth_pairs, random_views
+from dgc_pose.synthesis.depth_pairs import depth_pairs, random_views
 from dgc_pose.synthesis.depth_scenes import (
     DepthScenes,
     PairChoice,
@@ -22,9 +22,10 @@ from dgc_pose.synthesis.depth_scenes import (
     load_depth_scenes,
 )
 from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.options import DepthOptions, PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
-from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
+from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.scene_pair import RenderedPair
 

@@ -11,10 +11,8 @@ import torch
 from scipy.interpolate import RBFInterpolator
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.options import PAPER, WIDE, WarpOptions
 from dgc_pose.synthesis.warps import (
-    PAPER,
-    WIDE,
-    WarpOptions,
     apply_homography,
     homography_from_corners,
     random_warp,

@@ -1,4 +1,4 @@
-"""Scenes: batches of textured primitives, and the rays cast into them."""
+"""Batches of scenes of textured primitives, and their intersection with rays."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Scene:
     centre: Tensor  # (B, P, 3), world units
     axes: Tensor  # (B, P, 3, 3), rows are the primitive's axes in the world
     half_size: Tensor  # (B, P, 3), world units, along those axes; a quad's third is not used
-    active: Tensor  # (B, P) bool, False: the primitive is not there
+    active: Tensor  # (B, P) bool, False: the primitive is absent
     photo: Tensor  # (B, P, 6) int64, the texture of each face
     texture: Tensor  # (B, P, 6, 2, 3), texels of the photo from units along the face, affine
     light: Tensor  # (B, 3), a point light, world units
@@ -75,7 +75,8 @@ class Scene:
 
 
 def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
-    """Two like dataclasses of tensors joined: the first where mask (B,) is True, else the second.
+    """Two like dataclasses of tensors merged: rows of the first if mask (B,) is True, else of the
+    second.
 
     Fields that are no tensors are the first's.
     """
@@ -99,7 +100,7 @@ def part(batch: Batch, span: slice) -> Batch:
 
 
 def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
-    """Ray parameters of every primitive's first hit: (B, P, n), infinity where there is none.
+    """Ray parameters of every primitive's first hit: (B, P, n), infinity without any.
 
     `origin` (B, 3) and `direction` (B, 3, n) are in the world; directions need no unit length.
     """
