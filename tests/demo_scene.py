@@ -88,7 +88,7 @@ def demo_scene() -> Candidate:
 def demo_textures() -> TextureBank:
     """The textures of the scene."""
     return TextureBank.from_photos(
-        [procedural_texture(style, _TEXTURE_SIZE, seed) for style, seed in _TEXTURES]
+        torch.stack([procedural_texture(style, _TEXTURE_SIZE, seed) for style, seed in _TEXTURES])
     )
 
 

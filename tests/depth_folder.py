@@ -69,15 +69,3 @@ def poses(pair: RenderedPair) -> tuple[np.ndarray, np.ndarray]:
     relative = np.eye(4)
     relative[:3, :3], relative[:3, 3] = pair.R, METRES * pair.t
     return first, relative @ first
-
-
-def pfm(values: np.ndarray) -> bytes:
-    """A PFM file's bytes: little-endian floats, the lowest row first."""
-    height, width = values.shape
-    return f"Pf\n{width} {height}\n-1.0\n".encode() + values[::-1].astype("<f4").tobytes()
-
-
-def cam_text(K: np.ndarray, pose: np.ndarray) -> str:
-    rows = [" ".join(map(repr, row)) for row in pose.tolist()]
-    intrinsics = [" ".join(map(repr, row)) for row in K.tolist()]
-    return "\n".join(["extrinsic", *rows, "", "intrinsic", *intrinsics, "", "425.0 2.5"]) + "\n"

@@ -196,14 +196,14 @@ def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
     height, width = pixels.shape[:2]
     interpolation = cv2.INTER_AREA if min(height, width) >= side else cv2.INTER_LINEAR
     image = cv2.resize(pixels, (side, side), interpolation=interpolation)
-    K = frame.image_K.copy()
+    K = frame.K.copy()
     for axis, length in enumerate((width, height)):
         scale = side / length
         K[axis, axis] *= scale
         K[axis, 2] = (K[axis, 2] + 0.5) * scale - 0.5
     pixel = torch.arange(side, dtype=torch.float64)
     x, y = (
-        (pixel - K[axis, 2]) / K[axis, axis] * frame.depth_K[axis, axis] + frame.depth_K[axis, 2]
+        (pixel - K[axis, 2]) / K[axis, axis] * frame.K[axis, axis] + frame.K[axis, 2]
         for axis in (0, 1)
     )
     points = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)

@@ -36,7 +36,6 @@ from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline
 WarpKind = Literal["affine", "tps", "homography"]
 _KINDS: tuple[WarpKind, ...] = get_args(WarpKind)  # in the order of their numbers in a list
 _PARAMETERS = 18
-_USED = {"affine": 6, "tps": 18, "homography": 9}
 
 _BENT_SIZE = (640, 480)  # width, height of the photograph that affine and spline views are cut from
 _VIEW = 9 / 16  # of its width and height

@@ -106,10 +106,6 @@ class CoarsestStage(nn.Module):
         self.net.pyramid.eval()
         return self
 
-    def trainable(self) -> list[nn.Parameter]:
-        """Every parameter but the frozen ones."""
-        return [p for p in self.net.parameters() if p.requires_grad]
-
     def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
         """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
         return self._contrast(self.net.correlate(*self._features(pairs)), pairs)

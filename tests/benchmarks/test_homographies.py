@@ -1,4 +1,4 @@
-"""Pairs with known homographies: found in every layout, and with the map that they say."""
+"""Pairs with known homographies: found in every layout, with their true maps."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_other_layouts_have_no_viewpoint(tmp_path) -> None:
     assert [pair.name for pair in below.pairs] == names[2:]
 
 
-def test_what_is_not_on_the_disk_is_told(tmp_path) -> None:
+def test_pairs_without_files_are_missing(tmp_path) -> None:
     folder = scene.write_sequence(tmp_path / "v_wall")
     (folder / "3.ppm").unlink()
     (folder / "H_1_5").unlink()

@@ -157,7 +157,7 @@ def test_the_source_fetched_by_the_map_looks_like_the_target(scenes: DepthScenes
 
 
 def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
-    """K changes by each axis' own factor, and the depth's place goes with it."""
+    """K changes by each axis' own factor, and so do the points of the depth."""
     pair = rendered(4, (96, 64))
     scenes = load_depth_scenes([read_rgbd(write_rgbd(tmp_path / "a", pair))], _ALL, side=48)
     found = depth_pairs(_only_forward(scenes), 1, 48, torch.Generator().manual_seed(0), _WHOLE)
@@ -189,7 +189,7 @@ def test_depth_between_pixels_is_exact_on_a_plane() -> None:
 def test_cracks_close_on_a_surface_and_not_between_two() -> None:
     y, x = torch.meshgrid(torch.arange(30.0), torch.arange(40.0), indexing="ij")
     plane = 1 / (0.5 + 0.004 * x - 0.003 * y)
-    inner = (slice(3, -3), slice(3, -3))  # at the border only one line has known places on it
+    inner = (slice(3, -3), slice(3, -3))  # at the border only one line has known pixels on it
     for crack in ((slice(None), slice(10, 13)), (slice(20, 22), slice(None))):
         cracked = plane.clone()
         cracked[crack] = 0
@@ -206,7 +206,7 @@ def test_cracks_close_on_a_surface_and_not_between_two() -> None:
 
 
 def test_pairs_are_chosen_by_overlap_baseline_and_rotation(tmp_path: Path) -> None:
-    """The rendered truth says how much of each view the other sees."""
+    """The overlap of each view with the other by the rendered truth."""
     pair = rendered(5, (64, 64), rotation_deg=15.0)
     frames = read_rgbd(write_rgbd(tmp_path / "a", pair))
     overlap = float(pair.visible.mean())

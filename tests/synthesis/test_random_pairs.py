@@ -1,4 +1,4 @@
-"""Training pairs: the map says where each pixel comes from, and where it is to be believed."""
+"""Random pairs: the map and its valid pixels agree with the images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a GPU runs, on a device that pretends: no mixed devices, no waiting, the CPU's numbers."""
+"""Training on a simulated GPU: no mixed devices, no waiting, the CPU's numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dgc_pose.training.options import RunOptions
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import Schedule
 
-# Without changes of light: their noise is drawn on the device, by a generator of its own.
+# Without changes of light: their noise is drawn on the device, by its own generator.
 _STILL = PairOptions(scene_share=0.4, real_share=0.3, photometric=None)
 _MAY_WAIT = "overlap.py: overlapping"  # for whether a scene's views overlap, once a draw
 

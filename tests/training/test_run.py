@@ -1,4 +1,4 @@
-"""A training run: losses fall, stages follow each other, a killed run goes on as it would have."""
+"""A training run: losses fall, stages follow each other, a killed run resumes exactly."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ def test_a_run_begins_with_the_weights_it_is_given(photos: Photos, tmp_path: Pat
             )
 
 
-def test_a_run_stops_when_told_and_goes_on_later(
+def test_a_run_stops_after_its_minutes_and_resumes(
     photos: Photos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ticks = itertools.count()
@@ -329,7 +329,7 @@ def test_runs_are_not_overwritten_or_mixed(photos: Photos, tmp_path: Path) -> No
 
 
 def test_validation_of_a_perfect_net_would_be_perfect(photos: Photos) -> None:
-    """The figures follow the map: of maps that are off by 2 px in x, every level says 2."""
+    """The figures follow the map: of maps that are off by 2 px in x, every level has 2."""
     pairs = validation_pairs(photos, 2, 2, _WARPS_ONLY)
 
     class Off(DGCNet):

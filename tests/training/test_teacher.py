@@ -1,4 +1,4 @@
-"""Learning from a teacher: its map is a target where it is sure, and the truth where none is."""
+"""Distillation: the teacher's map is a target where confident, and a truth where none is known."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def pairs() -> MapPairs:
 
 
 def _strided(images: torch.Tensor) -> torch.Tensor:
-    # Laid out as the teacher has them, since an untrained net's peaks hang on the last digit.
+    # Laid out as the teacher has them, since an untrained network's peaks depend on the last digit.
     return normalise(images).contiguous(memory_format=torch.channels_last)
 
 

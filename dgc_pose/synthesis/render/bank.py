@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -28,15 +27,11 @@ class TextureBank:
     levels: int
 
     @staticmethod
-    def from_photos(photos: Tensor | Sequence[Tensor]) -> TextureBank:
-        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1], or a list.
+    def from_photos(photos: Tensor) -> TextureBank:
+        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1].
 
-        Raises InputError if photos have another shape or several sizes.
+        Raises InputError for another shape or photos below 4 pixels.
         """
-        if not isinstance(photos, Tensor):
-            if len({photo.shape for photo in photos}) != 1:
-                raise InputError("photos must be a non-empty list of images of one size")
-            photos = torch.stack(tuple(photos))
         if photos.ndim != 4 or photos.shape[1] != 3 or len(photos) == 0:
             raise InputError(f"photos must have shape (N, 3, h, w), not {tuple(photos.shape)}")
         height, width = photos.shape[2:]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 
@@ -30,7 +29,6 @@ from dgc_pose.synthesis.render.scene import Scene, part
 
 _CHUNK = 16384  # pixels of each view supersampled at a time: they fit a processor's cache
 _CPU_PIXELS = 102400  # of all views rendered at a time on a CPU, for the same reason
-_DEFAULT_OPTIONS = SceneOptions()
 
 
 @dataclass(frozen=True)
@@ -49,25 +47,15 @@ class RenderedPairs:
 
 
 def render_pairs(
-    photos: TextureBank | Tensor | Sequence[Tensor],
-    batch: int,
-    size: int,
-    generator: torch.Generator,
-    options: SceneOptions = _DEFAULT_OPTIONS,
-    device: torch.device | str | None = None,
+    bank: TextureBank, batch: int, size: int, generator: torch.Generator, options: SceneOptions
 ) -> RenderedPairs:
-    """Two views, `size` pixels square, of each of `batch` random scenes textured with `photos`.
+    """Two views, `size` pixels square, of each of `batch` random scenes with textures of `bank`.
 
-    photos: (N, 3, h, w) uint8, or float in [0, 1], or a bank made of them once (much faster if
-    many batches are rendered). All random numbers come from `generator`; the scenes do not
-    depend on `device` (default: that of the photos). Everything is float32.
-
-    Raises InputError if batch, size or photos cannot be used.
+    All random numbers come from `generator`: the scenes do not depend on the bank's device. All
+    values are float32. Raises InputError for a batch below 1 or a size below 2.
     """
     if batch < 1 or size < 2:
         raise InputError(f"batch and size must be at least 1 and 2, not {batch} and {size}")
-    bank = photos if isinstance(photos, TextureBank) else TextureBank.from_photos(photos)
-    bank = bank.to(torch.device(device) if device is not None else bank.texels.device)
     draw = Draw(generator, bank.texels.device)
 
     def draw_candidate() -> Candidate:
