@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
+from dgc_pose.options import check_options, option
+from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.posed_depth import PosedFrame
 
 SIDE = 288  # pixels; frames are kept as squares, as the network squares its input
@@ -27,21 +29,16 @@ _PROBE = 16  # overlap is counted on so many pixels squared
 
 @dataclass(frozen=True)
 class PairChoice:
-    """Which two frames of a scene make a pair."""
+    """The ranges of two frames of a scene that make a pair."""
 
     # Share of the target's pixels of known depth that are visible in the source.
-    overlap: tuple[float, float] = (0.3, 0.98)
+    overlap: tuple[float, float] = option((0.3, 0.98), min=0, max=1)
     # Between the cameras, of the target's median depth.
-    baseline: tuple[float, float] = (0.03, 1.5)
-    rotation_deg: float = 60.0  # at most
+    baseline: tuple[float, float] = option((0.03, 1.5), min=0)
+    rotation_deg: float = option(60.0, above=0, max=180)  # at most
 
     def __post_init__(self) -> None:
-        if not 0 <= self.overlap[0] <= self.overlap[1] <= 1:
-            raise InputError(f"overlap must be two shares, the lower first, not {self.overlap}")
-        if not 0 <= self.baseline[0] <= self.baseline[1]:
-            raise InputError(f"baseline must be (low, high), not {self.baseline}")
-        if not 0 < self.rotation_deg <= 180:
-            raise InputError(f"rotation_deg must lie in (0, 180], not {self.rotation_deg}")
+        check_options(self)
 
 
 @dataclass(frozen=True)
@@ -77,52 +74,40 @@ def hold_back(
 
 def load_depth_scenes(
     scenes: Sequence[Sequence[PosedFrame]],
-    choice: PairChoice | None = None,
+    choice: PairChoice = PairChoice(),
     side: int = SIDE,
 ) -> DepthScenes:
     """Read the frames of scenes and choose their pairs.
 
     Raises ImageError if a file cannot be read, InputError if no two frames make a pair.
     """
-    choice = choice or PairChoice()
-    images: list[Tensor] = []
-    depths: list[Tensor] = []
-    matrices: list[Tensor] = []
-    pairs: list[Tensor] = []
-    poses: list[Tensor] = []
-    bar = tqdm(total=sum(map(len, scenes)), desc="frames", unit="", disable=None, leave=False)
-    with bar:
-        for frames in scenes:
-            first = len(images)
-            for frame in frames:
-                image, depth, K = _square(frame, side)
-                images.append(image)
-                depths.append(depth)
-                matrices.append(K)
-                bar.update()
-            if not frames:
-                continue
-            cam_from_world = torch.tensor(np.stack([f.cam_from_world for f in frames]))
-            unit = _median_depth(torch.stack(depths[first:]))
-            depths[first:] = [depth / unit for depth in depths[first:]]
-            cam_from_world[:, :3, 3] /= unit
-            found, pose = _choose(
-                torch.stack(depths[first:]),
-                torch.stack(matrices[first:]),
-                cam_from_world,
-                choice,
-            )
-            pairs.append(found + first)
-            poses.append(pose)
-    if sum(map(len, pairs)) == 0:
-        raise InputError(f"of {len(images)} frames no two overlap as they should to make a pair")
-    return DepthScenes(
-        images=torch.stack(images),
-        depth=torch.stack(depths).half(),
-        K=torch.stack(matrices).float(),
-        pairs=torch.cat(pairs),
-        source_from_target=torch.cat(poses).float(),
-    )
+    total = sum(map(len, scenes))
+    with tqdm(total=total, desc="frames", unit="", disable=None, leave=False) as bar:
+        parts = [_load_scene(frames, choice, side, bar) for frames in scenes if frames]
+    if sum(len(part.pairs) for part in parts) == 0:
+        raise InputError(f"of {total} frames no two overlap as they should to make a pair")
+    first = 0
+    for k, part in enumerate(parts):
+        parts[k] = replace(part, pairs=part.pairs + first)
+        first += len(part.images)
+    names = [field.name for field in fields(DepthScenes)]
+    return DepthScenes(**{n: torch.cat([getattr(part, n) for part in parts]) for n in names})
+
+
+def _load_scene(
+    frames: Sequence[PosedFrame], choice: PairChoice, side: int, bar: tqdm
+) -> DepthScenes:
+    squares = []
+    for frame in frames:
+        squares.append(_square(frame, side))
+        bar.update()
+    images, depth, K = map(torch.stack, zip(*squares, strict=True))
+    cam_from_world = torch.tensor(np.stack([frame.cam_from_world for frame in frames]))
+    unit = _median_depth(depth)
+    depth = depth / unit
+    cam_from_world[:, :3, 3] /= unit
+    pairs, poses = _choose(depth, K, cam_from_world, choice)
+    return DepthScenes(images, depth.half(), K.float(), pairs, poses.float())
 
 
 def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -193,14 +178,7 @@ def close_cracks(depth: Tensor, reach: int) -> Tensor:
 def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
     """Image (3, side, side) uint8, depth (side, side) float32 and K (3, 3) float64 of a square."""
     pixels = load_image(frame.image).pixels
-    height, width = pixels.shape[:2]
-    interpolation = cv2.INTER_AREA if min(height, width) >= side else cv2.INTER_LINEAR
-    image = cv2.resize(pixels, (side, side), interpolation=interpolation)
-    K = frame.K.copy()
-    for axis, length in enumerate((width, height)):
-        scale = side / length
-        K[axis, axis] *= scale
-        K[axis, 2] = (K[axis, 2] + 0.5) * scale - 0.5
+    K = Camera(frame.K, (pixels.shape[1], pixels.shape[0])).resized((side, side)).K
     pixel = torch.arange(side, dtype=torch.float64)
     x, y = (
         (pixel - K[axis, 2]) / K[axis, axis] * frame.K[axis, axis] + frame.K[axis, 2]
@@ -213,8 +191,7 @@ def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
     stored = close_cracks(stored, _CRACK_REACH)[None]
     depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), points)
     squared = torch.where(known, depth, 0.0).view(side, side).float()
-    planes = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
-    return planes, squared, torch.tensor(K)
+    return resized_planes(pixels, (side, side)), squared, torch.tensor(K)
 
 
 def _median_depth(depth: Tensor) -> float:

@@ -66,6 +66,14 @@ def held_back_paths(root: str | Path) -> list[Path]:
     return [path for path in _paths(Path(root)) if _is_held_back(path)]
 
 
+def resized_planes(pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
+    """Pixels (h, w, 3) uint8 resized to (width, height), as planes (3, height, width)."""
+    shrinks = pixels.shape[1] >= size[0] and pixels.shape[0] >= size[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    resized = cv2.resize(pixels, size, interpolation=interpolation)
+    return torch.from_numpy(np.ascontiguousarray(resized.transpose(2, 0, 1)))
+
+
 def _paths(root: Path, limit: int | None = None) -> list[Path]:
     return sorted(p for p in root.rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
 
@@ -81,10 +89,7 @@ def _decode(paths: list[Path], side: int, lacking: str) -> Photos:
         pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
         if pixels is None:
             continue  # one damaged photograph in thousands is no reason to stop
-        shrinks = min(pixels.shape[:2]) >= side
-        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        square = cv2.resize(pixels, (side, side), interpolation=interpolation)[..., ::-1]
-        squares.append(torch.from_numpy(square.transpose(2, 0, 1).copy()))
+        squares.append(resized_planes(pixels, (side, side)).flip(0))  # from BGR
     if not squares:
         raise ImageError(lacking)
     return Photos.of(torch.stack(squares))

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -31,6 +30,7 @@ from torch import Tensor
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
 from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline
 
 WarpKind = Literal["affine", "tps", "homography"]
@@ -99,7 +99,8 @@ def list_pairs(
             continue
         order += chosen
         photo_size = _BENT_SIZE if bent else _PLANE_SIZE
-        photos = torch.stack([_read(Path(root) / rows[i].file, photo_size) for i in chosen])
+        files = [load_image(Path(root) / rows[i].file).pixels for i in chosen]
+        photos = torch.stack([resized_planes(pixels, photo_size) for pixels in files])
         photos = photos.to(device).float() / 255
         make = _bent_pairs if bent else _plane_pairs
         parts.append(make([rows[i] for i in chosen], photos, size))
@@ -127,17 +128,7 @@ def _parse(fields: list[str], where: str) -> WarpRow:
     return WarpRow(fields[0], kind, parameters)
 
 
-def _read(path: Path, size: tuple[int, int]) -> Tensor:
-    pixels = load_image(path).pixels
-    shrinks = pixels.shape[1] >= size[0] and pixels.shape[0] >= size[1]
-    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    resized = cv2.resize(pixels, size, interpolation=interpolation)
-    return torch.from_numpy(np.ascontiguousarray(resized.transpose(2, 0, 1)))
-
-
-def _bent_pairs(
-    rows: list[WarpRow], photos: Tensor, size: int
-) -> tuple[Tensor, Tensor, Tensor]:
+def _bent_pairs(rows: list[WarpRow], photos: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """Images of both views and the map (B, S, S, 2) in pixels, of affine and spline rows."""
     axis = torch.linspace(-1, 1, size, device=photos.device)
     grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
@@ -164,9 +155,7 @@ def _bent_pairs(
     return view(grid), view(source), pixels
 
 
-def _plane_pairs(
-    rows: list[WarpRow], photos: Tensor, size: int
-) -> tuple[Tensor, Tensor, Tensor]:
+def _plane_pairs(rows: list[WarpRow], photos: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """Images of both views and the map (B, S, S, 2) in pixels, of homography rows."""
     step = _CROP_SIDE / size
     axis = (torch.arange(size, device=photos.device) + 0.5) * step - 0.5
