@@ -105,7 +105,8 @@ def parse_camera(text: str, name: str = "K") -> Camera:
         raise InputError(
             f"{name}: {text!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters nor a file"
         )
-    return as_camera(_matrix(numbers[:2], numbers[2:]), name)
+    fx, fy, cx, cy = numbers
+    return as_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], name)
 
 
 def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, ...]:
@@ -142,14 +143,13 @@ def guess_camera(path: str | Path) -> Camera:
     The focal length is that of the file's EXIF data, or else 1.2 times the longer side; the
     principal point is the middle. Raises ImageError if the image cannot be read.
     """
-    focal, size, from_exif = colmap_camera.guess(Path(path))
+    K, size, from_exif = colmap_camera.guess(Path(path))
     source = "its EXIF data" if from_exif else "nothing but its size (1.2 times the longer side)"
     warning = (
-        f"{path}: the focal length of {focal:.0f} pixels is a guess from {source}; "
+        f"{path}: the focal length of {K[0, 0]:.0f} pixels is a guess from {source}; "
         f"expect the pose to be much less accurate than with a calibration"
     )
-    middle = [size[0] / 2 - 0.5, size[1] / 2 - 0.5]
-    return Camera(_matrix([focal, focal], middle), size, warnings=(warning,))
+    return Camera(K, size, warnings=(warning,))
 
 
 def _checked_matrix(value: Any, name: str) -> np.ndarray:
@@ -176,12 +176,6 @@ def _listed(numbers: np.ndarray) -> str:
     return " ".join(f"{number:g}" for number in numbers)
 
 
-def _matrix(focal: list[float], principal_point: list[float]) -> np.ndarray:
-    return np.array(
-        [[focal[0], 0, principal_point[0]], [0, focal[1], principal_point[1]], [0, 0, 1]]
-    )
-
-
 def _read_matrix(path: Path, name: str) -> np.ndarray:
     try:
         data = path.read_bytes() if path.stat().st_size <= _MAX_FILE_BYTES else b""
@@ -199,9 +193,8 @@ def _parse_colmap(words: list[str], name: str) -> Camera:
     if size is None or parameters is None or any(not side.is_integer() for side in size):
         raise InputError(f"{name}: expected MODEL,width,height,parameters, not {','.join(words)!r}")
     try:
-        found = colmap_camera.split_parameters(words[0].upper(), parameters)
-        K = _matrix([*found.focal], [*found.principal_point])
-        return Camera(K, (int(size[0]), int(size[1])), found.distortion)
+        K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
+        return Camera(K, (int(size[0]), int(size[1])), distortion)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 

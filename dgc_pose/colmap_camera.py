@@ -56,18 +56,11 @@ class Distortion:
         return np.where(undone[:, None], ideal, np.nan)
 
 
-class Intrinsics(NamedTuple):
-    """A COLMAP camera's parameters."""
+def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distortion | None]:
+    """K (3, 3) and the distortion, None for a pinhole, of COLMAP's parameter list.
 
-    focal: tuple[float, float]  # pixels, along x and y
-    principal_point: tuple[float, float]  # pixels; (0, 0) is the centre of the top-left pixel
-    distortion: Distortion | None  # None for the pinhole models
-
-
-def split_parameters(model: str, parameters: list[float]) -> Intrinsics:
-    """The intrinsics in COLMAP's parameter list, the principal point half a pixel less than there.
-
-    Raises InputError if COLMAP has no such model, or if it takes another number of parameters.
+    The principal point is half a pixel less than in the list. Raises InputError if COLMAP has no
+    such model, or if it takes another number of parameters.
     """
     camera = _model(model)
     if len(parameters) != len(camera.params):
@@ -75,29 +68,23 @@ def split_parameters(model: str, parameters: list[float]) -> Intrinsics:
             f"{model} takes {len(camera.params)} parameters ({camera.params_info}), "
             f"not {len(parameters)}"
         )
-    values = np.asarray(parameters, dtype=np.float64)
-    focal = values[camera.focal_length_idxs()]
-    principal_point = values[camera.principal_point_idxs()] - 0.5
+    camera.params = parameters
     distortion = None
     if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        distortion = Distortion(model, tuple(values[camera.extra_params_idxs()].tolist()))
-    return Intrinsics(
-        (float(focal[0]), float(focal[-1])),
-        (float(principal_point[0]), float(principal_point[1])),
-        distortion,
-    )
+        distortion = Distortion(model, tuple(camera.params[camera.extra_params_idxs()].tolist()))
+    return _matrix(camera), distortion
 
 
 class Guess(NamedTuple):
     """COLMAP's camera for an image without a calibration."""
 
-    focal: float  # pixels
+    K: np.ndarray  # (3, 3)
     size: tuple[int, int]  # (width, height)
-    from_exif: bool  # else 1.2 times the longer side
+    from_exif: bool  # else the focal length is 1.2 times the longer side
 
 
 def guess(path: Path) -> Guess:
-    """COLMAP's guess of the focal length. Raises ImageError if the image cannot be read."""
+    """COLMAP's guess of the intrinsics. Raises ImageError if the image cannot be read."""
     import pycolmap
 
     try:
@@ -105,7 +92,14 @@ def guess(path: Path) -> Guess:
     except ValueError as error:
         raise ImageError(f"{path} does not exist or is not an image that can be read") from error
     size = (int(camera.width), int(camera.height))
-    return Guess(float(camera.mean_focal_length()), size, bool(camera.has_prior_focal_length))
+    return Guess(_matrix(camera), size, bool(camera.has_prior_focal_length))
+
+
+def _matrix(camera: pycolmap.Camera) -> np.ndarray:
+    """K (3, 3) in pixels whose (0, 0) is the centre of the top-left one."""
+    K = np.array(camera.calibration_matrix())
+    K[:2, 2] -= 0.5
+    return K
 
 
 def _model(name: str) -> pycolmap.Camera:
