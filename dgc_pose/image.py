@@ -17,7 +17,7 @@ from dgc_pose.errors import ImageError, InputError
 if TYPE_CHECKING:
     import torch
 
-MAX_PIXELS = 400_000_000  # width times height; more is refused, before decoding where possible
+MAX_PIXELS = 400_000_000  # width times height; more is refused, before decoding if possible
 MAX_BYTES = 2**31 - 1  # of a file; OpenCV counts an encoded image's bytes in a signed 32-bit number
 
 _EXIF_ORIENTATION = 0x0112
@@ -64,8 +64,8 @@ def load_image(
     Files give their pixels as stored, for that is what K refers to: an EXIF orientation is not
     applied, and a warning says so.
 
-    Raises ImageError, with the path, where a file is missing, empty, corrupt or too large;
-    InputError, with `name`, where an array has the wrong shape, is empty or is not finite.
+    Raises ImageError, with the path, if a file is missing, empty, corrupt or too large;
+    InputError, with `name`, if an array has the wrong shape, is empty or is not finite.
     """
     if isinstance(source, Image):
         return source
@@ -81,7 +81,7 @@ def _read_file(path: Path) -> Image:
     data = _read_bytes(path)
     notes = _check_header(data, path)
     try:
-        # Not IMREAD_COLOR: it turns the image by its EXIF tag and cuts 16 bits to the upper 8.
+        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         array = None
@@ -128,7 +128,7 @@ def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
     if orientation not in range(2, 9):
         return ()
     if header.format == "TIFF":
-        # OpenCV's TIFF reader turns some of these and not others.
+        # OpenCV's TIFF reader rotates some of these and not others.
         raise ImageError(f"{path} is a TIFF with orientation tag {orientation}: save it upright")
     return (
         f"{path}: EXIF orientation {orientation} is not applied, "
@@ -137,9 +137,9 @@ def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
 
 
 def _open_header(data: bytes) -> PIL.Image.Image | None:
-    """An encoded image, not decoded; None where Pillow cannot read its header.
+    """An encoded image, not decoded; None if Pillow cannot read its header.
 
-    Not through PIL.Image.open, which refuses from 179 million pixels on: telephones take more.
+    Not by PIL.Image.open, which refuses 179 million pixels and more: telephones take more.
     """
     PIL.Image.init()
     for name in _HEADER_FORMATS:
