@@ -24,12 +24,13 @@ def run(*arguments):
 
 
 def test_a_line_for_each_variant_and_threshold(folder):
-    result = run("pairs.txt", "--variants", "none,map-only,map,sift-unguided", "--thresholds", "own,0.5")
+    variants = ("none", "map-only", "map", "sift-unguided")
+    result = run("pairs.txt", "--variants", ",".join(variants), "--thresholds", "own,0.5")
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.stdout.splitlines()[1:]]
     assert [tuple(row[:4]) for row in rows] == [
         (name, threshold, "2", "0")
-        for name in ("none", "map-only", "map", "sift-unguided")
+        for name in variants
         for threshold in ("own", "0.5")
     ]
     error = {row[0]: float(row[5]) + float(row[6]) for row in rows if row[1] == "own"}
