@@ -19,8 +19,7 @@ import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.errors import InputError
-from dgc_pose.image import load_image
-from dgc_pose.matching.dense import resize
+from dgc_pose.image import load_image, resize
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.pixels import pixel_grid
 from dgc_pose.synthesis.map_pairs import MapPairs
