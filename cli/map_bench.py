@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import click
 from tqdm import tqdm
@@ -100,9 +100,9 @@ def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> 
     """The table of the pairs, the PCK curves by group, and the reliability diagram."""
     with files["pairs.csv"].open("w", newline="", encoding="utf-8") as stream:
         write_pairs(stream, scores)
-    curves: dict[str, Any] = {
-        group or ALL: {one.method: one.pck for one in summaries(scores, group)}
-        for group in (groups_of(scores) or [None])
+    groups: list[str | None] = [*groups_of(scores)] or [None]
+    curves = {
+        group or ALL: {one.method: one.pck for one in summaries(scores, group)} for group in groups
     }
     save_figure(plot_pck(curves, PCK_ALPHAS, distance=distance), files["pck.png"])
     masked = {
