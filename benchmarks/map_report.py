@@ -27,12 +27,12 @@ ALL = "all"
 
 _LEVELS = LEVEL_SIZES[::-1]  # coarse to fine, as the scores have them
 HEADING = (
-    "errors in pixels of 240x240, over the pixels whose true place is known, no mask applied\n"
+    "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
     "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each pyramid level's map\n"
     "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
     "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "
-    "which is what dgcm-lite's mask is trained to say"
+    "which dgcm-lite's mask is trained for"
 )
 
 

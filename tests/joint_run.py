@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from dgc_pose.synthesis.batches import joined
 from dgc_pose.synthesis.draw import seeded
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.synthesis.options import PairOptions
@@ -44,7 +45,7 @@ class _BothParts(Trainer):
             )
             for part in (0, 1)
         ]
-        return MapPairs.joined(parts)
+        return joined(parts)
 
 
 def joint_run(out: Path) -> dict[str, dict[str, object]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
 from dgc_pose.options import check_options, option
+from dgc_pose.synthesis.batches import changed, joined
 from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.posed_depth import PosedFrame
 
@@ -53,13 +54,7 @@ class DepthScenes:
 
     def to(self, device: torch.device | str) -> DepthScenes:
         """The scenes on another device; `pairs` stays on the CPU, which draws from it."""
-        return replace(
-            self,
-            images=self.images.to(device),
-            depth=self.depth.to(device),
-            K=self.K.to(device),
-            source_from_target=self.source_from_target.to(device),
-        )
+        return replace(changed(self, lambda values: values.to(device)), pairs=self.pairs)
 
 
 def hold_back(
@@ -90,8 +85,7 @@ def load_depth_scenes(
     for k, part in enumerate(parts):
         parts[k] = replace(part, pairs=part.pairs + first)
         first += len(part.images)
-    names = [field.name for field in fields(DepthScenes)]
-    return DepthScenes(**{n: torch.cat([getattr(part, n) for part in parts]) for n in names})
+    return joined(parts)
 
 
 def _load_scene(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+
+from dgc_pose.synthesis.batches import changed
 
 
 @dataclass(frozen=True)
@@ -27,18 +28,8 @@ class MapPairs:
 
     def to(self, device: torch.device | str) -> MapPairs:
         """The batch on another device."""
-        return self._each(lambda values: values.to(device))
+        return changed(self, lambda values: values.to(device))
 
     def chosen(self, which: slice | Tensor) -> MapPairs:
         """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
-        return self._each(lambda values: values[which])
-
-    def _each(self, change: Callable[[Tensor], Tensor]) -> MapPairs:
-        names = [field.name for field in fields(self)]
-        return MapPairs(**{name: change(getattr(self, name)) for name in names})
-
-    @classmethod
-    def joined(cls, parts: Sequence[MapPairs]) -> MapPairs:
-        """The pairs of several batches, one after the other."""
-        names = [field.name for field in fields(cls)]
-        return cls(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
+        return changed(self, lambda values: values[which])

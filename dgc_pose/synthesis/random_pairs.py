@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.batches import joined
 from dgc_pose.synthesis.depth_pairs import depth_pairs
 from dgc_pose.synthesis.depth_scenes import DepthScenes
 from dgc_pose.synthesis.draw import Draw
@@ -48,7 +49,7 @@ def make_pairs(
         parts.append(_scene_pairs(photos, scenes, size, generator, options))
     if reals and real is not None:
         parts.append(depth_pairs(real, reals, size, generator, options.real))
-    pairs = parts[0] if len(parts) == 1 else MapPairs.joined(parts)
+    pairs = parts[0] if len(parts) == 1 else joined(parts)
     if options.photometric is None:
         return pairs
     return replace(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -169,7 +168,9 @@ class Trainer:
         began = self._meter.mark()
         pairs = self._make_pairs(progress)
         made = self._meter.mark()
-        with _convolution_settings(self.device):
+        # On a GPU cuDNN tries its algorithms, as shapes stay the same from step to step. TF32 for
+        # convolutions only: coordinates come from matrix products and need all their digits.
+        with torch.backends.cudnn.flags(enabled=True, benchmark=True, allow_tf32=True):
             loss, figures = self._loss(pairs, within)
             norm = self._stage.step(loss)
         self.step += 1
@@ -280,16 +281,3 @@ class Trainer:
                 f"{stage} stage; the checkpoint is from before"
             )
         return row
-
-
-def _convolution_settings(device: torch.device) -> AbstractContextManager[None]:
-    """cuDNN tries its algorithms, as shapes stay the same from step to step.
-
-    TF32 for convolutions only: coordinates come from matrix products and need all their digits.
-    """
-    if device.type != "cuda":
-        return nullcontext()
-    context: AbstractContextManager[None] = torch.backends.cudnn.flags(
-        enabled=True, benchmark=True, allow_tf32=True
-    )
-    return context

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Tensor
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.batches import joined
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
@@ -105,8 +106,7 @@ def render_views(
             )
             for span in spans
         ]
-        names = [field.name for field in fields(RenderedPairs)]
-        return RenderedPairs(**{n: torch.cat([getattr(p, n) for p in parts]) for n in names})
+        return joined(parts)
     images, depths, seen = [], [], []
     for cameras, light in zip((first, second), lights, strict=True):
         hits = cast(scene, cameras, cameras.pixels())

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from dgc_pose.synthesis.render.cameras import Cameras
+from dgc_pose.synthesis.batches import Batch, changed, combined
 from dgc_pose.synthesis.render.primitives import (
     intersect_box,
     intersect_ellipsoid,
@@ -19,8 +19,6 @@ from dgc_pose.synthesis.render.primitives import (
 Kind = Literal["room", "quad", "box", "ellipsoid"]
 KINDS: tuple[Kind, ...] = ("room", "quad", "box", "ellipsoid")
 FACES = 6  # -x +x -y +y -z +z of a box or room; -z and +z of a quad's sides, an ellipsoid's halves
-
-Batch = TypeVar("Batch", "Scene", Cameras)
 
 _INTERSECT = {
     "room": intersect_room,
@@ -75,28 +73,18 @@ class Scene:
 
 
 def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
-    """Two like dataclasses of tensors merged: rows of the first if mask (B,) is True, else of the
-    second.
+    """Two batches merged: rows of the first if mask (B,) is True, else of the second."""
 
-    Fields that are no tensors are the first's.
-    """
-    chosen: dict[str, Any] = {}
-    for field in fields(first):
-        value = getattr(first, field.name)
-        if isinstance(value, Tensor):
-            shape = (-1,) + (1,) * (value.ndim - 1)
-            chosen[field.name] = torch.where(mask.view(shape), value, getattr(second, field.name))
-    return replace(first, **chosen)
+    def merged(pair: list[Tensor]) -> Tensor:
+        one, other = pair
+        return torch.where(mask.view((-1,) + (1,) * (one.ndim - 1)), one, other)
+
+    return combined([first, second], merged)
 
 
 def part(batch: Batch, span: slice) -> Batch:
     """Some of a batch's scenes or cameras."""
-    chosen: dict[str, Any] = {}
-    for field in fields(batch):
-        value = getattr(batch, field.name)
-        if isinstance(value, Tensor):
-            chosen[field.name] = value[span]
-    return replace(batch, **chosen)
+    return changed(batch, lambda values: values[span])
 
 
 def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
