@@ -1,4 +1,4 @@
-"""For the API reference: the fields of dataclasses as a table, and doctest lines as code.
+"""For the API reference: fields and properties of dataclasses as a list, doctest lines as code.
 
 A Griffe extension, loaded by mkdocs.yml. The code documents a field by the comment behind it or by
 the comment lines above it, where shapes and units are.
@@ -13,21 +13,26 @@ import griffe
 
 _BEHIND = re.compile(r"\s{2}# (.*)$")
 _ABOVE = re.compile(r"^\s*# ?(.*)$")
+_FACTORY = re.compile(r"field\(default_factory=(\w+)\)")
 _DOCTEST = re.compile(r"(?:^>>> .*\n?)+", re.MULTILINE)
 
 
 class SourceComments(griffe.Extension):
-    """Adds to the docstring of each dataclass a section with its fields."""
+    """Adds to the docstring of each dataclass a section with its fields and properties."""
 
     def on_class(self, *, cls: griffe.Class, **_: Any) -> None:
         if "dataclass" not in cls.labels or cls.docstring is None:
             return
-        fields = [
-            f"    {name}: {_comment(attribute)}"
-            for name, attribute in cls.attributes.items()
-            if not name.startswith("_") and "property" not in attribute.labels
-        ]
-        cls.docstring.value += "\n\nAttributes:\n" + "\n".join(fields)
+        lines = []
+        for name, attribute in cls.attributes.items():
+            if name.startswith("_"):
+                continue
+            if "property" not in attribute.labels:
+                lines.append(f"    {name}: {_comment(attribute)}")
+            elif attribute.docstring is not None:
+                lines.append(f"    {name}: {' '.join(attribute.docstring.value.split())}")
+                attribute.docstring = None  # else the property would be listed once more
+        cls.docstring.value += "\n\nAttributes:\n" + "\n".join(lines)
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring is not None:
@@ -46,7 +51,8 @@ def _comment(attribute: griffe.Attribute) -> str:
     if behind := _BEHIND.search(lines[attribute.endlineno - 1]):
         comment.append(behind[1])
     if attribute.value is not None:
-        comment.append(f"(default `{attribute.value}`)")
+        default = _FACTORY.sub(r"\1()", str(attribute.value))
+        comment.append(f"(default `{default}`)")
     return " ".join(comment)
 
 
