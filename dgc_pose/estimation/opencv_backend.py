@@ -13,8 +13,8 @@ _CONFIDENCE = 1.0  # with less, even 1 - 1e-12, a run on good matches ends after
 def run_opencv(
     points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
 ) -> list[np.ndarray]:
-    """See `Backend`. OpenCV ignores cv2.setRNGSeed here and draws the same samples for the same order
-    of points, so both the order and the generator's state come from the seed."""
+    """See `Backend`. OpenCV ignores cv2.setRNGSeed and draws the same samples for the same order of
+    points: both the order and the generator's state come from the seed."""
     order = np.random.default_rng(seed).permutation(len(points1))
     params = cv2.UsacParams()
     params.confidence = _CONFIDENCE
