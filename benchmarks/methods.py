@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dgc_pose.errors import InputError
-from dgc_pose.matching import Matcher, MatchingOptions, load_matcher
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matchers import SIFT, load_matcher
+from dgc_pose.matching import Matcher, MatchingOptions
 from dgc_pose.network.device import choose_device
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import RefinementOptions, Refiner
+from dgc_pose.refinement import RefinementOptions
 
-SIFT = "sift"
+__all__ = ["SIFT", "load_methods", "load_networks"]
 
 
 def load_methods(
@@ -30,14 +30,10 @@ def load_methods(
     cannot be loaded.
     """
     _check(names)
-    methods: dict[str, Matcher] = {}
-    for name in names:
-        if name == SIFT:
-            methods[name] = SiftMatcher()
-            continue
-        dense = load_matcher(name, device=device, options=options)
-        methods[name] = dense if refinement is None else Refiner(dense, refinement)
-    return methods
+    return {
+        name: load_matcher(name, device=device, matching=options, refinement=refinement)
+        for name in names
+    }
 
 
 def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:

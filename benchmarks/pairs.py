@@ -120,7 +120,7 @@ def _run_one(
     options: EstimationOptions,
 ) -> PairResult:
     start = time.perf_counter()
-    matches = matcher.match(image1, image2)
+    matches = matcher.match(image1, image2).matches
     matched = time.perf_counter()
     pose = estimate_pose(matches, pair.camera1, pair.camera2, options)
     estimated = time.perf_counter()

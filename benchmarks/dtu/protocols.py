@@ -15,10 +15,9 @@ from dgc_pose.benchmarks.dtu.records import Protocol
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera, check_size
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.image import Image, load_image
+from dgc_pose.image import Image, load_image, resize
 from dgc_pose.matching import MatchingOptions
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.matching.dense import resize
 
 PAPER_SIZE = (256, 256)  # width, height
 EVERY_MATCH = 2**31  # more than any map has cells
@@ -83,7 +82,7 @@ class PairReader:
         image = load_image(path)
         size = image.size
         if self.protocol == "paper":
-            image = replace(image, pixels=resize(image.pixels, PAPER_SIZE))
+            image = replace(image, pixels=resize(image.pixels, PAPER_SIZE), stored_size=size)
         return _Prepared(image, size)
 
     def _camera(self, camera: Camera, prepared: _Prepared) -> Camera:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.dtu.entries import Entry
 from dgc_pose.benchmarks.dtu.epipolar import median_and_mean, true_fundamental
-from dgc_pose.benchmarks.dtu.methods import Engine, Engines, Found, Method, matches_of, refined
+from dgc_pose.benchmarks.dtu.methods import Engines, Method, matches_of
 from dgc_pose.benchmarks.dtu.pool import are_done, pose_pool, result
 from dgc_pose.benchmarks.dtu.protocols import (
     PairReader,
@@ -24,8 +24,7 @@ from dgc_pose.benchmarks.dtu.records import Protocol
 from dgc_pose.benchmarks.dtu.scoring import Job, Scored
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,6 @@ def match_batch(
         ):
             start = time.perf_counter()
             matches = matches_of(method, matched.found, selection)
-            matches = refined(method, engines, one, matched.found, matches)
             selected = time.perf_counter() - start
             own.append(
                 Job(
@@ -115,14 +113,14 @@ def match_batch(
 
 @dataclass(frozen=True)
 class _Matched:
-    found: Found
+    found: MatchResult
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels, NaN without a map
     seconds: float  # of this pair; the mean over its batch
 
 
-def _match(engine: Engine, shown: Sequence[ShownPair]) -> list[_Matched]:
+def _match(engine: Matcher, shown: Sequence[ShownPair]) -> list[_Matched]:
     start = time.perf_counter()
-    founds = engine(shown)
+    founds = engine.match_batch([(one.image1, one.image2) for one in shown])
     seconds = (time.perf_counter() - start) / len(shown)
     return [
         _Matched(found, _everywhere(found, one), seconds)
@@ -130,7 +128,8 @@ def _match(engine: Engine, shown: Sequence[ShownPair]) -> list[_Matched]:
     ]
 
 
-def _everywhere(found: Found, shown: ShownPair) -> tuple[float, float]:
-    if isinstance(found, Matches):
+def _everywhere(result: MatchResult, shown: ShownPair) -> tuple[float, float]:
+    found = result.correspondence_map
+    if found is None:
         return np.nan, np.nan
     return median_and_mean(found.map, found.grid, true_fundamental(shown.truth))

@@ -13,6 +13,7 @@ from dgc_pose.camera import Camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matches import Matches
+from dgc_pose.matching import MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 
 OPTIONS = EstimationOptions(runs=2, iterations=200)
@@ -22,7 +23,7 @@ class NoMatches:
     name = "none"
 
     def match(self, image1, image2):
-        return Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
+        return MatchResult(Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0), None)
 
 
 class Backwards:
@@ -31,8 +32,8 @@ class Backwards:
     name = "backwards"
 
     def match(self, image1, image2):
-        found = dense_scene.MapMatcher(dense_scene.true_map()).match(image1, image2)
-        return replace(found, points1=found.points2, points2=found.points1)
+        found = dense_scene.MapMatcher(dense_scene.true_map()).match(image1, image2).matches
+        return MatchResult(replace(found, points1=found.points2, points2=found.points1), None)
 
 
 @pytest.fixture

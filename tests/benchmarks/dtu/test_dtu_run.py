@@ -137,7 +137,7 @@ def test_a_sample_is_of_the_matches_and_tells_inliers(tmp_path) -> None:
         sample = one.sample
         assert len(sample) == 60
         assert sample.inliers.mean() == pytest.approx(one.result.inlier_ratio, abs=0.25)
-        places = dense_scene.places_in_image1(sample.points2)
+        places = dense_scene.points_in_image1(sample.points2)
         assert np.abs(sample.points1 - places).max() < 1
 
 
