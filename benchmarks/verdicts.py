@@ -30,7 +30,8 @@ from dgc_pose.benchmarks.verdict_cases import (
 )
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, VerdictOptions, estimate_pose
-from dgc_pose.estimation.verdict import Evidence, judge
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.estimation.verdict import judge
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchingOptions
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.refinement import RefinementOptions
@@ -93,7 +94,7 @@ def succeeds(judged: Judged, gates: VerdictOptions) -> bool:
     """Whether the pair would be a success with these gates."""
     if judged.evidence is None:
         return False
-    return judge(judged.evidence, judged.num_inliers, gates)[0] in ("ok", "planar")
+    return judge(judged.evidence, gates).status in ("ok", "planar")
 
 
 def rates(judged: Sequence[Judged], gates: VerdictOptions) -> tuple[float, float]:
@@ -111,7 +112,9 @@ def candidates() -> Iterator[VerdictOptions]:
     default = VerdictOptions()
     yield default
     for inliers, ratio, places in itertools.product(_MIN_INLIERS, _MIN_RATIOS, _MIN_PLACES):
-        yield replace(default, min_inliers=inliers, min_inlier_ratio=ratio, min_places=places)
+        yield replace(
+            default, min_inliers=inliers, min_inlier_ratio=ratio, min_occupied_cells=places
+        )
 
 
 def choose_gates(judged: Sequence[Judged]) -> VerdictOptions:
@@ -211,7 +214,7 @@ def gates_table(judged: Sequence[Judged]) -> str:
             )
     gates_line = (
         f"chosen: min_inliers {chosen.min_inliers}, min_inlier_ratio "
-        f"{chosen.min_inlier_ratio:g}, min_places {chosen.min_places}"
+        f"{chosen.min_inlier_ratio:g}, min_occupied_cells {chosen.min_occupied_cells}"
     )
     return f"{aligned(rows)}\n{gates_line}"
 
