@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.camera import Camera
 from dgc_pose.geometry.epipolar import (
     essential_from_pose,
     fundamental_from_essential,
@@ -12,10 +12,10 @@ from dgc_pose.geometry.epipolar import (
 )
 
 
-def true_fundamental(pair: Pair) -> np.ndarray:
-    """F (3, 3) of a pair by its calibration, for pixels of its cameras: x2^T F x1 = 0."""
-    E = essential_from_pose(pair.R, pair.t / np.linalg.norm(pair.t))
-    return fundamental_from_essential(E, pair.camera1.K, pair.camera2.K)
+def true_fundamental(camera1: Camera, camera2: Camera, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """F (3, 3) of the pose x2 = R x1 + t, for pixels of the cameras: x2^T F x1 = 0."""
+    E = essential_from_pose(R, t / np.linalg.norm(t))
+    return fundamental_from_essential(E, camera1.K, camera2.K)
 
 
 def median_and_mean(

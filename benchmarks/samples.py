@@ -1,4 +1,4 @@
-"""A few matches of each pair and method, kept for the pictures of the report."""
+"""A few matches of each pair and method, kept for the pictures of a report."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from urllib.parse import quote
 
 import numpy as np
 
+from dgc_pose.benchmarks.scores import Key
 from dgc_pose.errors import InputError
+from dgc_pose.matches import Matches
 
 FOLDER = "matches"
+SAMPLE = 60  # matches of each pair and method
 _LONGEST_NAME = 120  # of a method in a file name; file systems end at 255 bytes
 _DECIMALS = 2  # of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class MatchSample:
-    """Matches in pixels of the protocol's images. Raises InputError where the shapes disagree or a
-    coordinate is not finite."""
+    """Matches in pixels of the images that the methods saw. Raises InputError if the shapes
+    disagree or a coordinate is not finite."""
 
     points1: np.ndarray  # (N, 2) float64
     points2: np.ndarray  # (N, 2) float64
@@ -43,8 +46,16 @@ class MatchSample:
         return len(self.points1)
 
 
-def write_sample(out: Path, key: tuple[str, int, int, int], sample: MatchSample) -> None:
-    """Write the sample of (method, scene, view1, view2) into the folder of a run."""
+def draw_sample(matches: Matches, inliers: np.ndarray, seed: int) -> MatchSample:
+    """At most `SAMPLE` of the finite matches at random; inliers: (N,) bool."""
+    finite = np.isfinite(matches.points1).all(1) & np.isfinite(matches.points2).all(1)
+    shuffled = np.random.default_rng(seed).permutation(np.flatnonzero(finite))
+    chosen = np.sort(shuffled[:SAMPLE])
+    return MatchSample(matches.points1[chosen], matches.points2[chosen], inliers[chosen])
+
+
+def write_sample(out: Path, key: Key, sample: MatchSample) -> None:
+    """Write the sample of a record, by its key, into the folder of a run."""
     path = sample_path(out, key)
     path.parent.mkdir(exist_ok=True)
     record = {
@@ -55,9 +66,9 @@ def write_sample(out: Path, key: tuple[str, int, int, int], sample: MatchSample)
     path.write_text(json.dumps(record) + "\n", encoding="utf-8")
 
 
-def read_sample(out: Path, key: tuple[str, int, int, int]) -> MatchSample:
-    """Read what `write_sample` wrote. Raises InputError with the path where it is no sample, and
-    OSError where it cannot be read."""
+def read_sample(out: Path, key: Key) -> MatchSample:
+    """Read what `write_sample` wrote. Raises InputError with the path if it is no sample, OSError
+    if it cannot be read."""
     path = sample_path(out, key)
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -68,15 +79,15 @@ def read_sample(out: Path, key: tuple[str, int, int, int]) -> MatchSample:
         raise InputError(f"{path}: not a sample of matches") from None
 
 
-def sample_path(out: Path, key: tuple[str, int, int, int]) -> Path:
+def sample_path(out: Path, key: Key) -> Path:
     """`matches/SCENE_VIEW1_VIEW2_METHOD.json` within the folder of a run."""
-    method, scene, view1, view2 = key
-    return out / FOLDER / f"{scene}_{view1}_{view2}_{method_file_name(method)}.json"
+    method, *pair = key
+    return out / FOLDER / f"{'_'.join(map(str, pair))}_{method_file_name(method)}.json"
 
 
 def method_file_name(method: str) -> str:
     """A method's name as part of a file name: `/` and the like as %2F, paths of any length, and
-    two methods never the same."""
+    no two methods alike."""
     name = quote(method, safe="")
     if len(name) <= _LONGEST_NAME:
         return name

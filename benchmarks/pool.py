@@ -1,27 +1,27 @@
-"""The processes that estimate poses. Nothing here or in what it imports needs torch: each of them
-would load it."""
+"""The processes that estimate poses. This module and its imports avoid torch: each would load it."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 
 import cv2
 
-from dgc_pose.benchmarks.dtu.scoring import Job, Scored, score
+from dgc_pose.benchmarks.scores import Score
+from dgc_pose.benchmarks.scoring import Job, Scored, score
 from dgc_pose.errors import DgcPoseError
 
-Submit = Callable[[Job], "Future[Scored]"]
+Submit = Callable[[Job[Score]], "Future[Scored[Score]]"]
 
 
 @contextmanager
-def pose_pool(workers: int) -> Iterator[Submit]:
-    """A function that has a job done: at once and here, or by one of so many processes."""
+def pose_pool(workers: int) -> Iterator[Submit[Score]]:
+    """A function that has a job done: in this process at once, or by one of `workers` others."""
     if workers == 1:
         yield _done_here
         return
@@ -34,26 +34,21 @@ def pose_pool(workers: int) -> Iterator[Submit]:
         pool.shutdown(cancel_futures=True)
 
 
-def _done_here(job: Job) -> Future[Scored]:
-    future: Future[Scored] = Future()
-    future.set_result(score(job))
-    return future
-
-
-def are_done(futures: Sequence[Future[Scored]]) -> bool:
-    """Whether none of them has to be waited for."""
-    return all(future.done() for future in futures)
-
-
-def result(future: Future[Scored]) -> Scored:
-    """Wait for a job. Raises what the job raised, DgcPoseError where its process was killed."""
+def result(future: Future[Scored[Score]]) -> Scored[Score]:
+    """Wait for a job. Raises what the job raised, DgcPoseError if its process was killed."""
     try:
         return future.result()
     except BrokenProcessPool:
         raise DgcPoseError(
-            "a process that estimates poses was killed (for want of memory?); "
+            "a process that estimates poses was killed (out of memory?); "
             "--resume goes on from the last pair that was done"
         ) from None
+
+
+def _done_here(job: Job[Score]) -> Future[Scored[Score]]:
+    future: Future[Scored[Score]] = Future()
+    future.set_result(score(job))
+    return future
 
 
 def _start_worker() -> None:
@@ -62,7 +57,7 @@ def _start_worker() -> None:
 
 
 def _end_with_parent() -> None:
-    """A pool whose owner is killed would wait for work for ever."""
+    """End with the owner of the pool: if that is killed, nobody else ends this process."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -21,8 +21,8 @@ _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are t
 
 
 @dataclass(frozen=True)
-class PairOptions:
-    """Which pairs to draw."""
+class ViewPairOptions:
+    """Which pairs to draw. Raises InputError, naming the field, on a value out of range."""
 
     pairs: int = 64  # over all scenes
     min_rotation: float = 5.0  # degrees
@@ -44,7 +44,7 @@ class PairOptions:
 
 
 @dataclass(frozen=True)
-class ScenePair:
+class ViewPair:
     """Two views of a scene, and what the calibration says of them."""
 
     scene: int
@@ -55,9 +55,9 @@ class ScenePair:
     baseline_mm: float  # between the camera centres, never zero
 
 
-def find_pairs(dataset: Dataset, options: PairOptions) -> list[ScenePair]:
+def find_view_pairs(dataset: Dataset, options: ViewPairOptions) -> list[ViewPair]:
     """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
-    # In some layouts all scenes share their views, and what is said of them.
+    # In some layouts all scenes share their views.
     known: dict[tuple[View, View, tuple[int, int]], tuple[float, float, float]] = {}
     found = []
     for scene in dataset.scenes:
@@ -65,7 +65,7 @@ def find_pairs(dataset: Dataset, options: PairOptions) -> list[ScenePair]:
             key = (scene.views[view1], scene.views[view2], scene.size)
             if key not in known:
                 known[key] = _facts(*key)
-            pair = ScenePair(scene.number, view1, view2, *known[key])
+            pair = ViewPair(scene.number, view1, view2, *known[key])
             if (
                 options.min_rotation <= pair.rotation_deg <= options.max_rotation
                 and pair.overlap >= options.min_overlap
@@ -75,39 +75,35 @@ def find_pairs(dataset: Dataset, options: PairOptions) -> list[ScenePair]:
     return found
 
 
-def draw(candidates: Sequence[ScenePair], options: PairOptions) -> list[ScenePair]:
+def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewPair]:
     """Draw pairs at random: from each scene in turn, and within a scene from each rotation bin.
 
-    So they are balanced over scenes, and those of a scene spread over the rotations. The same seed
-    draws the same pairs. Scenes and bins that run out are passed over: fewer pairs than asked for
-    come back only where there are fewer candidates. They come scene by scene.
+    So they are balanced over scenes, and those of a scene over the rotations. The same seed draws
+    the same pairs, scene by scene; fewer than asked for only if there are fewer candidates.
     """
     rng = np.random.default_rng(options.seed)
     ordered = []
     by_scene = sorted(candidates, key=lambda pair: pair.scene)
     for scene, pairs in groupby(by_scene, lambda pair: pair.scene):
         spread = _spread_over_rotations(list(pairs), options, rng)
-        ordered += [(turn, scene, pair) for turn, pair in enumerate(spread)]
+        ordered += [(rank, scene, pair) for rank, pair in enumerate(spread)]
     drawn = sorted(ordered, key=lambda one: one[:2])[: options.pairs]
     return [pair for _, _, pair in sorted(drawn, key=lambda one: (one[1], one[0]))]
 
 
-def scene_pair(scene: Scene, view1: int, view2: int) -> ScenePair:
-    """Two views by their numbers.
-
-    Raises InputError where one is not there, both are the same or both have the same centre.
-    """
+def view_pair(scene: Scene, view1: int, view2: int) -> ViewPair:
+    """Two views by their numbers. Raises InputError if one is missing, or both have one centre."""
     for number in (view1, view2):
         scene.require(number)
     facts = _facts(scene.views[view1], scene.views[view2], scene.size)
-    pair = ScenePair(scene.number, view1, view2, *facts)
+    pair = ViewPair(scene.number, view1, view2, *facts)
     if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:
         raise InputError(f"views {view1} and {view2} of {scene.name} have one and the same centre")
     return pair
 
 
-def pair_of(dataset: Dataset, pair: ScenePair) -> Pair:
-    """Images, cameras and true pose (t in millimetres), as a pair list takes them."""
+def listed_pair(dataset: Dataset, pair: ViewPair) -> Pair:
+    """Images, cameras and true pose (t in millimetres), for a pair list."""
     scene = dataset.scene(pair.scene)
     view1, view2 = scene.views[pair.view1], scene.views[pair.view2]
     R, t = relative_pose(view1, view2)
@@ -115,36 +111,29 @@ def pair_of(dataset: Dataset, pair: ScenePair) -> Pair:
         scene.images[number].relative_to(dataset.root).as_posix()
         for number in (pair.view1, pair.view2)
     )
-    return Pair(
-        name1=name1,
-        name2=name2,
-        root=dataset.root,
-        camera1=Camera(K=view1.K, size=scene.size),
-        camera2=Camera(K=view2.K, size=scene.size),
-        R=R,
-        t=t,
-    )
+    camera1, camera2 = (Camera(K=view.K, size=scene.size) for view in (view1, view2))
+    return Pair(name1, name2, dataset.root, camera1, camera2, R, t)
 
 
 def _facts(view1: View, view2: View, size: tuple[int, int]) -> tuple[float, float, float]:
-    """Rotation, overlap and baseline, as ScenePair has them."""
+    """Rotation, overlap and baseline, the figures of a ViewPair."""
     R, t = relative_pose(view1, view2)
     shared = overlap(view1, view2, size)
     return rotation_error_deg(R, np.eye(3)), shared, float(np.linalg.norm(t))
 
 
 def _spread_over_rotations(
-    pairs: Sequence[ScenePair], options: PairOptions, rng: np.random.Generator
-) -> list[ScenePair]:
+    pairs: Sequence[ViewPair], options: ViewPairOptions, rng: np.random.Generator
+) -> list[ViewPair]:
     """All of them in random order, but one from each rotation bin in turn."""
     edges = np.linspace(options.min_rotation, options.max_rotation, options.bins + 1)
-    places = np.digitize([pair.rotation_deg for pair in pairs], edges[1:-1])
-    queues: list[list[ScenePair]] = [[] for _ in range(options.bins)]
-    for pair, place in zip(pairs, places, strict=True):
-        queues[place].append(pair)
+    bins = np.digitize([pair.rotation_deg for pair in pairs], edges[1:-1])
+    queues: list[list[ViewPair]] = [[] for _ in range(options.bins)]
+    for pair, number in zip(pairs, bins, strict=True):
+        queues[number].append(pair)
     for queue in queues:
         rng.shuffle(queue)
-    spread: list[ScenePair] = []
+    spread: list[ViewPair] = []
     while len(spread) < len(pairs):
         spread.extend(queue.pop() for queue in queues if queue)
     return spread

@@ -1,11 +1,11 @@
 """Lists of DTU pairs: only which views make a pair is taken from them.
 
-The truth comes from the calibration, so that a list serves every layout and light. Read are
+The truth comes from the calibration, so that a list serves every layout and light. The formats:
 
-- our CSV: a header with the columns scene, view1 and view2; others are passed over;
-- SuperGlue's format, see `benchmarks/pair_list.py`: scene and view come from the names of the
-  images, in any of the layouts (`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`);
-- `id1 id2 scan q(4) t(3)`, views from 1, behind comment lines that begin with `--`.
+- CSV with the columns scene, view1 and view2, and others that are ignored;
+- SuperGlue's, see `benchmarks/pair_list.py`: scene and view come from the names of the images, in
+  any of the layouts (`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`);
+- `id1 id2 scan q(4) t(3)`, views from 1, after comment lines that begin with `--`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,17 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
-from dgc_pose.benchmarks.dtu.pairs import ScenePair, scene_pair
+from dgc_pose.benchmarks.dtu.view_pairs import (
+    ViewPair,
+    ViewPairOptions,
+    draw,
+    find_view_pairs,
+    view_pair,
+)
 from dgc_pose.benchmarks.pair_list import FIELDS
 from dgc_pose.errors import InputError
 
+PAIRS = 3000  # of the paper
 COLUMNS = ("scene", "view1", "view2")
 _POSE_FIELDS = 10  # of `id1 id2 scan q(4) t(3)`
 _COMMENTS = ("--", "#")
@@ -37,20 +44,44 @@ class _Line(NamedTuple):
     view2: int
 
 
+def choose_pairs(
+    dataset: Dataset, pairs: str | int, *, seed: int, scenes: Sequence[int] | None = None
+) -> list[ViewPair]:
+    """The pairs that a number (so many, drawn by the seed) or a path (a list's) stands for, scene
+    by scene, so that cached images serve all pairs of their scene.
+
+    Raises InputError if the number is not positive or no views fit, and what `read_pair_file`
+    raises.
+    """
+    number = _number(pairs)
+    if number is None:
+        chosen = read_pair_file(str(pairs), dataset, scenes=scenes)
+    else:
+        options = ViewPairOptions(pairs=number, seed=seed)
+        chosen = draw(find_view_pairs(dataset, options), options)
+        if not chosen:
+            raise InputError(
+                f"{dataset.root}: no two views are {options.min_rotation:g} to "
+                f"{options.max_rotation:g} degrees apart and share {options.min_overlap:g} of what "
+                "they see"
+            )
+    return sorted(chosen, key=lambda pair: pair.scene)
+
+
 def read_pair_file(
     path: str | Path, dataset: Dataset, *, scenes: Collection[int] | None = None
-) -> list[ScenePair]:
+) -> list[ViewPair]:
     """Read a list in one of the formats at the top of this file.
 
     Args:
         path: the list.
         dataset: where its views are.
-        scenes: pairs of others are passed over, where this is not None.
+        scenes: pairs of others are ignored, unless this is None.
 
     Raises:
-        InputError: with the path and the line number, for a line that is no pair, names a view that
-            is not there or repeats another line; for a list without any pair.
-        OSError: where the file cannot be read.
+        InputError: with the path and the line number, for a line that is no pair, names a missing
+            view or repeats another line; for a list without any pair.
+        OSError: if the file cannot be read.
     """
     path = Path(path)
     first: dict[tuple[int, int, int], int] = {}
@@ -64,7 +95,7 @@ def read_pair_file(
             raise InputError(f"{where}: the pair of line {first[ids]} once more")
         first[ids] = line.number
         try:
-            pairs.append(scene_pair(dataset.scene(line.scene), line.view1, line.view2))
+            pairs.append(view_pair(dataset.scene(line.scene), line.view1, line.view2))
         except InputError as error:
             raise InputError(f"{where}: {error}") from None
     if not pairs:
@@ -72,10 +103,10 @@ def read_pair_file(
     return pairs
 
 
-def write_pair_csv(path: str | Path, pairs: Sequence[ScenePair]) -> None:
-    """Write pairs as our CSV, with what the calibration says of them."""
+def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
+    """Write pairs as CSV, with their rotation, overlap and baseline."""
     with Path(path).open("w", newline="", encoding="utf-8") as stream:
-        names = [field.name for field in fields(ScenePair)]
+        names = [field.name for field in fields(ViewPair)]
         writer = csv.DictWriter(stream, names, lineterminator="\n")
         writer.writeheader()
         for pair in pairs:
@@ -117,12 +148,12 @@ def _parse_csv(
     absent = [name for name in COLUMNS if name not in header]
     if absent:
         raise InputError(f"{path}:{lines[0][0]}: expected a column {absent[0]} in this CSV")
-    places = [header.index(name) for name in COLUMNS]
+    columns = [header.index(name) for name in COLUMNS]
     for number, line in lines[1:]:
         words, where = [word.strip() for word in line.split(",")], f"{path}:{number}"
         if len(words) != len(header):
             raise InputError(f"{where}: expected {len(header)} columns, found {len(words)}")
-        yield _Line(number, *_integers([words[place] for place in places], where))
+        yield _Line(number, *_integers([words[column] for column in columns], where))
 
 
 def _from_names(number: int, name1: str, name2: str, where: str) -> _Line:
@@ -133,8 +164,8 @@ def _from_names(number: int, name1: str, name2: str, where: str) -> _Line:
 
 
 def _ids(name: str, where: str) -> tuple[int, int]:
-    """Scene and view of an image by its name: files of a scan are numbered from 1 where they are
-    called rect or clean, and from 0 where they have a number alone."""
+    """Scene and view of an image by its name: files called rect or clean are numbered from 1, files
+    with a number alone from 0."""
     *folders, file = PurePosixPath(name).parts or ("",)
     scenes = [match[1] for folder in folders if (match := re.fullmatch(_SCENE, folder))]
     from_one, from_zero = re.fullmatch(_FROM_ONE, file), re.fullmatch(_FROM_ZERO, file)
@@ -143,6 +174,16 @@ def _ids(name: str, where: str) -> tuple[int, int]:
     if scenes and from_zero:
         return int(scenes[-1]), int(from_zero[1]) + 1
     raise InputError(f"{where}: expected the name of a DTU image, found {name}")
+
+
+def _number(pairs: str | int) -> int | None:
+    """How many pairs are asked for; None if `pairs` is the path of a list, existing or not."""
+    if isinstance(pairs, str) and Path(pairs).exists():
+        return None
+    try:
+        return int(pairs)
+    except ValueError:
+        return None
 
 
 def _integers(words: Sequence[str], where: str) -> list[int]:

@@ -1,0 +1,91 @@
+"""DTU's pairs as the methods see them, by one of two protocols.
+
+`paper`: both images squared to 256x256 first, K changed with them, every match goes into five
+RANSAC runs of 1000 iterations, and the best of them is the answer (Melekhov et al., section 4.4).
+`native`: the images as they are, a network's matches refined on them, an even subsample of the
+matches, and the pose refined on its inliers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+from dgc_pose.benchmarks.dtu.dataset import Dataset
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
+from dgc_pose.benchmarks.methods import MethodOptions
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
+from dgc_pose.benchmarks.scores import DtuScore, PoseScore
+from dgc_pose.camera import Camera
+from dgc_pose.image import Image
+from dgc_pose.matching.dense import resize
+
+Protocol = Literal["paper", "native"]
+ViewKey = tuple[int, int, int]  # scene, view1, view2
+
+PAPER_SIZE = (256, 256)  # width, height
+EVERY_MATCH = 2**31  # more than any map has cells
+DESCRIPTIONS: Mapping[Protocol, str] = {
+    "paper": "images squared to 256x256, every match of a pair, no refinement beyond RANSAC",
+    "native": "images as stored, an even subsample of the matches, matches and poses refined",
+}
+
+
+class DtuPairs(ListedPairs):
+    """Pairs of views. Each has a seed of its own, by scene and views."""
+
+    kind: type[PoseScore] = DtuScore
+
+    def __init__(
+        self, views: Sequence[ViewPair], pairs: Sequence[Pair], protocol: Protocol
+    ) -> None:
+        super().__init__(pairs)
+        self.protocol = protocol
+        self.views = views
+        self.ids = [
+            {
+                "scene": own.scene,
+                "view1": own.view1,
+                "view2": own.view2,
+                **ids,
+                "protocol": protocol,
+                "overlap": own.overlap,
+            }
+            for own, ids in zip(views, self.ids, strict=True)
+        ]
+        self.keys: list[ViewKey] = [(own.scene, own.view1, own.view2) for own in views]
+
+    def by_key(self, key: ViewKey) -> PosedPair:
+        """The pair of (scene, view1, view2)."""
+        return self.pair(self.keys.index(key))
+
+    def seed(self, number: int) -> tuple[int, ...]:
+        return self.keys[number]
+
+    def prepare(self, image: Image) -> Image:
+        if self.protocol == "native":
+            return image
+        return replace(image, pixels=resize(image.pixels, PAPER_SIZE))
+
+    def prepare_camera(
+        self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
+    ) -> Camera:
+        return replace(camera, size=stored).resized(shown)
+
+
+def dtu_pairs(dataset: Dataset, views: Sequence[ViewPair], protocol: Protocol) -> DtuPairs:
+    """Pairs of views of a data set."""
+    return DtuPairs(views, [listed_pair(dataset, pair) for pair in views], protocol)
+
+
+def protocol_options(protocol: Protocol, options: MethodOptions) -> MethodOptions:
+    """The user's options with what the protocol says of the matches and of refinement."""
+    if protocol == "native":
+        return options
+    return MethodOptions(
+        matching=replace(options.matching, max_matches=EVERY_MATCH),
+        refinement=None,
+        estimation=replace(options.estimation, refine=False),
+    )
