@@ -17,8 +17,7 @@ import numpy as np
 import torch
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import load_image
-from dgc_pose.matching.dense import resize
+from dgc_pose.image import load_image, resize
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.synthesis.map_pairs import MapPairs
 

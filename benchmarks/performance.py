@@ -40,14 +40,21 @@ from dgc_pose.estimation.consensus import run_seeds
 from dgc_pose.estimation.poselib_backend import run_poselib
 from dgc_pose.files import staged
 from dgc_pose.image import load_image
+from dgc_pose.matchers import refined
 from dgc_pose.matches import Matches
-from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, load_matcher
+from dgc_pose.matching import (
+    DEFAULT_WEIGHTS,
+    DenseMatcher,
+    MatchResult,
+    load_dense_matcher,
+    select_matches,
+)
 from dgc_pose.matching.dense import network_input
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import Refiner
+from dgc_pose.refinement import RefinementOptions, Refiner
 
 SIZE = (1600, 1200)  # of the bundled pair, enlarged
 TOTAL, SIFT_TOTAL = "dgc-pose, in all", "sift, in all"
@@ -65,7 +72,8 @@ class Setup:
     path2: Path
     camera1: Camera
     camera2: Camera
-    refiner: Refiner
+    dense: DenseMatcher
+    refiner: Refiner  # of `dense`
     estimation: EstimationOptions
 
 
@@ -96,7 +104,7 @@ class Stopwatch:
 @torch.inference_mode()
 def time_stages(setup: Setup) -> Seconds:
     """Seconds of every stage of a pair, once; with those of SIFT and of PoseLib alone."""
-    watch, dense, refiner = Stopwatch(), setup.refiner.dense, setup.refiner
+    watch, dense, refiner = Stopwatch(), setup.dense, setup.refiner
     paths = (setup.path1, setup.path2)
     first, second = images = watch("read", lambda: [load_image(path) for path in paths])
     net = dense.net
@@ -104,15 +112,16 @@ def time_stages(setup: Setup) -> Seconds:
     inputs = watch("resize", lambda: [network_input(image.pixels, device) for image in images])
     source, target = watch("encoder", lambda: [net.features(one) for one in inputs])
     watch("decoders", lambda: net.decode(source, target, dense.options.finest))
-    upright = DenseMatcher(net, replace(dense.options, roll_share=0.0))
-    watch(_UPRIGHT, lambda: upright.correspond(first, second))
-    found = watch("the map", lambda: dense.correspond(first, second))
-    selected = watch("selection", lambda: dense.select(found))
-    matches = watch("refinement", lambda: refiner.refine(first, second, found, selected))
+    upright = DenseMatcher(net, replace(dense.options, rotate_below=0.0))
+    watch(_UPRIGHT, lambda: upright.correspondence_maps([(first, second)]))
+    (found,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
+    selected = watch("selection", lambda: select_matches(found, dense.options))
+    given = MatchResult(selected, found)
+    matches = watch("refinement", lambda: refiner.refine(first, second, given)).matches
     _time_pose(watch, "pose", setup, matches)
     watch("poselib alone", _poselib_alone(setup, matches))
 
-    sift = watch("sift, matching", lambda: SiftMatcher().match(first, second))
+    sift = watch("sift, matching", lambda: SiftMatcher().match(first, second)).matches
     _time_pose(watch, "sift, pose", setup, sift)
     seconds = watch.seconds
     read = seconds["read"]
@@ -151,7 +160,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
     """Every stage with its share of the whole and its floor. A stage that is the difference of two
     others, as the turned tries, may come out a little below nothing."""
     # Of a network of the same configuration, whose convolutions are all torch's.
-    encoder, decoders = multiply_adds(DGCNet(setup.refiner.dense.net.config).eval())
+    encoder, decoders = multiply_adds(DGCNet(setup.dense.net.config).eval())
     time_stages(setup)  # the first pass pays for what is set up once
     rows, rates = [], []
     for _ in range(repetitions):
@@ -256,13 +265,14 @@ def main(
                 torch.set_num_threads(threads)
                 cv2.setNumThreads(threads)
             configs = {f"{name}, random": preset(name) for name in split_names(networks)}
-            refiner = Refiner(load_matcher(weights, device="cpu"))
+            dense = load_dense_matcher(weights, device="cpu")
+            refiner = refined(dense, RefinementOptions())
             pair = _pair(image1, image2, k, Path(folder))
             nets = {refiner.name: load_network(weights)}
             for name, config in configs.items():
                 torch.manual_seed(0)
                 nets[name] = DGCNet(config).eval().requires_grad_(False)
-            setup = Setup(*pair, refiner, EstimationOptions())
+            setup = Setup(*pair, dense, refiner, EstimationOptions())
             data = _measure(setup, nets, repetitions, {})
             if json_path is not None:
                 stage(json_path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

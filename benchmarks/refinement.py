@@ -25,17 +25,18 @@ from dgc_pose.cli.options import split_names
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.image import Image, load_image
+from dgc_pose.matchers import refined
 from dgc_pose.matches import Matches
-from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, Matcher, load_matcher
+from dgc_pose.matching import DEFAULT_WEIGHTS, DenseMatcher, Matcher, load_dense_matcher
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import folded, pose_auc
-from dgc_pose.refinement import MatchSource, RefinementOptions, Refiner
+from dgc_pose.refinement import AlignmentOptions, FeatureOptions, RefinementOptions, SourceName
 from dgc_pose.synthesis.render import SceneOptions, render_pairs
 
 # "SOURCE" aligns the matches of a source, "SOURCE-only" does not; "none" is the dense map alone.
 VARIANTS = (
     "none",
-    *(f"{source}{end}" for source in get_args(MatchSource) for end in ("-only", "")),
+    *(f"{source}{end}" for source in get_args(SourceName) for end in ("-only", "")),
     "sift-unguided",
 )
 _SIZE = 1024  # pixels a side of a rendered view
@@ -85,8 +86,9 @@ def make_variant(name: str, dense: DenseMatcher, options: RefinementOptions) -> 
     if name == "sift-unguided":
         return SiftMatcher()
     source = name.removesuffix("-only")
-    chosen = next(one for one in get_args(MatchSource) if one == source)
-    return Refiner(dense, replace(options, source=chosen, align=not name.endswith("-only")))
+    chosen = next(one for one in get_args(SourceName) if one == source)
+    alignment = replace(options.alignment, align=not name.endswith("-only"))
+    return refined(dense, replace(options, source=chosen, alignment=alignment))
 
 
 def listed_cases(pair_list: Path, root: Path | None, limit: int | None) -> Iterator[Case]:
@@ -121,7 +123,7 @@ def measure(
 ) -> list[Outcome]:
     """One outcome a threshold, in pixels of the originals; None for the matches' own."""
     start = time.perf_counter()
-    matches = matcher.match(case.image1, case.image2)
+    matches = matcher.match(case.image1, case.image2).matches
     matching = time.perf_counter() - start
     return [_estimate(case, matches, matching, threshold, options) for threshold in thresholds]
 
@@ -157,8 +159,8 @@ def row(name: str, threshold: float | None, outcomes: Sequence[Outcome]) -> tupl
 @click.option(
     "--thresholds", default="own", show_default=True, help="Pixels, or own, with commas between."
 )
-@click.option("--long-side", default=RefinementOptions.long_side, show_default=True)
-@click.option("--min-zncc", default=RefinementOptions.min_zncc, show_default=True)
+@click.option("--long-side", default=FeatureOptions.long_side, show_default=True)
+@click.option("--min-zncc", default=AlignmentOptions.min_zncc, show_default=True)
 @click.option("--weights", default=DEFAULT_WEIGHTS, show_default=True)
 @click.option("--threads", type=click.IntRange(min=1), help="Of torch; by default its own choice.")
 def main(
@@ -183,8 +185,11 @@ def main(
             raise InputError("give a LIST of pairs or --photos, one of them")
         names = split_names(variants)
         limits = [_threshold(text) for text in split_names(thresholds)]
-        options = RefinementOptions(long_side=long_side, min_zncc=min_zncc)
-        dense = load_matcher(weights)
+        options = RefinementOptions(
+            features=FeatureOptions(long_side=long_side),
+            alignment=AlignmentOptions(min_zncc=min_zncc),
+        )
+        dense = load_dense_matcher(weights)
         matchers = {name: make_variant(name, dense, options) for name in names}
         if pair_list is not None:
             cases = listed_cases(pair_list, root, limit)

@@ -18,7 +18,7 @@ from dgc_pose.benchmarks.pairs import pose_errors
 from dgc_pose.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.image import Image
-from dgc_pose.matching import DEFAULT_WEIGHTS, CorrespondenceMap, load_matcher
+from dgc_pose.matching import DEFAULT_WEIGHTS, CorrespondenceMap, load_dense_matcher
 from dgc_pose.matching.selection import MatchingOptions, cell_size, select_matches
 from dgc_pose.metrics import folded, pose_auc
 from dgc_pose.synthesis.photos import load_held_back
@@ -37,14 +37,14 @@ _FACTORS = (0.5, 1.0, 2.0, 3.0)
 def main(photos: Path, weights: str, pairs: int, seed: int) -> None:
     """Print pose errors by least matchability, then by the estimator's threshold."""
     held_back = load_held_back(photos)
-    matcher = load_matcher(weights)
+    matcher = load_dense_matcher(weights)
     generator = torch.Generator().manual_seed(seed)
     scenes = SceneOptions(rotation_deg=(5.0, 40.0), roll_deg=5.0, supersample=2, min_overlap=0.4)
     cases = []
     for _ in range(pairs):
         views = render_pairs(held_back.textures, 1, _SIZE, generator, scenes)
         images = [_image(view) for view in (views.image1, views.image2)]
-        cases.append((views, matcher.correspond(images[0], images[1])))
+        cases.append((views, matcher.correspondence_maps([(images[0], images[1])])[0]))
     click.echo("matchability  matches  within 1 cell  median error  pose errors R, t (median), AUC")
     options = EstimationOptions(runs=1)
     for least in _MATCHABILITIES:

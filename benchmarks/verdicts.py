@@ -71,7 +71,7 @@ class Judged:
 
 def judge_case(case: VerdictCase, matcher: Matcher, options: EstimationOptions) -> Judged:
     """Match a pair and estimate its pose."""
-    matches = matcher.match(case.image1, case.image2)
+    matches = matcher.match(case.image1, case.image2).matches
     pose = estimate_pose(matches, case.camera1, case.camera2, options)
     rotation, translation = _errors(case, pose)
     return Judged(

@@ -13,17 +13,17 @@ from tqdm import tqdm
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, open_dataset
 from dgc_pose.benchmarks.dtu.entries import PAIRS, Entry, choose_pairs, make_entries
-from dgc_pose.benchmarks.dtu.external import ExternalMatches
-from dgc_pose.benchmarks.dtu.flow import FLOWS
 from dgc_pose.benchmarks.dtu.methods import (
     EVERYWHERE,
     Engines,
     Method,
+    external_matcher,
     load_engines,
+    pair_stems,
     parse_methods,
 )
 from dgc_pose.benchmarks.dtu.pair_files import write_pair_csv
-from dgc_pose.benchmarks.dtu.protocols import DESCRIPTIONS
+from dgc_pose.benchmarks.dtu.protocols import DESCRIPTIONS, matching_options
 from dgc_pose.benchmarks.dtu.records import Protocol
 from dgc_pose.benchmarks.dtu.report_page import write_report
 from dgc_pose.benchmarks.dtu.run import RunOptions, run
@@ -46,9 +46,10 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import staged
 from dgc_pose.matching import MatchingOptions
+from dgc_pose.matching.flow import FLOWS
 from dgc_pose.network.device import choose_device
 from dgc_pose.network.weights import shipped
-from dgc_pose.refinement import MatchSource
+from dgc_pose.refinement import SourceName
 
 _GPU_BATCH = 16
 
@@ -141,7 +142,7 @@ def bench_dtu(
     batch: int | None,
     resume: bool,
     device: str,
-    refine: MatchSource | None,
+    refine: SourceName | None,
     estimation: EstimationOptions,
 ) -> None:
     """Repeat the paper's experiment on relative camera pose over DTU.
@@ -158,8 +159,9 @@ def bench_dtu(
     chosen = choose_pairs(dataset, pairs, seed=estimation.seed, scenes=numbers)
     entries = make_entries(dataset, chosen)
     require_images([entry.pair for entry in entries])
+    stems = pair_stems(entries)
     for folder in external.values():
-        ExternalMatches(folder).require((one.scene, one.view1, one.view2) for one in entries)
+        external_matcher(folder, stems).require(stems)
     options = RunOptions(
         protocol,
         MatchingOptions(matchability=matchability),
@@ -169,7 +171,12 @@ def bench_dtu(
     )
     refinement = refinement_options(refine, options.matching) if protocol == "native" else None
     engines = load_engines(
-        found, external, device=device, options=options.matching, refinement=refinement
+        found,
+        external,
+        stems,
+        device=device,
+        options=matching_options(protocol, options.matching),
+        refinement=refinement,
     )
     facts = _facts(dataset, entries, options, light)
     settings = {

@@ -27,7 +27,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import staged
 from dgc_pose.matching import Matcher, MatchingOptions
 from dgc_pose.network.weights import shipped
-from dgc_pose.refinement import MatchSource
+from dgc_pose.refinement import SourceName
 from dgc_pose.viz import plot_errors, save_figure
 
 
@@ -60,7 +60,7 @@ def bench_pairs(
     json_path: str | None,
     device: str,
     filters: MatchingOptions,
-    refine: MatchSource | None,
+    refine: SourceName | None,
     estimation: EstimationOptions,
 ) -> None:
     """Score methods on the pairs of LIST, in SuperGlue's format.

@@ -26,13 +26,13 @@ def bundled_pair() -> Pair:
 @matcher_options
 @estimator_options
 @click.option("--plot", "plot_path", metavar="PATH.png", help="Draw what the pose was found from.")
-def demo(network: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
+def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
     """Estimate the pose of the bundled pair and print it beside the known one."""
     check_picture(plot_path)
     pair = bundled_pair()
     with staged(plot_path) as stage:
         trace = run_pipeline(
-            pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), network, estimation
+            pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), matcher, estimation
         )
         if plot_path is not None:
             draw(trace, stage(plot_path), plot_path)

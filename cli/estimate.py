@@ -36,7 +36,7 @@ def estimate(
     image1: str,
     image2: str,
     cameras: CameraChoice,
-    network: MatcherChoice,
+    matcher: MatcherChoice,
     estimation: EstimationOptions,
     json_path: str | None,
     matches_path: str | None,
@@ -44,13 +44,13 @@ def estimate(
 ) -> int:
     """Estimate the relative pose of two photographs.
 
-    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 where there is
-    no pose, and says why.
+    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 and the reason
+    if there is no pose.
     """
     check_picture(plot_path)
     json_file = None if json_path == STDOUT else json_path
     with staged(json_file, matches_path, plot_path) as stage:
-        trace = run_pipeline(image1, image2, cameras.resolve, network, estimation)
+        trace = run_pipeline(image1, image2, cameras.resolve, matcher, estimation)
         data = json_text(pose_data(trace.pose))
         if json_file is not None:
             stage(json_file).write_text(data, encoding="utf-8")
@@ -64,7 +64,7 @@ def estimate(
 
 
 def _print(pose: RelativePose, data: str | None) -> None:
-    """The pose as text, or the JSON alone on stdout and what a person should know on stderr."""
+    """The pose as text; or its JSON alone on stdout, and on stderr the reason for no pose."""
     if data is None:
         click.echo(pose_text(pose))
         return

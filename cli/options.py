@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from dgc_pose.camera import Camera, check_size, guess_camera, parse_camera
+from dgc_pose.camera import Camera, camera_for, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, EstimatorName
 from dgc_pose.image import Image
 from dgc_pose.matching import DEFAULT_WEIGHTS, MatchingOptions
 from dgc_pose.matching.selection import FinestLevel
-from dgc_pose.refinement import MatchSource, RefinementOptions
+from dgc_pose.refinement import AlignmentOptions, FlowOptions, RefinementOptions, SourceName
 
 if TYPE_CHECKING:
-    from dgc_pose.matching import DenseMatcher
-    from dgc_pose.refinement import Refiner
+    from dgc_pose.matching import Matcher
 
 Command = Callable[..., Any]
 
@@ -45,15 +44,14 @@ class CameraChoice:
     guess_focal: bool  # take the focal length from EXIF, or guess it, where no K is given
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
-        """The cameras of both images. Raises InputError where one is missing or does not fit."""
+        """The cameras of both images, checked. Raises InputError, naming the option, if one is
+        missing, unusable, or does not fit its image."""
         return self._camera(1, self.k1, image1), self._camera(2, self.k2, image2)
 
     def _camera(self, number: int, own: str | None, image: Image) -> Camera:
         name, text = ("--K", self.k) if own is None else (f"--K{number}", own)
         if text is not None:
-            camera = parse_camera(text, name)
-            check_size(camera, image.size, name)  # here, where an error can name the option
-            return camera
+            return camera_for(text, image.size, name)
         if self.guess_focal:
             return guess_camera(Path(image.name))
         raise InputError(
@@ -67,17 +65,18 @@ class MatcherChoice:
 
     weights: str
     device: str
-    options: MatchingOptions
-    refinement: RefinementOptions | None  # None: the dense map's own matches
+    matching: MatchingOptions
+    refinement: RefinementOptions | None  # None: the matches of the dense map
 
-    def load(self) -> DenseMatcher | Refiner:
-        from dgc_pose.matching import load_matcher
-        from dgc_pose.refinement import Refiner
+    def load(self) -> Matcher:
+        from dgc_pose.matchers import load_matcher  # imports torch
 
-        dense = load_matcher(
-            self.weights, device=self.device, options=self.options
+        return load_matcher(
+            self.weights,
+            device=self.device,
+            matching=self.matching,
+            refinement=self.refinement,
         )
-        return dense if self.refinement is None else Refiner(dense, self.refinement)
 
 
 def camera_options(command: Command) -> Command:
@@ -162,31 +161,34 @@ def filter_options(command: Command) -> Command:
 
 
 def refine_option(command: Command) -> Command:
-    """--refine, as `refine: MatchSource | None`, None for none."""
+    """--refine, as `refine: SourceName | None`, None for none."""
     return click.option(
         "--refine",
-        type=click.Choice([NO_REFINEMENT, *get_args(MatchSource)]),
+        type=click.Choice([NO_REFINEMENT, *get_args(SourceName)]),
         default=REFINEMENT.source,
         show_default=True,
         callback=lambda _context, _option, value: None if value == NO_REFINEMENT else value,
-        help="What is aligned on the original photographs: the map's matches, the encoder's "
-        "features at native resolution, optical flow after the map, SIFT key points where the map "
-        "says, or matches of tiles; auto: the features, and the map's where those are few.",
+        help="Which matches are aligned on the original photographs: the map's, those of the "
+        "encoder's features at native resolution, or those of optical flow guided by the map; "
+        "auto: the features', and the map's if those are few.",
     )(command)
 
 
 def refinement_options(
-    source: MatchSource | None, filters: MatchingOptions
+    source: SourceName | None, filters: MatchingOptions
 ) -> RefinementOptions | None:
-    """The options that --refine and --max-matches stand for; None for no refinement."""
+    """The options that --refine and the filters stand for; None for no refinement."""
     if source is None:
         return None
-    return replace(REFINEMENT, source=source, max_matches=filters.max_matches)
+    return RefinementOptions(
+        source=source,
+        flow=FlowOptions(matchability=filters.matchability, max_matches=filters.max_matches),
+        alignment=AlignmentOptions(max_matches=filters.max_matches),
+    )
 
 
 def matcher_options(command: Command) -> Command:
-    """--weights, --device, --finest, the filters and --refine, as
-    `network: MatcherChoice`."""
+    """--weights, --device, --finest, the filters and --refine, as `matcher: MatcherChoice`."""
 
     @click.option(
         "--weights",
@@ -211,14 +213,13 @@ def matcher_options(command: Command) -> Command:
         device: str,
         finest: str,
         filters: MatchingOptions,
-        refine: MatchSource | None,
+        refine: SourceName | None,
         **kwargs: Any,
     ) -> Any:
         size = next(one for one in get_args(FinestLevel) if str(one) == finest)
-        options = replace(filters, finest=size)
-        refinement = refinement_options(refine, filters)
-        choice = MatcherChoice(weights, device, options, refinement)
-        return command(*args, network=choice, **kwargs)
+        matching = replace(filters, finest=size)
+        choice = MatcherChoice(weights, device, matching, refinement_options(refine, filters))
+        return command(*args, matcher=choice, **kwargs)
 
     return wrapper
 

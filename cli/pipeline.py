@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,38 +15,35 @@ from dgc_pose.image import Image, load_image
 if TYPE_CHECKING:
     from dgc_pose.pose import Trace
 
-NO_POSE = 3  # exit code where there is no pose
+NO_POSE = 3  # exit code if there is no pose
 
 
 def run_pipeline(
     path1: str | Path,
     path2: str | Path,
     resolve: Callable[[Image, Image], tuple[Camera, Camera]],
-    network: MatcherChoice,
+    matcher: MatcherChoice,
     estimation: EstimationOptions,
 ) -> Trace:
-    """Read both images, find their cameras by `resolve`, load the network, estimate the pose.
+    """Read both images, find their cameras by `resolve`, load the matcher, estimate the pose.
 
-    `seconds` of the pose counts the images and the weights as `load`.
+    resolve: raises InputError if a camera does not fit its image. In `seconds` of the pose, `load`
+    is the time for images and weights.
     """
     start = time.perf_counter()
     image1, image2 = load_image(path1), load_image(path2)
     camera1, camera2 = resolve(image1, image2)
-    read = time.perf_counter() - start
-    from dgc_pose.pose import trace_relative_pose  # torch, which images of no use need not wait for
+    read_seconds = time.perf_counter() - start
+    from dgc_pose.pose import match_and_estimate  # torch; unusable input is refused without it
 
     start = time.perf_counter()
-    matcher = network.load()
-    load = read + time.perf_counter() - start
-    trace = trace_relative_pose(
-        image1, image2, camera1, camera2, matcher=matcher, options=estimation
-    )
-    pose = replace(trace.pose, seconds={**trace.pose.seconds, "load": load})
-    return replace(trace, pose=pose)
+    loaded = matcher.load()
+    load_seconds = read_seconds + time.perf_counter() - start
+    return match_and_estimate(image1, image2, camera1, camera2, loaded, estimation, load_seconds)
 
 
 def draw(trace: Trace, file: Path, name: str) -> None:
-    """Draw what the pose was estimated from into a file, in the format that `name` ends in."""
+    """Draw the trace of a pose into a file, in the format that `name` ends in."""
     from dgc_pose.viz import plot_pose, save_figure
     from dgc_pose.viz.figure import picture_format
 
@@ -55,7 +51,7 @@ def draw(trace: Trace, file: Path, name: str) -> None:
 
 
 def check_picture(name: str | None) -> None:
-    """Refuse, with an InputError, a picture in a format that cannot be drawn, before the work."""
+    """Raise InputError, before the work, if `name` ends in no format that can be drawn."""
     if name is not None:
         from dgc_pose.viz.figure import picture_format
 

@@ -14,12 +14,20 @@ if TYPE_CHECKING:
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
     from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
     from dgc_pose.image import Image, load_image
+    from dgc_pose.matchers import MatcherCaches, load_matcher
     from dgc_pose.matches import Matches
-    from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_matcher
+    from dgc_pose.matching import (
+        CorrespondenceMap,
+        DenseMatcher,
+        Matcher,
+        MatchingOptions,
+        MatchResult,
+        load_dense_matcher,
+    )
     from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
     from dgc_pose.refinement import RefinementOptions, Refiner
 
-# Where each public name lives. They are imported on first use: torch alone takes seconds.
+# The module of each public name. Imported on first use, because torch takes seconds to import.
 _HOMES = {
     "Camera": "camera",
     "parse_camera": "camera",
@@ -33,10 +41,14 @@ _HOMES = {
     "Image": "image",
     "load_image": "image",
     "Matches": "matches",
+    "MatcherCaches": "matchers",
+    "load_matcher": "matchers",
     "CorrespondenceMap": "matching",
     "DenseMatcher": "matching",
+    "MatchResult": "matching",
+    "Matcher": "matching",
     "MatchingOptions": "matching",
-    "load_matcher": "matching",
+    "load_dense_matcher": "matching",
     "RefinementOptions": "refinement",
     "Refiner": "refinement",
     "estimate_relative_pose": "pose",
@@ -52,6 +64,9 @@ __all__ = [
     "Image",
     "ImageError",
     "InputError",
+    "MatchResult",
+    "Matcher",
+    "MatcherCaches",
     "Matches",
     "MatchingOptions",
     "RefinementOptions",
@@ -60,6 +75,7 @@ __all__ = [
     "WeightsError",
     "estimate_pose",
     "estimate_relative_pose",
+    "load_dense_matcher",
     "load_image",
     "load_matcher",
     "parse_camera",

@@ -145,6 +145,15 @@ def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, .
     return ()
 
 
+def camera_for(value: Camera | Any, size: tuple[int, int], name: str) -> Camera:
+    """The camera, see `as_camera`, of an image of `size`; its warnings have those of `check_size`.
+
+    Raises InputError, naming the argument `name`, if K is unusable or does not fit the image.
+    """
+    camera = as_camera(value, name)
+    return replace(camera, warnings=camera.warnings + check_size(camera, size, name))
+
+
 def guess_camera(path: str | Path) -> Camera:
     """A camera guessed from an image file alone, with a warning, for a pose it is a poor ground.
 

@@ -27,11 +27,13 @@ _HEADER_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """An image as the rest of the library takes it. Raises InputError where `pixels` is not so."""
+    """An image as the rest of the library takes it. Raises InputError if `pixels` is not so."""
 
     pixels: np.ndarray  # (H, W, 3) uint8, RGB, contiguous
     name: str = "image"  # the path, or the argument's name
     warnings: tuple[str, ...] = ()  # what the user should know about how it was read
+    # (width, height) as stored, if `pixels` were resized after reading; None if they were not
+    stored_size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         pixels = self.pixels
@@ -203,3 +205,23 @@ def _to_8_bit(array: np.ndarray, name: str) -> np.ndarray:
     # 16 bits fit into float32, which halves the memory that a large image takes.
     values: np.ndarray = array.astype(np.float32 if array.dtype.itemsize <= 2 else np.float64)
     return np.rint((values - low) * scale).astype(np.uint8)
+
+
+def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """An image (H, W, 3) at `size` (width, height): area means to shrink, bilinear to enlarge.
+
+    Both keep the outer edges of the image in place, as the half-pixel rule of `pixels.rescale`.
+    """
+    height, width = pixels.shape[:2]
+    shrunk = (min(size[0], width), min(size[1], height))
+    if shrunk != (width, height):
+        pixels = cv2.resize(pixels, shrunk, interpolation=cv2.INTER_AREA)
+    if shrunk != size:
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR)
+    return pixels
+
+
+def resize_by(pixels: np.ndarray, scale: float) -> np.ndarray:
+    """As `resize`, by one factor for both axes; the sides are rounded, and at least 1 pixel."""
+    height, width = pixels.shape[:2]
+    return resize(pixels, (max(1, round(width * scale)), max(1, round(height * scale))))

@@ -1,4 +1,4 @@
-"""What is made of an image, kept: an image that stands in many pairs is read and encoded once."""
+"""A cache of what is computed from an image, for images that belong to several pairs."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ DEFAULT_BYTES = 2 * 2**30
 
 
 class BoundedCache(Generic[Key, Value]):
-    """Values by key; those that were not asked for longest are dropped where all together would
-    take more than `limit_bytes`. The last one is always kept."""
+    """Values by key. The least recently used are dropped if all together take more than
+    `limit_bytes`; the latest is always kept."""
 
     def __init__(
         self, size: Callable[[Key, Value], int], limit_bytes: int = DEFAULT_BYTES
@@ -22,12 +22,12 @@ class BoundedCache(Generic[Key, Value]):
         self._size = size
         self.limit_bytes = limit_bytes
         self.held_bytes = 0
-        self.asked = 0
-        self.made = 0  # of those asked for; the others were there
+        self.asked = 0  # calls of `get`
+        self.made = 0  # of those, how many computed the value
         self._kept: OrderedDict[Key, Value] = OrderedDict()
 
     def get(self, key: Key, make: Callable[[], Value]) -> Value:
-        """The value of a key, by `make` where it is not there."""
+        """The value of a key; computed by `make` if it is not in the cache."""
         self.asked += 1
         if key in self._kept:
             self._kept.move_to_end(key)

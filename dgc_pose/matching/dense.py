@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
-from dgc_pose.matches import Matches
+from dgc_pose.image import Image, resize
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.network.config import COARSEST, INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
@@ -24,22 +23,27 @@ from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import DEFAULT, load_network
+from dgc_pose.pixels import cell_centres, rescale
 
-# The encoder's features of an image, the object and not its content, by quarter turns of it.
+_SQUARE = (INPUT_SIZE, INPUT_SIZE)  # width and height of the images that the network takes
+
+# The encoder's features by image and quarter turns of it; keyed by the object, not by its pixels.
 FeatureCache = BoundedCache[tuple[Image, int], list[Tensor]]
 
 
 def feature_cache() -> FeatureCache:
-    """A cache of the usual size; the images that it keeps alive count."""
+    """A cache of the default size. The images that it keeps alive count towards it."""
     return BoundedCache(
         lambda key, features: key[0].pixels.nbytes + sum(level.nbytes for level in features)
     )
 
 
-class DenseMatcher:
+class DenseMatcher(Matcher):
     """Matches by a frozen `DGCNet`; image 1 is its source, image 2 its target.
 
-    Raises InputError where the options stop at a level that the network's mask is not made for.
+    cache: of the encoder's features; None to encode the images anew for each pair.
+
+    Raises InputError if `finest` is a level that the network's mask is not made for.
     """
 
     def __init__(
@@ -61,129 +65,127 @@ class DenseMatcher:
     def name(self) -> str:
         return self.net.config.name
 
-    def match(self, image1: Image, image2: Image) -> Matches:
-        """The matches that pass the options, in pixels of the original images."""
-        return self.trace(image1, image2)[1]
+    @property
+    def fingerprint(self) -> str:
+        """Of the weights: different weights of one network have different fingerprints."""
+        digest = hashlib.sha256()
+        for key, value in sorted(self.net.state_dict().items()):
+            digest.update(key.encode() + value.cpu().numpy().tobytes())
+        return digest.hexdigest()[:16]
 
-    def trace(self, image1: Image, image2: Image) -> tuple[CorrespondenceMap, Matches]:
-        """The dense map, and the matches of it that pass the options."""
-        correspondences = self.correspond(image1, image2)
-        return correspondences, self.select(correspondences)
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        """The map at `finest` x `finest` cells, and the matches of it that pass the options."""
+        return self.match_batch([(image1, image2)])[0]
 
-    def correspond(self, image1: Image, image2: Image) -> CorrespondenceMap:
-        """The dense map at `finest` x `finest` cells; with the way back where the options ask for
-        a cycle."""
-        return self.correspond_batch([(image1, image2)])[0]
-
-    @torch.inference_mode()
-    def correspond_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
-        """As `correspond` for each pair, decoded together; images are encoded one by one, so that
-        what the encoder makes of an image does not hang on those beside it."""
-        cache = feature_cache() if self.cache is None else self.cache
-        found = self._at_roll(pairs, 0, cache)
-        rolls = {
-            i: self._likely_roll(*pairs[i], cache)
-            for i, one in enumerate(found)
-            if one.matchability.mean() < self.options.roll_share
-        }
-        for roll in (1, 2, 3):
-            weak = [i for i, likely in rolls.items() if likely == roll]
-            maps = self._at_roll([pairs[i] for i in weak], roll, cache) if weak else []
-            for i, turned in zip(weak, maps, strict=True):
-                found[i] = max((found[i], turned), key=lambda c: float(c.matchability.mean()))
-        return found
-
-    def select(self, correspondences: CorrespondenceMap) -> Matches:
-        """The cells of a map that pass the options."""
-        return select_matches(correspondences, self.options)
-
-    def _likely_roll(self, image1: Image, image2: Image, cache: FeatureCache) -> int:
-        """The roll of image 2 at which its coarsest cells find the most alike ones in image 1.
-
-        No decoder need run for that: on rendered pairs it names the roll as well as the maps do.
-        """
-        source, *targets = (
-            F.normalize(self._features(image, roll, cache)[COARSEST][0].flatten(1), dim=0)
-            for image, roll in ((image1, 0), *((image2, roll) for roll in range(4)))
-        )
-        alike = [float((source.T @ target).amax(0).mean()) for target in targets]
-        return alike.index(max(alike))
-
-    def _at_roll(
-        self, pairs: Sequence[tuple[Image, Image]], roll: int, cache: FeatureCache
-    ) -> list[CorrespondenceMap]:
-        """The maps to images 2 turned by `roll` times 90 degrees, on the grids of images 2 as they
-        are."""
-        source = _stacked([self._features(first, 0, cache) for first, _ in pairs])
-        target = _stacked([self._features(second, roll, cache) for _, second in pairs])
-        there = _split(self.net.decode(source, target, self.options.finest))
-        back: Sequence[Prediction | None] = [None] * len(pairs)
-        if self.options.cycle_px is not None:
-            back = _split(self.net.decode(target, source, self.options.finest))
+    def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
+        """As `match` for each pair, decoded together."""
         return [
-            self._found(*pair, roll, there_, back_)
-            for pair, there_, back_ in zip(pairs, there, back, strict=True)
+            MatchResult(select_matches(found, self.options), found)
+            for found in self.correspondence_maps(pairs)
         ]
 
-    def _found(
-        self, image1: Image, image2: Image, roll: int, there: Prediction, back: Prediction | None
+    @torch.inference_mode()
+    def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
+        """The map of each pair, with the cycle error if the options ask for one.
+
+        Pairs are decoded together. Images are encoded one by one, so that the features of an image
+        are independent of the batch.
+        """
+        cache = feature_cache() if self.cache is None else self.cache
+        found = self._rotated_maps(pairs, 0, cache)
+        suggested = {
+            i: self._likely_rotation(*pairs[i], cache)
+            for i, one in enumerate(found)
+            if one.matchability.mean() < self.options.rotate_below
+        }
+        for quarter_turns in (1, 2, 3):
+            weak = [i for i, rotation in suggested.items() if rotation == quarter_turns]
+            maps = self._rotated_maps([pairs[i] for i in weak], quarter_turns, cache)
+            for i, rotated in zip(weak, maps, strict=True):
+                found[i] = max((found[i], rotated), key=lambda c: float(c.matchability.mean()))
+        return found
+
+    def _likely_rotation(self, image1: Image, image2: Image, cache: FeatureCache) -> int:
+        """The quarter turns of image 2 whose coarsest features are most similar to image 1's.
+
+        This needs no decoder, and on rendered pairs it finds the rotation as well as the maps do.
+        """
+        source, *targets = (
+            F.normalize(self._features(image, turns, cache)[COARSEST][0].flatten(1), dim=0)
+            for image, turns in ((image1, 0), *((image2, turns) for turns in range(4)))
+        )
+        similarity = [float((source.T @ target).amax(0).mean()) for target in targets]
+        return similarity.index(max(similarity))
+
+    def _rotated_maps(
+        self, pairs: Sequence[tuple[Image, Image]], quarter_turns: int, cache: FeatureCache
+    ) -> list[CorrespondenceMap]:
+        """The maps computed with each image 2 rotated, given over image 2 as it is."""
+        if not pairs:
+            return []
+        source = _stacked([self._features(first, 0, cache) for first, _ in pairs])
+        target = _stacked([self._features(second, quarter_turns, cache) for _, second in pairs])
+        forward = _split(self.net.decode(source, target, self.options.finest))
+        reverse: Sequence[Prediction | None] = [None] * len(pairs)
+        if self.options.cycle_px is not None:
+            reverse = _split(self.net.decode(target, source, self.options.finest))
+        return [
+            self._map(*pair, quarter_turns, one, other)
+            for pair, one, other in zip(pairs, forward, reverse, strict=True)
+        ]
+
+    def _map(
+        self,
+        image1: Image,
+        image2: Image,
+        quarter_turns: int,
+        forward: Prediction,
+        reverse: Prediction | None,
     ) -> CorrespondenceMap:
-        """The map of one pair from the predictions with image 2 turned."""
-        place = self._cells(there)
+        """The map of one pair from its predictions with image 2 rotated."""
+        points1 = self._finest_points(forward)
         cycle = None
-        if back is not None:
-            size = image2.size if roll % 2 == 0 else image2.size[::-1]
-            cycle = np.rot90(self._cycle(place, self._cells(back), size), -roll)
-        axis = _centres(self.options.finest)
+        if reverse is not None:
+            size = image2.size if quarter_turns % 2 == 0 else image2.size[::-1]
+            cycle = _cycle_error(points1, self._finest_points(reverse), size)
+            cycle = np.rot90(cycle, -quarter_turns)
+        upright = np.rot90(points1[0].cpu().numpy(), -quarter_turns)
+        centres = cell_centres((self.options.finest, self.options.finest), _SQUARE)
         return CorrespondenceMap(
-            map=_to_original(np.rot90(place[0].cpu().numpy(), -roll), image1.size),
-            grid=_to_original(np.stack(np.meshgrid(axis, axis), -1), image2.size),
-            matchability=np.ascontiguousarray(np.rot90(_matchability(there), -roll)),
+            map=rescale(upright, _SQUARE, image1.size).astype(np.float32),
+            grid=rescale(centres, _SQUARE, image2.size).astype(np.float32),
+            matchability=np.ascontiguousarray(np.rot90(_matchability(forward), -quarter_turns)),
             size1=image1.size,
             size2=image2.size,
             cycle=cycle,
         )
 
-    def _features(self, image: Image, roll: int, cache: FeatureCache) -> list[Tensor]:
-        """The encoder's features of an image turned by `roll` times 90 degrees."""
+    def _features(self, image: Image, quarter_turns: int, cache: FeatureCache) -> list[Tensor]:
+        """The encoder's features of an image rotated by `numpy.rot90`."""
 
         def encode() -> list[Tensor]:
-            turned = np.ascontiguousarray(np.rot90(image.pixels, roll))
-            return self.net.features(self._input(turned))
+            rotated = np.ascontiguousarray(np.rot90(image.pixels, quarter_turns))
+            return self.net.features(network_input(rotated, next(self.net.parameters()).device))
 
-        return cache.get((image, roll), encode)
+        return cache.get((image, quarter_turns), encode)
 
-    def _input(self, image: np.ndarray) -> Tensor:
-        return network_input(image, next(self.net.parameters()).device)
-
-    def _cells(self, prediction: Prediction) -> Tensor:
-        """The finest map (1, S, S, 2), in pixels of the source as the network sees it."""
-        size = (INPUT_SIZE, INPUT_SIZE)
-        place = prediction.maps[-1].movedim(1, -1).float()
-        return to_pixels(place.nan_to_num(-2.0), size, self.net.config.align_corners)
-
-    def _cycle(self, there: Tensor, back: Tensor, size2: tuple[int, int]) -> np.ndarray:
-        """How far each cell of image 2 (size2) comes back off, in its pixels: (S, S)."""
-        normalised = (2 * there + 1) / INPUT_SIZE - 1
-        sampled = F.grid_sample(
-            back.movedim(-1, 1), normalised, padding_mode="border", align_corners=False
-        )
-        returned = sampled[0].movedim(0, -1).cpu().numpy()
-        axis = _centres(len(returned))
-        off = returned - np.stack(np.meshgrid(axis, axis), -1)
-        return np.linalg.norm(off * np.divide(size2, INPUT_SIZE), axis=-1).astype(np.float32)
+    def _finest_points(self, prediction: Prediction) -> Tensor:
+        """The finest map (1, S, S, 2), in pixels of the source at 240 x 240."""
+        finest = prediction.maps[-1].movedim(1, -1).float()
+        return to_pixels(finest.nan_to_num(-2.0), _SQUARE, self.net.config.align_corners)
 
 
-def load_matcher(
+def load_dense_matcher(
     weights: str | Path = DEFAULT,
     *,
     device: str = "auto",
     options: MatchingOptions | None = None,
     cache: FeatureCache | None = None,
 ) -> DenseMatcher:
-    """A matcher with shipped weights, by name, or with those of a file (see `load_network`).
+    """The network alone, without refinement: shipped weights by name, or those of a file (see
+    `load_network`).
 
-    Raises WeightsError where the weights cannot be had, InputError where the device cannot.
+    Raises WeightsError if the weights cannot be loaded, InputError if there is no such device.
     """
     net = for_inference(load_network(weights, choose_device(device)))
     return DenseMatcher(net, options, cache)
@@ -191,34 +193,21 @@ def load_matcher(
 
 def network_input(pixels: np.ndarray, device: torch.device) -> Tensor:
     """An image (H, W, 3), uint8, as the network takes it: (1, 3, 240, 240), channels last."""
-    squared = torch.from_numpy(resize(pixels, (INPUT_SIZE, INPUT_SIZE)))
+    squared = torch.from_numpy(resize(pixels, _SQUARE))
     planes = squared.to(device).permute(2, 0, 1)[None].float() / 255
     return normalise(planes).contiguous(memory_format=torch.channels_last)
 
 
-def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image (H, W, 3) at `size` (width, height): means of areas where it shrinks, else bilinear.
-
-    Both keep the outer edges of the image in place, as the half-pixel rule wants.
-    """
-    height, width = pixels.shape[:2]
-    shrunk = (min(size[0], width), min(size[1], height))
-    if shrunk != (width, height):
-        pixels = cv2.resize(pixels, shrunk, interpolation=cv2.INTER_AREA)
-    if shrunk != size:
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR)
-    return pixels
-
-
-def _centres(cells: int) -> np.ndarray:
-    """Centres of so many cells along a side (cells,), in pixels of the image the network sees."""
-    return (np.arange(cells) + 0.5) * (INPUT_SIZE / cells) - 0.5
-
-
-def _to_original(cells: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Places in pixels of the 240 x 240 image to the original's, by the half-pixel rule."""
-    scale = np.divide(size, INPUT_SIZE)
-    return ((cells + 0.5) * scale - 0.5).astype(np.float32)
+def _cycle_error(forward: Tensor, reverse: Tensor, size2: tuple[int, int]) -> np.ndarray:
+    """Distance (S, S) of each cell of image 2 from where the two maps (1, S, S, 2) send it and
+    back, in pixels of image 2 at size2."""
+    normalised = (2 * forward + 1) / INPUT_SIZE - 1
+    sampled = F.grid_sample(
+        reverse.movedim(-1, 1), normalised, padding_mode="border", align_corners=False
+    )
+    returned = sampled[0].movedim(0, -1).cpu().numpy()
+    offset = returned - cell_centres((len(returned), len(returned)), _SQUARE)
+    return np.linalg.norm(offset * np.divide(size2, INPUT_SIZE), axis=-1).astype(np.float32)
 
 
 def _stacked(features: Sequence[list[Tensor]]) -> list[Tensor]:

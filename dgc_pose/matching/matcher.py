@@ -22,7 +22,7 @@ class CorrespondenceMap:
     size1: tuple[int, int]  # (width, height) of image 1
     size2: tuple[int, int]  # (width, height) of image 2
     # (H, W) float32, pixels of image 2: distance of the cell from where the reverse map sends its
-    # point in image 1; None where the reverse map was not computed
+    # point in image 1; None if the reverse map was not computed
     cycle: np.ndarray | None = None
 
 
@@ -30,7 +30,7 @@ class CorrespondenceMap:
 class MatchResult:
     """What a matcher found in two images."""
 
-    matches: Matches  # those that a pose is estimated from, pixels of the original images
+    matches: Matches  # those that a pose is estimated from, pixels of the images matched
     correspondence_map: CorrespondenceMap | None  # None for a matcher of key points
 
 
@@ -42,9 +42,14 @@ class Matcher(ABC):
     def name(self) -> str:
         """The name in results and tables."""
 
+    @property
+    def fingerprint(self) -> str | None:
+        """16 hexadecimal digits that tell the weights apart; None for a matcher without weights."""
+        return None
+
     @abstractmethod
     def match(self, image1: Image, image2: Image) -> MatchResult:
-        """Matches in pixels of the original images, and the dense map where one is made."""
+        """Matches in pixels of the images given, and the dense map if the matcher makes one."""
 
     def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
         """As `match` for each pair. A network overrides this to decode the pairs together."""

@@ -1,4 +1,4 @@
-"""From a correspondence map to matches: by matchability, by the way back, evenly spread."""
+"""From a correspondence map to matches: by matchability, by cycle error, evenly spread."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class MatchingOptions:
     """Which cells of the dense map become matches. Raises InputError on values out of range."""
 
     matchability: float = 0.7  # least matchability, 0 to 1
-    cycle_px: float | None = None  # largest error of the way there and back, pixels of image 2
+    cycle_px: float | None = None  # largest cycle error, pixels of image 2; None: not computed
     max_matches: int = 2000  # an even subsample of at most so many
-    min_share: float = 0.01  # of the cells that must pass: a smaller patch is a chance likeness
-    # Where the mean matchability is below this, image 2 is matched as well at the roll, of 90, 180
-    # and 270 degrees, that its coarsest features ask for: the network knows photographs upright.
-    roll_share: float = 0.25
-    # Cells a side of the level that the map is taken from: the coarser, the faster.
+    min_share: float = 0.01  # of all cells that must pass; a smaller patch matches by chance
+    # The network is trained on upright photographs. If the mean matchability is below this, image 2
+    # is matched also rotated by the quarter turns that its coarsest features suggest.
+    rotate_below: float = 0.25
+    # Cells a side of the level that the map is taken from; a coarser one is faster.
     finest: FinestLevel = 240
 
     def __post_init__(self) -> None:
-        for name in ("matchability", "min_share", "roll_share"):
+        for name in ("matchability", "min_share", "rotate_below"):
             value = getattr(self, name)
             if not 0 <= value <= 1:
                 raise InputError(f"{name} must lie in [0, 1], not {value}")
@@ -46,41 +46,44 @@ class MatchingOptions:
             raise InputError(f"max_matches must be at least 1, not {self.max_matches}")
 
 
-def select_matches(correspondences: CorrespondenceMap, options: MatchingOptions) -> Matches:
-    """The cells that pass the options, as matches. Raises InputError where a cycle is wanted of a
-    map that was made without the way back."""
-    place = correspondences.map
-    width, height = correspondences.size1
-    keep = correspondences.matchability >= options.matchability
-    keep &= (place >= -0.5).all(-1) & (place <= (width - 0.5, height - 0.5)).all(-1)
+def select_matches(correspondence_map: CorrespondenceMap, options: MatchingOptions) -> Matches:
+    """The cells that pass the options, as matches. With matchability 0, no cycle_px and min_share
+    0 these are all cells that the map sends into image 1.
+
+    Raises InputError if the options have a cycle_px and the map has no cycle error.
+    """
+    points1 = correspondence_map.map
+    width, height = correspondence_map.size1
+    keep = correspondence_map.matchability >= options.matchability
+    keep &= (points1 >= -0.5).all(-1) & (points1 <= (width - 0.5, height - 0.5)).all(-1)
     if options.cycle_px is not None:
-        if correspondences.cycle is None:
-            raise InputError("cycle_px needs a correspondence map made with the way back")
-        keep &= correspondences.cycle <= options.cycle_px
+        if correspondence_map.cycle is None:
+            raise InputError("cycle_px needs a correspondence map with its cycle error")
+        keep &= correspondence_map.cycle <= options.cycle_px
     if keep.mean() < options.min_share:
         keep = np.zeros_like(keep)
-    keep = even_subsample(keep, correspondences.matchability, options.max_matches)
+    keep = even_subsample(keep, correspondence_map.matchability, options.max_matches)
     return Matches(
-        place[keep],
-        correspondences.grid[keep],
-        correspondences.matchability[keep],
-        error_px=ERROR_CELLS * cell_size(correspondences),
+        points1[keep],
+        correspondence_map.grid[keep],
+        correspondence_map.matchability[keep],
+        error_px=ERROR_CELLS * cell_size(correspondence_map),
     )
 
 
-def cell_size(correspondences: CorrespondenceMap) -> float:
+def cell_size(correspondence_map: CorrespondenceMap) -> float:
     """Side of a cell in pixels of the original images: mean over both images and both axes."""
-    cells = correspondences.matchability.size
-    areas = [w * h / cells for w, h in (correspondences.size1, correspondences.size2)]
+    cells = correspondence_map.matchability.size
+    areas = [w * h / cells for w, h in (correspondence_map.size1, correspondence_map.size2)]
     return sum(math.sqrt(area) for area in areas) / 2
 
 
 def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.ndarray:
-    """At most `most` of the True cells of `keep` (H, W), spread evenly, as a mask (H, W).
+    """At most `most` of the True cells of `keep` (H, W), evenly spread, as a mask (H, W).
 
-    The grid falls into square blocks, as small as the number allows, and the most confident cell
-    of each stays: an even spread keeps the essential matrix well conditioned where confident
-    cells crowd on one object.
+    The grid is divided into square blocks, as small as `most` allows, and the most confident cell
+    of each block is kept. An even spread keeps the essential matrix well conditioned when the
+    confident cells concentrate on one object.
     """
     rows, columns = np.nonzero(keep)
     if len(rows) <= most:

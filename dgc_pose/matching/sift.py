@@ -1,4 +1,4 @@
-"""SIFT as a matcher: what a user would reach for instead, through the same estimator."""
+"""SIFT as a matcher, for comparison through the same estimator."""
 
 from __future__ import annotations
 
@@ -10,31 +10,35 @@ import numpy as np
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.matcher import Matcher, MatchResult
 
 ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
 
 
 @dataclass(frozen=True)
 class SiftOptions:
-    """OpenCV's SIFT with Lowe's ratio test and a mutual check."""
+    """OpenCV's SIFT with Lowe's ratio test and a mutual check (Lowe, IJCV 2004, section 7.1)."""
 
     features: int = 8000  # at most, of each image
-    ratio: float = 0.8  # largest distance to the best neighbour, of that to the second best
+    ratio: float = 0.8  # largest ratio of the nearest descriptor's distance to the second nearest's
 
 
-# Key points (N, 2) and descriptors (N, 128) of an image, the object and not its content.
+# Key points (N, 2) and descriptors (N, 128) by image; keyed by the object, not by its pixels.
 KeyPointCache = BoundedCache[Image, tuple[np.ndarray, np.ndarray]]
 
 
 def key_point_cache() -> KeyPointCache:
-    """A cache of the usual size; the images that it keeps alive count."""
+    """A cache of the default size. The images that it keeps alive count towards it."""
     return BoundedCache(
         lambda image, found: image.pixels.nbytes + found[0].nbytes + found[1].nbytes
     )
 
 
-class SiftMatcher:
-    """Matches by SIFT key points on the original images."""
+class SiftMatcher(Matcher):
+    """Matches by SIFT key points on the original images; makes no map.
+
+    cache: of key points; None to detect them anew for each pair.
+    """
 
     def __init__(
         self, options: SiftOptions | None = None, cache: KeyPointCache | None = None
@@ -46,10 +50,13 @@ class SiftMatcher:
     def name(self) -> str:
         return "sift"
 
-    def match(self, image1: Image, image2: Image) -> Matches:
+    def match(self, image1: Image, image2: Image) -> MatchResult:
         """Mutual nearest neighbours that pass the ratio test; confidence 1 - distance ratio."""
-        points1, descriptors1 = self.key_points(image1)
-        points2, descriptors2 = self.key_points(image2)
+        return MatchResult(self._matches(image1, image2), None)
+
+    def _matches(self, image1: Image, image2: Image) -> Matches:
+        points1, descriptors1 = self._key_points(image1)
+        points2, descriptors2 = self._key_points(image2)
         if len(points1) < 2 or len(points2) < 2:
             none = np.zeros((0, 2))
             return Matches(none, none, np.zeros(0), ERROR_PX, key_points=True)
@@ -66,7 +73,7 @@ class SiftMatcher:
         first, second = table[:, 0].astype(int), table[:, 1].astype(int)
         return Matches(points1[first], points2[second], table[:, 2], ERROR_PX, key_points=True)
 
-    def key_points(self, image: Image) -> tuple[np.ndarray, np.ndarray]:
+    def _key_points(self, image: Image) -> tuple[np.ndarray, np.ndarray]:
         """Key points (N, 2), pixels of the image, and their descriptors (N, 128) float32."""
         if self.cache is None:
             return self._detect(image)

@@ -1,10 +1,10 @@
-"""Matches of the frozen encoder's own features at native resolution, led by the dense map.
+"""Matches of the frozen encoder's own features at native resolution, guided by the dense map.
 
-The encoder is fully convolutional, so the image may keep its shape and most of its resolution. At
-stride 16 every cell of image 2 gets a few candidate places in image 1: the most alike of all, and
-those that the dense map names. At stride 8 their children are compared, and mutual nearest
-neighbours stay. At stride 4 the place is found to a part of a cell. Only the coarsest comparison
-grows with the square of the image.
+The encoder is fully convolutional, so the image keeps its shape and most of its resolution. At
+stride 16 each cell of image 2 gets a few candidate cells of image 1: the most similar ones, and
+those that the map points to. At stride 8 their children are compared, and mutual nearest neighbours
+are kept. At stride 4 the point is located to a fraction of a cell. Only the comparison at stride 16
+is quadratic in the number of pixels.
 """
 
 from __future__ import annotations
@@ -19,14 +19,85 @@ from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.network.net import DGCNet
-from dgc_pose.refinement.guide import places_in_image1, quarter_turns, turned_points
-from dgc_pose.refinement.native import Features, NativeCache, cells_at, native_features
+from dgc_pose.pixels import rescale
+from dgc_pose.refinement.consistency import consistent
+from dgc_pose.refinement.guide import (
+    points_in_image1,
+    rotate_points,
+    rotation_between,
+    scale_between,
+)
+from dgc_pose.refinement.native import (
+    Features,
+    NativeCache,
+    cells_at,
+    native_cache,
+    native_features,
+)
+from dgc_pose.refinement.options import FeatureOptions
 
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
+_FEW = 0.3  # share of consistent matches below which other scales are tried
+_OTHER_SCALES = (1 / 3, 3.0)
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
-_RADIUS = 3  # cells of stride 4 searched around the place found at stride 8
+_RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 1024  # coarse cells compared at a time, which bounds the memory
+
+
+class FeatureMatches:
+    """Matches of the features of a frozen network, guided by the map (a `MatchSource`).
+
+    cache: of the features; None to compute them anew for each pair.
+    """
+
+    def __init__(
+        self,
+        net: DGCNet,
+        options: FeatureOptions | None = None,
+        cache: NativeCache | None = None,
+    ) -> None:
+        self.net = net
+        self.options = options or FeatureOptions()
+        self.cache = cache
+
+    def find(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
+    ) -> Matches:
+        """Matches at the scale that the map shows, to the octave: features tolerate half of one.
+
+        If the map is weak, other scales are tried, and that with the most consistent matches kept.
+        """
+        cache = self.cache or native_cache()
+
+        def at(scale: float) -> Matches:
+            return match_features(
+                self.net,
+                image1,
+                image2,
+                correspondence_map,
+                scale=scale,
+                options=self.options,
+                cache=cache,
+            )
+
+        def count_consistent(found: Matches) -> int:
+            return len(consistent(found, self.options.neighbours).index)
+
+        shown = 2.0 ** round(math.log2(scale_between(correspondence_map)))
+        found = at(shown)
+        if correspondence_map.matchability.mean() >= self.options.other_scales_below:
+            return found
+        most = count_consistent(found)
+        # Equal scale is always tried: that of a weak map is no more likely.
+        for scale in (1.0, *_OTHER_SCALES):
+            if scale == shown or (scale != 1.0 and most >= _FEW * len(found)):
+                continue
+            other = at(scale)
+            count = count_consistent(other)
+            if count > most:
+                found, most = other, count
+        return found
 
 
 @torch.no_grad()
@@ -34,52 +105,52 @@ def match_features(
     net: DGCNet,
     image1: Image,
     image2: Image,
-    correspondences: CorrespondenceMap,
+    correspondence_map: CorrespondenceMap,
     *,
-    zoom: float,
-    long_side: int,
-    candidates: int,
+    scale: float,
+    options: FeatureOptions,
     cache: NativeCache,
 ) -> Matches:
     """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
 
-    zoom: pixels of image 1 to one of image 2, for a thing seen in both. Features know no scale and
-    no turns: the images are resized to show things at one size, their long sides about `long_side`
-    pixels, and image 2 is turned by the quarter turns that the map shows.
+    scale: pixels of image 1 per pixel of image 2. Features are invariant neither to scale nor to
+    rotation: the images are resized to one scale, with long sides of about `long_side` pixels, and
+    image 2 is rotated by the quarter turns that the map shows.
     """
-    turns = quarter_turns(correspondences)
-    turned = np.ascontiguousarray(np.rot90(image2.pixels, turns))
-    scale1, scale2 = equal_scales(image1.size, image2.size, zoom, long_side)
-    cells1 = cells_at(image1.size, scale1)
-    cells2 = cells_at((turned.shape[1], turned.shape[0]), scale2)
+    quarter_turns = rotation_between(correspondence_map)
+    rotated = np.ascontiguousarray(np.rot90(image2.pixels, quarter_turns))
+    factor1, factor2 = equal_scales(image1.size, image2.size, scale, options.long_side)
+    cells1 = cells_at(image1.size, factor1)
+    cells2 = cells_at((rotated.shape[1], rotated.shape[0]), factor2)
     source = cache.get((image1, 0, cells1), lambda: native_features(net, image1.pixels, cells1))
-    target = cache.get((image2, turns, cells2), lambda: native_features(net, turned, cells2))
-    guided = _guided_cells(correspondences, source, target, turns)
-    found1, found2, cosine = mutual_neighbours(
-        source, target, torch.cat([_likely_cells(source, target, candidates), guided], 1)
+    target = cache.get(
+        (image2, quarter_turns, cells2), lambda: native_features(net, rotated, cells2)
     )
-    places1, places2 = refine_places(source.fine, target.fine, found1, found2)
-    points2 = to_pixels(places2, target.fine, target.size).cpu().numpy().astype(np.float64)
+    guided = _guided_cells(correspondence_map, source, target, quarter_turns)
+    similar = _similar_cells(source, target, options.candidates)
+    found1, found2, cosine = mutual_neighbours(source, target, torch.cat([similar, guided], 1))
+    fine1, fine2 = subcell_points(source.fine, target.fine, found1, found2)
+    points2 = to_pixels(fine2, target.fine, target.size).cpu().numpy().astype(np.float64)
     cell = math.sqrt(_cell_area(source) * _cell_area(target)) ** 0.5
     return Matches(
-        to_pixels(places1, source.fine, source.size).cpu().numpy(),
-        turned_points(points2, target.size, -turns),
+        to_pixels(fine1, source.fine, source.size).cpu().numpy(),
+        rotate_points(points2, target.size, -quarter_turns),
         cosine.clamp(0, 1).cpu().numpy(),
         error_px=ERROR_CELLS * cell,
     )
 
 
 def equal_scales(
-    size1: tuple[int, int], size2: tuple[int, int], zoom: float, long_side: int
+    size1: tuple[int, int], size2: tuple[int, int], scale: float, long_side: int
 ) -> tuple[float, float]:
-    """Factors, at most 1, that make things as large in image 1 as in image 2; sizes (w, h).
+    """Factors, at most 1, that bring both images to one scale; sizes (width, height).
 
-    At zoom 1 each long side is at most `long_side` afterwards; else the image that shows things
-    larger becomes smaller than that.
+    scale: pixels of image 1 per pixel of image 2. At scale 1 each long side is at most `long_side`
+    afterwards; otherwise the image of the larger scale becomes smaller than that.
     """
-    scale1, scale2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
-    ratio = zoom * scale1 / scale2
-    return scale1 / max(ratio, 1.0), scale2 * min(ratio, 1.0)
+    factor1, factor2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
+    ratio = scale * factor1 / factor2
+    return factor1 / max(ratio, 1.0), factor2 * min(ratio, 1.0)
 
 
 def mutual_neighbours(
@@ -92,28 +163,28 @@ def mutual_neighbours(
     """
     middle1, middle2 = source.middle.flatten(1).T.contiguous(), target.middle.flatten(1).T
     children1, children2 = _children(source.coarse), _children(target.coarse)
-    kept = middle1.new_full((len(middle1),), -torch.inf)  # best cosine of each source cell
-    best, place = [], []
+    limit = middle1.new_full((len(middle1),), -torch.inf)  # best cosine of each source cell
+    best, cell = [], []
     for rows, own in zip(candidates.split(_CHUNK), children2.split(_CHUNK), strict=True):
         index = children1[rows].flatten(1)  # (m, 4 K)
         scores = torch.bmm(middle2[own], middle1[index].transpose(1, 2))  # (m, 4, 4 K)
-        kept.scatter_reduce_(0, index.flatten(), scores.amax(1).flatten(), "amax")
+        limit.scatter_reduce_(0, index.flatten(), scores.amax(1).flatten(), "amax")
         score, which = scores.max(2)
         best.append(score.flatten())
-        place.append(index.gather(1, which).flatten())
-    cosine, cell1, cell2 = torch.cat(best), torch.cat(place), children2.flatten()
-    mutual = cosine >= kept[cell1]
+        cell.append(index.gather(1, which).flatten())
+    cosine, cell1, cell2 = torch.cat(best), torch.cat(cell), children2.flatten()
+    mutual = cosine >= limit[cell1]
     cell1, cell2 = cell1[mutual], cell2[mutual]
     return _xy(cell1, source.middle), _xy(cell2, target.middle), cosine[mutual]
 
 
-def refine_places(
+def subcell_points(
     fine1: Tensor, fine2: Tensor, cells1: Tensor, cells2: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Places (M, 2) in cells of stride 4 of matched cells (M, 2) of stride 8.
+    """Points (M, 2) in cells of stride 4 of matched cells (M, 2) of stride 8.
 
-    The target's place stays; the source's is the mean of the cells within one of the most alike in
-    a window, weighted by the softmax of their cosines.
+    The target's point is the cell's centre; the source's is the mean of the cells within one of the
+    most similar in a window, weighted by the softmax of their cosines.
     """
     halves1, halves2 = _between_cells(fine1), _between_cells(fine2)
     axis = torch.arange(-_RADIUS, _RADIUS + 1, device=fine1.device)
@@ -123,13 +194,13 @@ def refine_places(
     limit = around.new_tensor((halves1.shape[1] - 1, halves1.shape[0] - 1))
     inside = (around >= 0).all(-1) & (around <= limit).all(-1)
     around = around.clamp_min(0).minimum(limit)
-    here = halves2[corner2[:, 1], corner2[:, 0], :, None]  # (M, C, 1)
+    wanted = halves2[corner2[:, 1], corner2[:, 0], :, None]  # (M, C, 1)
     cells = around[..., 1] * halves1.shape[1] + around[..., 0]
     rows = halves1.flatten(0, 1)
     cosines = torch.cat(
         [
-            torch.bmm(rows[there], own)[..., 0]
-            for there, own in zip(cells.split(_WINDOWS), here.split(_WINDOWS), strict=True)
+            torch.bmm(rows[part], own)[..., 0]
+            for part, own in zip(cells.split(_WINDOWS), wanted.split(_WINDOWS), strict=True)
         ]
     )
     cosines = cosines.masked_fill(~inside, -torch.inf)
@@ -140,30 +211,31 @@ def refine_places(
 
 
 def to_pixels(cells: Tensor, level: Tensor, size: tuple[int, int]) -> Tensor:
-    """Places (M, 2) in cells of a level (C, h, w) to pixels of the image of `size`."""
+    """Points (M, 2) in cells of a level (C, h, w) to pixels of the image of `size`."""
     height, width = level.shape[1:]
     scale = cells.new_tensor((size[0] / width, size[1] / height))
     return (cells + 0.5) * scale - 0.5
 
 
-def _likely_cells(source: Features, target: Features, count: int) -> Tensor:
-    """The `count` cells of stride 16 of the source most like each of the target's: (n, count)."""
+def _similar_cells(source: Features, target: Features, count: int) -> Tensor:
+    """The `count` cells of stride 16 of the source most similar to each of the target's: (n,
+    count)."""
     own, other = source.coarse.flatten(1), target.coarse.flatten(1).T
     count = min(count, own.shape[1])
     return torch.cat([(part @ own).topk(count, 1).indices for part in other.split(_CHUNK)])
 
 
 def _guided_cells(
-    correspondences: CorrespondenceMap, source: Features, target: Features, turns: int
+    correspondence_map: CorrespondenceMap, source: Features, target: Features, quarter_turns: int
 ) -> Tensor:
-    """The 2x2 cells of stride 16 around the place that the map names for each cell: (n, 4)."""
+    """The 2x2 cells of stride 16 around the map's point for each cell of the target: (n, 4)."""
     height, width = target.coarse.shape[1:]
     index = torch.arange(height * width, device=target.coarse.device)
     centres = to_pixels(_xy(index, target.coarse), target.coarse, target.size)
-    upright = turned_points(centres.cpu().numpy().astype(np.float64), target.size, -turns)
-    places = places_in_image1(correspondences, upright)
+    points2 = rotate_points(centres.cpu().numpy().astype(np.float64), target.size, -quarter_turns)
     rows, columns = source.coarse.shape[1:]
-    cells = (places + 0.5) * np.divide((columns, rows), source.size) - 0.5
+    points1 = points_in_image1(correspondence_map, points2)
+    cells = rescale(points1, source.size, (columns, rows))
     corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
     corner = corner.clip(0, (columns - 1, rows - 1))
     found = torch.from_numpy(corner[..., 1] * columns + corner[..., 0])

@@ -1,4 +1,4 @@
-"""The frozen encoder's features of an image at its own shape, and nearly at its own resolution."""
+"""The frozen encoder's features of an image in its own shape, at nearly its own resolution."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.image import Image
+from dgc_pose.image import Image, resize
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.matching.dense import resize
 from dgc_pose.network.device import multiplies_bfloat16
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 
-STRIDE = 16  # pixels of the resized image to a cell of the coarsest level
+STRIDE = 16  # pixels of the resized image per cell of the coarsest level
 
 
 @dataclass(frozen=True)
@@ -26,27 +25,27 @@ class Features:
     coarse: Tensor  # (C, h, w), stride 16
     middle: Tensor  # (C, 2 h, 2 w), stride 8
     fine: Tensor  # (C, 4 h, 4 w), stride 4
-    size: tuple[int, int]  # (width, height) of the image they were taken from
+    size: tuple[int, int]  # (width, height) of the image they were computed from
 
     @property
     def nbytes(self) -> int:
         return self.coarse.nbytes + self.middle.nbytes + self.fine.nbytes
 
 
-# Features of an image, the object and not its content, by quarter turns of it and by the columns
-# and rows of stride 16.
+# Features by image (the object, not its pixels), quarter turns of it, and columns and rows of
+# stride 16.
 NativeCache = BoundedCache[tuple[Image, int, tuple[int, int]], Features]
 
 
 def native_cache() -> NativeCache:
-    """A cache of the usual size; the images that it keeps alive count."""
+    """A cache of the default size. The images that it keeps alive count towards it."""
     return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes)
 
 
 def cells_at(size: tuple[int, int], scale: float) -> tuple[int, int]:
     """Columns and rows of stride 16 of an image of `size` (width, height) resized by `scale`.
 
-    Each side becomes the nearest multiple of 16, so its scale is only nearly that.
+    Each side becomes the nearest multiple of 16, so the actual scale differs a little.
     """
     columns, rows = (max(1, round(side * scale / STRIDE)) for side in size)
     return columns, rows
@@ -56,8 +55,8 @@ def cells_at(size: tuple[int, int], scale: float) -> tuple[int, int]:
 def native_features(net: DGCNet, pixels: np.ndarray, cells: tuple[int, int]) -> Features:
     """Features of an image (H, W, 3), uint8, at so many columns and rows of stride 16.
 
-    Convolutions run in bfloat16 where the device multiplies it: the cosines of true matches change
-    by less than a hundredth, and the pass takes half the time.
+    Convolutions run in bfloat16 if the device multiplies it: the cosines of true matches change by
+    less than a hundredth, and the pass takes half the time.
     """
     height, width = pixels.shape[:2]
     device = next(net.parameters()).device
@@ -65,7 +64,7 @@ def native_features(net: DGCNet, pixels: np.ndarray, cells: tuple[int, int]) -> 
     planes = normalise(shrunk.to(device).permute(2, 0, 1)[None].float() / 255)
     with torch.autocast(device.type, torch.bfloat16, enabled=multiplies_bfloat16(device)):
         levels = net.pyramid(planes.contiguous(memory_format=torch.channels_last))
-    # Channels last: what follows takes cells one by one.
+    # Channels last, because cells are gathered one by one later.
     fine, middle, coarse = (
         F.normalize(level.float().contiguous(memory_format=torch.channels_last), dim=1)[0]
         for level in levels[2:5]

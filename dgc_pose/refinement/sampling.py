@@ -1,4 +1,4 @@
-"""Images at places between their pixels."""
+"""Bilinear sampling of images at points between their pixels."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 _CHUNK = 30000  # rows at a time: cv2.remap makes no image with a side of 32768 or more
 
 
-def bilinear(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Values (N, P) float32 of an image (H, W) float32 at places (N, P, 2), its edge repeated."""
-    x, y = np.moveaxis(places.astype(np.float32), -1, 0)
+def bilinear(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Values (N, P) float32 of an image (H, W) float32 at points (N, P, 2), its edge repeated."""
+    x, y = np.moveaxis(points.astype(np.float32), -1, 0)
     values = np.empty(x.shape, np.float32)
     for i in range(0, len(x), _CHUNK):
         rows = slice(i, i + _CHUNK)

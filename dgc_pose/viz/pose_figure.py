@@ -38,7 +38,7 @@ def plot_pose(trace: Trace) -> Figure:
     without lines. Epipolar lines are those of the pinhole cameras K, without lens distortion.
     """
     pose, matches = trace.pose, trace.matches
-    rows = 2 if trace.correspondences is None else 3
+    rows = 2 if trace.correspondence_map is None else 3
     heights = _row_heights(trace.image1, trace.image2, rows)
     figure = new_figure(WIDTH, sum(heights) + 0.4 * rows + 0.3)
     figure.suptitle(_headline(pose), fontsize=11)
@@ -46,8 +46,8 @@ def plot_pose(trace: Trace) -> Figure:
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(matches))
     _draw_matches(figure, grid, trace, chosen)
     _draw_epipolar(figure, grid, trace, chosen)
-    if trace.correspondences is not None:
-        _draw_map(figure, grid, trace, trace.correspondences)
+    if trace.correspondence_map is not None:
+        _draw_map(figure, grid, trace, trace.correspondence_map)
     return figure
 
 
@@ -100,10 +100,10 @@ def _draw_epipolar(figure: Figure, grid: GridSpec, trace: Trace, chosen: np.ndar
 
 
 def _draw_map(
-    figure: Figure, grid: GridSpec, trace: Trace, correspondences: CorrespondenceMap
+    figure: Figure, grid: GridSpec, trace: Trace, correspondence_map: CorrespondenceMap
 ) -> None:
     left, right = (figure.add_subplot(grid[2, column]) for column in range(2))
-    matchability = correspondences.matchability
+    matchability = correspondence_map.matchability
     colours = show_matchability(
         left, trace.image2.pixels, matchability, "matchability over image 2"
     )
@@ -111,7 +111,7 @@ def _draw_map(
     show_warp(
         right,
         trace.image1.pixels,
-        correspondences.map,
+        correspondence_map.map,
         matchability,
         trace.image2.size,
         "image 1 warped onto image 2, pale where not matchable",

@@ -1,0 +1,78 @@
+"""Every matcher by its name: what the commands and the benchmarks match with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
+from dgc_pose.matching.flow import FLOWS, FlowMatcher
+from dgc_pose.matching.matcher import Matcher
+from dgc_pose.matching.selection import MatchingOptions
+from dgc_pose.matching.sift import KeyPointCache, SiftMatcher, key_point_cache
+from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.refinement.features import FeatureMatches
+from dgc_pose.refinement.flow import FlowMatches
+from dgc_pose.refinement.native import NativeCache, native_cache
+from dgc_pose.refinement.options import RefinementOptions, SourceName
+from dgc_pose.refinement.refiner import Refiner
+from dgc_pose.refinement.source import MapMatches, MatchSource
+
+SIFT = "sift"
+_DEFAULT = RefinementOptions()
+CLASSICAL = (SIFT, *FLOWS)  # names of the matchers without weights
+
+
+@dataclass(frozen=True)
+class MatcherCaches:
+    """What one matcher computes of an image, kept for the next pair of that image.
+
+    Features belong to the network that made them: two matchers never share an instance. `asked` and
+    `made` of each count the look-ups and the computations.
+    """
+
+    features: FeatureCache = field(default_factory=feature_cache)  # the encoder's, at 240x240
+    native: NativeCache = field(default_factory=native_cache)  # the encoder's, for refinement
+    key_points: KeyPointCache = field(default_factory=key_point_cache)  # of SIFT
+
+
+def load_matcher(
+    name: str | Path = DEFAULT_WEIGHTS,
+    *,
+    device: str = "auto",
+    matching: MatchingOptions | None = None,
+    refinement: RefinementOptions | None = _DEFAULT,
+    caches: MatcherCaches | None = None,
+) -> Matcher:
+    """A matcher by its name; by default what `dgc-pose estimate` uses.
+
+    name: shipped weights ("dgcm-lite"), a path to weights (see `load_network`), "sift", or an
+    optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". matching:
+    how matches are selected from a dense map. refinement: of a network's matches; None for the
+    matches of its map. SIFT and the flows are never refined here; a `Refiner` around them does it.
+    caches: to keep what is computed of an image from pair to pair; None to keep nothing.
+
+    Raises WeightsError if weights cannot be loaded, InputError if there is no such device.
+    """
+    if name == SIFT:
+        return SiftMatcher(cache=None if caches is None else caches.key_points)
+    for flow in FLOWS:
+        if name == flow:
+            return FlowMatcher(flow, matching)
+    features, native = (None, None) if caches is None else (caches.features, caches.native)
+    dense = load_dense_matcher(name, device=device, options=matching, cache=features)
+    return dense if refinement is None else refined(dense, refinement, native)
+
+
+def refined(
+    dense: DenseMatcher, options: RefinementOptions, cache: NativeCache | None = None
+) -> Refiner:
+    """A network's matcher with refinement, whose features are of the same network."""
+    sources: Mapping[SourceName, Callable[[], tuple[MatchSource, ...]]] = {
+        "map": lambda: (MapMatches(),),
+        "features": lambda: (FeatureMatches(dense.net, options.features, cache),),
+        "flow": lambda: (FlowMatches(options.flow),),
+        "auto": lambda: (FeatureMatches(dense.net, options.features, cache), MapMatches()),
+    }
+    return Refiner(dense, sources[options.source](), options.alignment)

@@ -1,0 +1,266 @@
+"""Dense maps, flows and matches that another program computed: one file for each pair.
+
+A flow or map is defined on the pixels of image 2 and points into image 1. (For an optical flow
+program image 2 is the first image.) A map of any size W x H is one over both images resized to
+W x H. Formats:
+
+- `.flo`: Middlebury's flow; components beyond 1e9 are unknown.
+- `.png`: KITTI's 16-bit flow, (value - 2^15) / 64; the third channel is 0 if it is unknown.
+- `.npy`: a flow (H, W, 2) or (2, H, W), x before y; NaN is unknown.
+- `.npz`: `flow` as in .npy; or `map`, the points in image 1; either with `matchability` (H, W) in
+  0 to 1 (or `certainty`), by default 1. With `grid` (H, W, 2), `map` and `grid` are in pixels of
+  the images as stored, as `dgc-pose match` writes them. Or `points1` and `points2` (N, 2) alone, in
+  pixels of the images as stored, with optional `confidence` (N,), `error_px`, and `key_points`,
+  true if each match was found independently.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dgc_pose.errors import InputError
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching.flow import scaled_map
+from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.pixels import pixel_grid, rescale
+
+ENDINGS = (".flo", ".npz", ".npy", ".png")
+_FLO_MAGIC = 202021.25
+_FLO_UNKNOWN = 1e9
+_ERROR_PX = 1.0  # of points without an error_px, pixels of the images as stored
+
+
+class FileMatcher(Matcher):
+    """The files of one program in one folder, found by the names of the two images.
+
+    stem: from the two `Image.name`s to the name of the pair's file without its ending.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        stem: Callable[[str, str], str],
+        name: str | None = None,
+        options: MatchingOptions | None = None,
+    ) -> None:
+        self.folder = Path(folder)
+        self.stem = stem
+        self.options = options or MatchingOptions()
+        self._name = name or self.folder.name
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    def require(self, names: Iterable[tuple[str, str]]) -> None:
+        """Raise InputError, with the path, unless there is one file for each pair of image names;
+        to be called before hours of work."""
+        if not self.folder.is_dir():
+            raise InputError(f"{self.folder}: no such folder of matches")
+        for name1, name2 in names:
+            self.path(name1, name2)
+
+    def path(self, name1: str, name2: str) -> Path:
+        """The file of a pair. Raises InputError if there is none, or more than one."""
+        stem = self.folder / self.stem(name1, name2)
+        found = [path for end in ENDINGS if (path := Path(f"{stem}{end}")).is_file()]
+        if len(found) != 1:
+            what = "no such file" if not found else f"{len(found)} files"
+            raise InputError(
+                f"{stem}: {what} with the ending {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}; "
+                "expected one for each pair of the list"
+            )
+        return found[0]
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        """The stored map with the matches selected from it, or the stored points without a map; in
+        pixels of the images given.
+
+        Raises InputError, with the path, if the file is missing or malformed.
+        """
+        path = self.path(image1.name, image2.name)
+        try:
+            found = _read(path, image1, image2)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"{path}: cannot be read ({reason})") from None
+        if isinstance(found, Matches):
+            return MatchResult(found, None)
+        return MatchResult(select_matches(found, self.options), found)
+
+
+def _read(path: Path, image1: Image, image2: Image) -> CorrespondenceMap | Matches:
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            return _from_arrays({key: archive[key] for key in archive.files}, image1, image2)
+    if path.suffix == ".npy":
+        flow = _planes_last(np.load(path, allow_pickle=False), "flow")
+    elif path.suffix == ".flo":
+        flow = read_flo(path)
+    else:
+        flow = read_kitti(path)
+    return _from_map(_flow_ends(flow), None, image1, image2)
+
+
+def read_flo(path: Path) -> np.ndarray:
+    """Middlebury's flow (H, W, 2) float64, NaN if unknown. Raises InputError if malformed."""
+    with path.open("rb") as stream:
+        header = stream.read(12)
+    if len(header) < 12 or np.frombuffer(header[:4], "<f4")[0] != np.float32(_FLO_MAGIC):
+        raise InputError("not a .flo file: it does not begin with 202021.25")
+    width, height = (int(side) for side in np.frombuffer(header[4:], "<i4"))
+    size = path.stat().st_size
+    # OpenCV reads such a file without an error, as far as it goes.
+    if width < 1 or height < 1 or size != 12 + 8 * width * height:
+        raise InputError(f"{size} bytes are not those of a flow of {width} x {height}")
+    flow: np.ndarray = cv2.readOpticalFlow(str(path)).astype(np.float64)
+    flow[(np.abs(flow) > _FLO_UNKNOWN).any(-1)] = np.nan
+    return flow
+
+
+def read_kitti(path: Path) -> np.ndarray:
+    """KITTI's flow (H, W, 2) float64, NaN if unknown. Raises InputError if malformed."""
+    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if stored is None or stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
+        raise InputError("expected a PNG of three 16-bit channels, as KITTI stores flow")
+    known, y, x = np.moveaxis(stored.astype(np.float64), -1, 0)  # OpenCV gives BGR for RGB
+    flow = (np.stack([x, y], -1) - 2**15) / 64
+    flow[known == 0] = np.nan
+    return flow
+
+
+def _from_arrays(
+    arrays: Mapping[str, np.ndarray], image1: Image, image2: Image
+) -> CorrespondenceMap | Matches:
+    matchability = arrays.get("matchability", arrays.get("certainty"))
+    if "flow" in arrays:
+        points1 = _flow_ends(_planes_last(arrays["flow"], "flow"))
+        return _from_map(points1, matchability, image1, image2)
+    if "map" in arrays:
+        points1 = _planes_last(arrays["map"], "map")
+        if "grid" not in arrays:
+            return _from_map(points1, matchability, image1, image2)
+        grid = _planes_last(arrays["grid"], "grid")
+        return _from_grid(points1, grid, matchability, image1, image2)
+    if "points1" in arrays and "points2" in arrays:
+        return _from_points(arrays, image1, image2)
+    found = ", ".join(sorted(arrays)) or "nothing"
+    raise InputError(f"expected flow, map, or points1 and points2, found {found}")
+
+
+def _flow_ends(flow: np.ndarray) -> np.ndarray:
+    return pixel_grid((flow.shape[1], flow.shape[0])) + flow
+
+
+def _from_map(
+    points1: np.ndarray, matchability: np.ndarray | None, image1: Image, image2: Image
+) -> CorrespondenceMap:
+    matchability, points1 = _checked(matchability, points1)
+    return _thinned(scaled_map(points1, matchability, image1.size, image2.size))
+
+
+def _from_grid(
+    points1: np.ndarray,
+    grid: np.ndarray,
+    matchability: np.ndarray | None,
+    image1: Image,
+    image2: Image,
+) -> CorrespondenceMap:
+    if grid.shape != points1.shape:
+        raise InputError(f"map has shape {points1.shape}, grid {grid.shape}")
+    matchability, points1 = _checked(matchability, points1)
+    found = CorrespondenceMap(
+        map=_from_stored(points1, image1).astype(np.float32),
+        grid=_from_stored(grid, image2).astype(np.float32),
+        matchability=matchability,
+        size1=image1.size,
+        size2=image2.size,
+    )
+    return _thinned(found)
+
+
+def _from_points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Matches:
+    points1, points2 = (np.asarray(arrays[key], np.float64) for key in ("points1", "points2"))
+    if points1.ndim != 2 or points1.shape[1] != 2 or points1.shape != points2.shape:
+        raise InputError(
+            f"points1 and points2 must both be (N, 2), not {points1.shape} and {points2.shape}"
+        )
+    error = _single(arrays, "error_px", _ERROR_PX, "one number")
+    key_points = _single(arrays, "key_points", False, "true or false")
+    scale = np.sqrt(np.prod(np.divide(image1.size, image1.stored_size or image1.size)))
+    return Matches(
+        _from_stored(points1, image1),
+        _from_stored(points2, image2),
+        np.asarray(arrays.get("confidence", np.ones(len(points1)))),
+        float(error) * float(scale),
+        bool(key_points),
+    )
+
+
+def _single(arrays: Mapping[str, np.ndarray], name: str, default: float, what: str) -> np.ndarray:
+    """The one value () of an array, or the default if it is missing. `what`: it must be."""
+    value = np.asarray(arrays.get(name, default))
+    if value.size != 1:
+        raise InputError(f"{name} must be {what}, not {value.size} values")
+    return value.reshape(())
+
+
+def _from_stored(points: np.ndarray, image: Image) -> np.ndarray:
+    """Points in pixels of an image as stored, in pixels of the image given."""
+    return rescale(points, image.stored_size or image.size, image.size)
+
+
+def _thinned(found: CorrespondenceMap) -> CorrespondenceMap:
+    """Every k-th cell of a map that is finer than the pixels of image 2."""
+    rows, columns = found.matchability.shape
+    step = max(1, round(columns / found.size2[0]), round(rows / found.size2[1]))
+    if step == 1:
+        return found
+    cells = (slice(step // 2, None, step), slice(step // 2, None, step))
+    return replace(
+        found,
+        map=found.map[cells],
+        grid=found.grid[cells],
+        matchability=found.matchability[cells],
+    )
+
+
+def _checked(
+    matchability: np.ndarray | None, points1: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The matchability (H, W) float32, by default 1, and the points (H, W, 2). If a point is
+    unknown, its matchability is 0 and the point is -inf."""
+    known = np.isfinite(points1).all(-1)
+    points1 = np.where(known[..., None], points1, -np.inf)
+    if matchability is None:
+        return known.astype(np.float32), points1
+    given = np.asarray(matchability, dtype=np.float32).squeeze()
+    if given.shape != known.shape:
+        raise InputError(f"matchability has shape {given.shape}, the map {known.shape}")
+    if not ((given >= 0) & (given <= 1)).all():
+        raise InputError("matchability must lie in 0 to 1")
+    return np.where(known, given, np.float32(0)), points1
+
+
+def _planes_last(array: np.ndarray, name: str) -> np.ndarray:
+    """(H, W, 2) float64 from (H, W, 2), from (2, H, W), or from a batch of one of either."""
+    found = np.asarray(array)
+    if found.dtype.kind not in "iuf":
+        raise InputError(f"{name} must be numbers, not {found.dtype}")
+    if found.ndim == 4 and found.shape[0] == 1:
+        found = found[0]
+    if found.ndim == 3 and found.shape[-1] != 2 and found.shape[0] == 2:
+        found = np.moveaxis(found, 0, -1)
+    if found.ndim != 3 or found.shape[-1] != 2 or found.size == 0:
+        raise InputError(f"{name} must have shape (H, W, 2) or (2, H, W), not {array.shape}")
+    return found.astype(np.float64)

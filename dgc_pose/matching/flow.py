@@ -1,0 +1,116 @@
+"""OpenCV's dense optical flow as a matcher, for comparison with a correspondence network."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+
+from dgc_pose.errors import InputError
+from dgc_pose.image import Image, resize
+from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.pixels import pixel_grid, rescale
+
+FlowName = Literal["dis", "farneback"]
+FLOWS: tuple[FlowName, ...] = get_args(FlowName)
+LONGEST_SIDE = 640  # pixels; larger images are shrunk to it before the flow is computed
+_LEAST_SIDE = 16  # pixels
+
+
+class FlowMatcher(Matcher):
+    """DIS (Kroeger et al., ECCV 2016) or Farneback's flow (2003) from image 2 to image 1.
+
+    Raises InputError if there is no flow of that name.
+    """
+
+    def __init__(self, name: FlowName, options: MatchingOptions | None = None) -> None:
+        if name not in FLOWS:
+            raise InputError(f"a flow must be one of {', '.join(FLOWS)}, not '{name}'")
+        self._name = name
+        self.options = options or MatchingOptions()
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        """The map over the pixels of image 2, or of its shrunk copy, and the matches selected.
+
+        Both images are brought to one size. Matchability is 1 if the forward and the backward flow
+        agree (see `agreement`), and 0 otherwise.
+        """
+        share = min(1.0, LONGEST_SIDE / max(image2.size))
+        width, height = (max(round(share * side), _LEAST_SIDE) for side in image2.size)
+        grey1, grey2 = (
+            cv2.cvtColor(resize(image.pixels, (width, height)), cv2.COLOR_RGB2GRAY)
+            for image in (image1, image2)
+        )
+        forward, backward = self._flow(grey2, grey1), self._flow(grey1, grey2)
+        points1 = pixel_grid((width, height)) + forward
+        found = scaled_map(points1, agreement(forward, backward), image1.size, image2.size)
+        return MatchResult(select_matches(found, self.options), found)
+
+    def _flow(self, of: np.ndarray, to: np.ndarray) -> np.ndarray:
+        """Flow (H, W, 2) float32 on the pixels of the first image (H, W) uint8."""
+        start = np.zeros((*of.shape, 2), np.float32)
+        if self._name == "dis":
+            dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+            return np.asarray(dis.calc(of, to, start))
+        # The settings of OpenCV's own sample, with as many levels as leave 32 pixels a side.
+        levels = max(1, int(np.log2(max(of.shape) / 32)))
+        flow = cv2.calcOpticalFlowFarneback(
+            of,
+            to,
+            start,
+            pyr_scale=0.5,
+            levels=levels,
+            winsize=15,
+            iterations=3,
+            poly_n=5,
+            poly_sigma=1.2,
+            flags=0,
+        )
+        return np.asarray(flow)
+
+
+def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Whether a flow (H, W, 2) and the backward flow at its end points cancel: (H, W) float32.
+
+    1 if |f + b|^2 < 0.01 (|f|^2 + |b|^2) + 0.5, in pixels (Sundaram et al. 2010, equation 5); 0
+    otherwise, and 0 if the flow leaves the image.
+    """
+    height, width = forward.shape[:2]
+    ends = (pixel_grid((width, height)) + forward).astype(np.float32)
+    returned = cv2.remap(
+        backward.astype(np.float32),
+        ends[..., 0],
+        ends[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    error = ((forward + returned) ** 2).sum(-1)
+    agrees = error < 0.01 * ((forward**2).sum(-1) + (returned**2).sum(-1)) + 0.5
+    inside = ((ends >= -0.5) & (ends <= np.array([width, height]) - 0.5)).all(-1)
+    return (agrees & inside).astype(np.float32)
+
+
+def scaled_map(
+    points1: np.ndarray,
+    matchability: np.ndarray,
+    size1: tuple[int, int],
+    size2: tuple[int, int],
+) -> CorrespondenceMap:
+    """A map over both images resized to W x H, as a map over images of sizes 1 and 2.
+
+    points1: (H, W, 2) pixels of image 1 at W x H, one for each pixel of image 2 at W x H.
+    """
+    size = (points1.shape[1], points1.shape[0])
+    return CorrespondenceMap(
+        map=rescale(points1, size, size1).astype(np.float32),
+        grid=rescale(pixel_grid(size), size, size2).astype(np.float32),
+        matchability=np.asarray(matchability, dtype=np.float32),
+        size1=size1,
+        size2=size2,
+    )

@@ -1,0 +1,105 @@
+"""The refiner: any matcher's matches, or better ones found from its map, aligned on the images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching.matcher import Matcher, MatchResult
+from dgc_pose.refinement.align import align, spread
+from dgc_pose.refinement.consistency import consistent
+from dgc_pose.refinement.options import AlignmentOptions
+from dgc_pose.refinement.source import MapMatches, MatchSource
+
+# Error of an aligned match along one axis, pixels of the originals; see docs/accuracy.md.
+ALIGNED_ERROR_PX = 0.5
+_SHIFT = 5.0  # largest shift by alignment, in units of the error that the match came with
+
+
+class Refiner(Matcher):
+    """A matcher with refinement of its matches. The dense map stays the matcher's own.
+
+    sources: tried in this order until one gives enough matches. For a pair without a map the
+    matcher's own matches are aligned instead.
+    """
+
+    def __init__(
+        self,
+        matcher: Matcher,
+        sources: Sequence[MatchSource] = (MapMatches(),),
+        options: AlignmentOptions | None = None,
+    ) -> None:
+        self.matcher = matcher
+        self.sources = tuple(sources)
+        self.options = options or AlignmentOptions()
+
+    @property
+    def name(self) -> str:
+        return self.matcher.name
+
+    @property
+    def fingerprint(self) -> str | None:
+        return self.matcher.fingerprint
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        """Refined matches in pixels of the images, and the matcher's map."""
+        return self.refine(image1, image2, self.matcher.match(image1, image2))
+
+    def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
+        """As `match` for each pair; the matcher takes them together."""
+        results = self.matcher.match_batch(pairs)
+        return [self.refine(*pair, given) for pair, given in zip(pairs, results, strict=True)]
+
+    def refine(self, image1: Image, image2: Image, given: MatchResult) -> MatchResult:
+        """A matcher's result with refined matches, and the error of the way they were made.
+
+        A step that leaves fewer than `min_matches` is undone. If every source fails, the matches
+        given are returned: refinement makes no result worse.
+        """
+        for found in self._found(image1, image2, given):
+            refined = self._steps(image1, image2, found)
+            if refined is not None:
+                return MatchResult(refined, given.correspondence_map)
+        return given
+
+    def _found(self, image1: Image, image2: Image, given: MatchResult) -> Iterator[Matches]:
+        if given.correspondence_map is None:
+            yield given.matches
+            return
+        for source in self.sources:
+            yield source.find(image1, image2, given.correspondence_map, given.matches)
+
+    def _steps(self, image1: Image, image2: Image, found: Matches) -> Matches | None:
+        """Matches that agree with their neighbours, aligned; None if too few agree."""
+        options = self.options
+        local = consistent(found, options.neighbours)
+        if len(local.index) < options.min_matches:
+            return None
+        if options.align:
+            aligned = align(
+                image1.pixels,
+                image2.pixels,
+                local,
+                radius=options.patch_radius,
+                max_shift=_SHIFT * found.error_px,
+                max_matches=options.max_matches,
+            )
+            good = aligned.converged & (aligned.zncc >= options.min_zncc)
+            if good.sum() >= options.min_matches:
+                return Matches(
+                    aligned.points1[good],
+                    aligned.points2[good],
+                    aligned.zncc[good].clip(0, 1),
+                    ALIGNED_ERROR_PX * aligned.pixel,
+                    found.key_points,
+                )
+        confidence = found.confidence[local.index]
+        kept = spread(local.points2, confidence, image2.size, options.max_matches)
+        return Matches(
+            found.points1[local.index[kept]],
+            local.points2[kept],
+            confidence[kept],
+            found.error_px,
+            found.key_points,
+        )
