@@ -156,28 +156,28 @@ def load_engines(
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
     caches: dict[str, MatcherCaches] = {}
-    networks: dict[str, DGCNet] = {}
+    networks: dict[str, DenseMatcher] = {}
     passes: dict[tuple[str, MatchingOptions], Engine] = {}
     for method in methods:
-        name, options = method.engine, method.matching_pass
-        if (name, options) in passes:
+        name, options = key = method.engine, method.matching_pass
+        if key in passes:
             continue
-        own = [one for one in methods if (one.engine, one.matching_pass) == (name, options)]
-        wanted = {one.options.refinement for one in own if one.options.refinement is not None}
+        own = [one.options for one in methods if (one.engine, one.matching_pass) == key]
+        wanted = {one.refinement for one in own if one.refinement is not None}
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
-        if stored and name in stored:
-            assert stem is not None
-            matcher: Matcher = FileMatcher(stored[name], stem, name, options)
-        elif name in CLASSICAL:
-            matcher = load_matcher(name, matching=options, caches=kept)
-        else:
-            if name not in networks:
-                networks[name] = load_dense_matcher(name, device=device).net
-            dense = DenseMatcher(networks[name], options, kept and kept.features)
-            refiners = {one: refined(dense, one, kept and kept.native) for one in wanted}
-            passes[name, options] = Engine(dense, refiners)
+        if name in CLASSICAL or (stored and name in stored):
+            matcher = _without_network(name, options, stored or {}, stem, kept)
+            refiners = {one: _refiner(matcher, one) for one in wanted}
+            passes[key] = Engine(matcher, refiners)
             continue
-        passes[name, options] = Engine(matcher, {one: _refiner(matcher, one) for one in wanted})
+        cache = kept and kept.features
+        if name in networks:
+            dense = DenseMatcher(networks[name].net, options, cache)
+        else:
+            dense = load_dense_matcher(name, device=device, options=options, cache=cache)
+        networks.setdefault(name, dense)
+        native = kept and kept.native
+        passes[key] = Engine(dense, {one: refined(dense, one, native) for one in wanted})
     return Engines(passes, {name: kept for name, kept in caches.items() if name in networks})
 
 
@@ -194,6 +194,19 @@ def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
             raise InputError(f"the method {name} is named twice")
     chosen = choose_device(device)
     return {name: load_network(name, chosen) for name in names}
+
+
+def _without_network(
+    name: str,
+    options: MatchingOptions,
+    stored: Mapping[str, Path],
+    stem: Stem | None,
+    caches: MatcherCaches | None,
+) -> Matcher:
+    if name not in stored:
+        return load_matcher(name, matching=options, caches=caches)
+    assert stem is not None
+    return FileMatcher(stored[name], stem, name, options)
 
 
 def _refiner(matcher: Matcher, options: RefinementOptions) -> Refiner:
@@ -240,8 +253,8 @@ def _parse(text: str, defaults: MethodOptions, stored: Sequence[str]) -> Method:
 
 
 def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:
-    """Options (a dataclass) with settings put in wherever a field has their name, in the dataclasses
-    within as well; `used` gets the names that were found."""
+    """Options (a dataclass) with settings put in wherever a field has their name, as well in the
+    dataclasses within; the names found are added to `used`."""
     hints = get_type_hints(type(options))
     changes: dict[str, Any] = {}
     for one in fields(options):  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The processes that estimate poses. This module and its imports avoid torch: each would load it."""
+"""The processes that estimate poses. What is imported here must not import torch: each would."""
 
 from __future__ import annotations
 

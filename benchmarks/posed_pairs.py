@@ -6,12 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
 from dgc_pose.benchmarks.pair_list import Pair
-from dgc_pose.benchmarks.scores import MapScore, PairScore, PoseScore
+from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.camera import Camera, check_size
 from dgc_pose.errors import ImageError
 from dgc_pose.image import Image, load_image
@@ -46,11 +46,12 @@ class PosedPair:
     image2: Image
 
 
-class PairSet(ABC):
-    """A data set. The same pairs in the same order each time that it is read."""
+class PairSet(ABC, Generic[Score]):
+    """A data set: the same pairs in the same order each time that it is read."""
 
-    kind: type[PoseScore]  # a row of results
-    ids: Sequence[Ids]  # of each pair, known before any image is read
+    def __init__(self, kind: type[Score], ids: Sequence[Ids]) -> None:
+        self.kind = kind  # of the records
+        self.ids = ids  # of each pair, known before any image is read
 
     @abstractmethod
     def read(self, first: int = 0) -> Iterator[PosedPair]:
@@ -60,14 +61,12 @@ class PairSet(ABC):
         """
 
 
-class ListedPairs(PairSet):
+class FilePairs(PairSet[Score]):
     """Pairs of image files. An image that was read recently is not read again."""
 
-    kind: type[PoseScore] = PairScore
-
-    def __init__(self, pairs: Sequence[Pair]) -> None:
+    def __init__(self, kind: type[Score], pairs: Sequence[Pair], ids: Sequence[Ids]) -> None:
+        super().__init__(kind, ids)
         self.pairs = pairs
-        self.ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
         self._images: BoundedCache[Path, tuple[Image, tuple[int, int]]] = BoundedCache(
             lambda _, found: found[0].pixels.nbytes, _IMAGE_BYTES
         )
@@ -109,22 +108,26 @@ class ListedPairs(PairSet):
         return self.prepare(image), image.size
 
 
-class RenderedPairs(PairSet):
+class ListedPairs(FilePairs[PairScore]):
+    """The pairs of a list in SuperGlue's format."""
+
+    def __init__(self, pairs: Sequence[Pair]) -> None:
+        ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
+        super().__init__(PairScore, pairs, ids)
+
+
+class RenderedPairs(PairSet[MapScore]):
     """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
     the photographs that training holds back: what defaults are chosen on."""
-
-    kind: type[PoseScore] = MapScore
 
     def __init__(self, photos: Path, count: int, seed: int) -> None:
         """Raises ImageError if the folder holds no photographs."""
         from dgc_pose.synthesis.photos import load_held_back
 
+        names = [f"rendered {seed} {k}" for k in range(count)]
+        super().__init__(MapScore, [{"image1": f"{n} 1", "image2": f"{n} 2"} for n in names])
         self._textures = load_held_back(photos).textures
         self._seed = seed
-        self.ids = [
-            {"image1": f"rendered {seed} {k} 1", "image2": f"rendered {seed} {k} 2"}
-            for k in range(count)
-        ]
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         import torch

@@ -112,10 +112,11 @@ class RunStore(Generic[Score]):
         stream.flush()
 
 
-def keys_of(pairs: PairSet, methods: Sequence[str]) -> list[list[Key]]:
+def keys_of(pairs: PairSet[Score], methods: Sequence[str]) -> list[list[Key]]:
     """The keys of the records of each pair, one a method."""
     identity = pairs.kind.identity[1:]
-    return [[(method, *(ids[name] for name in identity)) for method in methods] for ids in pairs.ids]
+    found = [tuple(ids[name] for name in identity) for ids in pairs.ids]
+    return [[(method, *own) for method in methods] for own in found]
 
 
 def _columns(kind: type[PoseScore], table: str) -> list[str]:

@@ -16,11 +16,10 @@ from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
 from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.pair_list import Pair
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
-from dgc_pose.benchmarks.scores import DtuScore, PoseScore
+from dgc_pose.benchmarks.posed_pairs import FilePairs, PosedPair
+from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.camera import Camera
-from dgc_pose.image import Image
-from dgc_pose.matching.dense import resize
+from dgc_pose.image import Image, resize
 
 Protocol = Literal["paper", "native"]
 ViewKey = tuple[int, int, int]  # scene, view1, view2
@@ -33,29 +32,35 @@ DESCRIPTIONS: Mapping[Protocol, str] = {
 }
 
 
-class DtuPairs(ListedPairs):
+class DtuPairs(FilePairs[DtuScore]):
     """Pairs of views. Each has a seed of its own, by scene and views."""
-
-    kind: type[PoseScore] = DtuScore
 
     def __init__(
         self, views: Sequence[ViewPair], pairs: Sequence[Pair], protocol: Protocol
     ) -> None:
-        super().__init__(pairs)
         self.protocol = protocol
-        self.views = views
-        self.ids = [
+        self.keys: list[ViewKey] = [(own.scene, own.view1, own.view2) for own in views]
+        ids = [
             {
                 "scene": own.scene,
                 "view1": own.view1,
                 "view2": own.view2,
-                **ids,
+                "image1": pair.name1,
+                "image2": pair.name2,
                 "protocol": protocol,
                 "overlap": own.overlap,
             }
-            for own, ids in zip(views, self.ids, strict=True)
+            for own, pair in zip(views, pairs, strict=True)
         ]
-        self.keys: list[ViewKey] = [(own.scene, own.view1, own.view2) for own in views]
+        super().__init__(DtuScore, pairs, ids)
+
+    @property
+    def stems(self) -> dict[tuple[str, str], str]:
+        """The names of files of stored matches, by the paths of a pair's images."""
+        return {
+            (str(pair.path1), str(pair.path2)): f"scan{scene}_{view1}_{view2}"
+            for pair, (scene, view1, view2) in zip(self.pairs, self.keys, strict=True)
+        }
 
     def by_key(self, key: ViewKey) -> PosedPair:
         """The pair of (scene, view1, view2)."""
@@ -67,7 +72,7 @@ class DtuPairs(ListedPairs):
     def prepare(self, image: Image) -> Image:
         if self.protocol == "native":
             return image
-        return replace(image, pixels=resize(image.pixels, PAPER_SIZE))
+        return replace(image, pixels=resize(image.pixels, PAPER_SIZE), stored_size=image.size)
 
     def prepare_camera(
         self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
