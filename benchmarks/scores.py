@@ -45,9 +45,9 @@ class PoseScore:
 
 Score = TypeVar("Score", bound=PoseScore)
 
-_POSE = ("status", "success", "num_matches", "num_inliers", "inlier_ratio", "rotation_error_deg")
-_POSE += ("translation_error_deg", "translation_folded_deg")
-_SECONDS = ("match_seconds", "estimate_seconds")
+POSE_COLUMNS = ("status", "success", "num_matches", "num_inliers", "inlier_ratio")
+POSE_COLUMNS += ("rotation_error_deg", "translation_error_deg", "translation_folded_deg")
+SECONDS = ("match_seconds", "estimate_seconds")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class PairScore(PoseScore):
     image2: str
 
     identity = ("method", "image1", "image2")
-    tables = {RESULTS: (*identity, "true_rotation_deg", *_POSE, *_SECONDS)}
+    tables = {RESULTS: (*identity, "true_rotation_deg", *POSE_COLUMNS, *SECONDS)}
 
 
 @dataclass(frozen=True)
@@ -108,10 +108,10 @@ class DtuScore(MapScore):
         RESULTS: (
             *identity,
             *("image1", "image2", "protocol", "true_rotation_deg", "true_baseline_mm", "overlap"),
-            *_POSE,
+            *POSE_COLUMNS,
             *MapScore.tables[RESULTS][-4:],
         ),
-        TIMINGS: (*identity, *_SECONDS),
+        TIMINGS: (*identity, *SECONDS),
     }
 
 

@@ -14,7 +14,7 @@ from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, draw_sample
 from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.verdict import Evidence
+from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg
