@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.benchmarks.pairs import pose_errors
 from dgc_pose.camera import Camera
 from dgc_pose.estimation import EstimationOptions, EstimatorName, estimate_pose
-from dgc_pose.estimation.backends import get_backend
-from dgc_pose.estimation.consensus import model_of_essential
+from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.ransac import get_backend
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
@@ -112,17 +113,21 @@ def speed_table(seeds: int) -> list[str]:
         start = time.process_time()
         pose = estimate_pose(matches, CAMERA, CAMERA)
         stage = time.process_time() - start
-        points1 = CAMERA.normalise(matches.points1)
-        points2 = CAMERA.normalise(matches.points2)
-        threshold = EstimationOptions().threshold_factor * sigma / CAMERA.focal
+        problem = TwoViewProblem.of(matches, CAMERA, CAMERA)
         row = [(*pose_errors(pose, R, t), stage)]
         bare: tuple[EstimatorName, ...] = ("pycolmap", "poselib")
         for name in bare:
             backend = get_backend(name)
             start = time.process_time()
-            found = backend(points1, points2, threshold=threshold, iterations=1000, seed=seed)
+            found = backend(
+                problem.points1,
+                problem.points2,
+                threshold=problem.threshold,
+                iterations=1000,
+                seed=seed,
+            )
             seconds = time.process_time() - start
-            model = model_of_essential(points1, points2, found[0], threshold)
+            model = Model.of_essential(problem, found[0])
             errors = rotation_error_deg(model.R, R), translation_error_deg(model.t, t)
             row.append((*errors, seconds))
         rows.append(row)

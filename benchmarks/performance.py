@@ -36,8 +36,9 @@ from dgc_pose.camera import Camera, check_size, parse_camera
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.consensus import run_seeds
 from dgc_pose.estimation.poselib_backend import run_poselib
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.ransac import run_seeds
 from dgc_pose.files import staged
 from dgc_pose.image import load_image
 from dgc_pose.matchers import refined
@@ -142,15 +143,16 @@ def _time_pose(watch: Stopwatch, name: str, setup: Setup, matches: Matches) -> N
 def _poselib_alone(setup: Setup, matches: Matches) -> Callable[[], None]:
     """PoseLib's runs on all the matches, with the options' iterations and threshold."""
     options = setup.estimation
-    points1 = setup.camera1.normalise(matches.points1)
-    points2 = setup.camera2.normalise(matches.points2)
-    pixels = options.threshold_px or options.threshold_factor * matches.error_px
-    threshold = pixels * (1 / setup.camera1.focal + 1 / setup.camera2.focal) / 2
+    problem = TwoViewProblem.of(matches, setup.camera1, setup.camera2, options)
 
     def run() -> None:
-        for seed in run_seeds(options) if len(points1) >= 5 else ():
+        for seed in run_seeds(options) if len(problem) >= 5 else ():
             run_poselib(
-                points1, points2, threshold=threshold, iterations=options.iterations, seed=seed
+                problem.points1,
+                problem.points2,
+                threshold=problem.threshold,
+                iterations=options.iterations,
+                seed=seed,
             )
 
     return run

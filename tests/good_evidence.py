@@ -1,24 +1,25 @@
-"""What speaks for a pose that is right beyond doubt."""
+"""Evidence of a pose that passes every gate."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.estimation.verdict import Evidence
+from dgc_pose.estimation.evidence import Evidence
 
 GOOD_EVIDENCE = Evidence(
+    num_inliers=300,
     inlier_ratio=0.6,
     chance_ratio=0.01,
     log10_false_alarms=-100.0,
     cheirality_ratio=0.95,
     rotation=np.eye(3),
+    num_rotation_inliers=100,
     rotation_share=0.3,
+    strict_rotation_share=0.2,
     parallax=20.0,
-    num_turned=100,
-    still_share=0.2,
-    median_angle_deg=8.0,
+    median_triangulation_angle_deg=8.0,
     homography_ratio=0.4,
-    on_a_line=False,
-    places=80,
+    collinear=False,
+    occupied_cells=80,
     rotation_error_90_deg=0.5,
 )

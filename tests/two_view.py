@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.camera import Camera
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 
 SceneKind = Literal["general", "planar", "rotation_only", "forward", "identical", "random"]
@@ -40,6 +41,25 @@ class TwoViewScene:
     @property
     def cameras(self) -> tuple[Camera, Camera]:
         return Camera(self.K1, SIZE1), Camera(self.K2, SIZE2)
+
+    def problem(
+        self, threshold: float = 2e-3, cells: tuple[float, float] | None = None
+    ) -> TwoViewProblem:
+        """The normalised matches with a threshold and cells in the same unit."""
+        camera1, camera2 = self.cameras
+        points = camera1.normalise(self.points1), camera2.normalise(self.points2)
+        return normalised_problem(*points, threshold, cells)
+
+
+def normalised_problem(
+    points1: np.ndarray,
+    points2: np.ndarray,
+    threshold: float = 2e-3,
+    cells: tuple[float, float] | None = None,
+    seed: int = 0,
+) -> TwoViewProblem:
+    """A problem of normalised points, all of them used."""
+    return TwoViewProblem(points1, points2, threshold, cells, seed, np.arange(len(points1)))
 
 
 def two_view_scene(

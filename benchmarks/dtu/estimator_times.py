@@ -27,6 +27,7 @@ from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.pairs import pose_errors
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchingOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -71,14 +72,10 @@ def opencv_pose(
     The best by inliers of `options.runs` calls of RANSAC, of at most `options.iterations` each, on
     normalised points and by the same threshold as the estimator of this package.
     """
-    points1 = truth.camera1.normalise(matches.points1)
-    points2 = truth.camera2.normalise(matches.points2)
-    finite = np.isfinite(points1).all(1) & np.isfinite(points2).all(1)
-    points1, points2 = points1[finite], points2[finite]
+    problem = TwoViewProblem.of(matches, truth.camera1, truth.camera2, options)
+    points1, points2 = problem.points1, problem.points2
     if len(points1) < 5:
         return None
-    pixels = options.threshold_px or options.threshold_factor * matches.error_px
-    threshold = pixels * (1 / truth.camera1.focal + 1 / truth.camera2.focal) / 2
     best: tuple[int, np.ndarray, np.ndarray] | None = None
     rng = np.random.default_rng(options.seed)
     for _ in range(options.runs):
@@ -89,7 +86,7 @@ def opencv_pose(
             np.eye(3),
             cv2.RANSAC,
             _CONFIDENCE,
-            threshold,
+            problem.threshold,
             options.iterations,
         )
         if E is None or E.shape != (3, 3):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dgc_pose.estimation.backends import VIRTUAL_FOCAL
+from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 
 _CONFIDENCE = 1.0  # anything less, 1 - 1e-12 too, ends a run of good matches in a few iterations
 

@@ -1,4 +1,4 @@
-"""What the estimator may be told, each choice with its default and unit."""
+"""Options of the estimation, each with its default and unit."""
 
 from __future__ import annotations
 
@@ -17,43 +17,43 @@ class VerdictOptions:
     min_matches: int = 20  # distinct, finite matches
     min_inliers: int = 15
     min_inlier_ratio: float = 0.15  # of all matches
-    # Decimal logarithm of the number of models that random matches would give so many inliers:
-    # counts the freedom that RANSAC has in choosing a model.
+    # Decimal logarithm of the number of models with so many inliers expected in random matches: it
+    # accounts for RANSAC's free choice of a model.
     max_log10_false_alarms: float = -2.0
-    # The inlier ratio must be so many times the one that the same model gets of the same points
-    # paired wrongly. Neighbours among dense matches err together, which the count overrates.
+    # Inlier ratio, over that of the same model on the same points paired wrongly. Errors of dense
+    # matches are correlated among neighbours, which the expected number above does not know.
     chance_factor: float = 3.0
-    # Inliers of a dense map in one place are one piece of evidence: unrelated images have patches
-    # that look alike, each of which gives dozens of matches. A place is 1/24 of the longer side
-    # wide. Not asked of key points, which are found one by one.
-    min_places: int = 20
+    # Grid cells, 1/24 of the longer side wide, that inliers of a dense map must occupy: unrelated
+    # images have similar patches, each of which gives dozens of matches. Does not apply to key
+    # points, which are found independently.
+    min_occupied_cells: int = 20
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
-    # Matches that a rotation alone must explain to be the answer, over the inliers.
+    # "rotation_only": matches that a rotation explains, over the inliers, at least this, and a
+    # parallax below `min_parallax`.
     rotation_share: float = 0.8
-    # Inliers that a rotation alone must explain within the epipolar threshold itself to be the
-    # answer whatever the parallax: dense matches err smoothly, which looks like a translation.
-    still_share: float = 0.9
-    # The motion that such a rotation leaves must spread so many times as wide as the error across
-    # epipolar lines before it counts as evidence of a translation; more for few matches.
+    # "rotation_only" for any parallax: share of inliers that a rotation explains within the
+    # epipolar threshold. Errors of dense matches are smooth, which looks like a translation.
+    strict_rotation_share: float = 0.9
+    # Motion left by a rotation, over the epipolar error, that counts as a translation; more for few
+    # matches.
     min_parallax: float = 1.5
-    # Rotation error to expect of a pose; with more, the inliers lie so that they hardly tell it.
-    max_rotation_error_deg: float = 30.0
-    planar_share: float = 0.85  # of inliers that one homography must explain to call them a plane
-    small_angle_deg: float = 1.0  # median triangulation angle below which a warning is due
+    max_rotation_error_deg: float = 30.0  # expected of the pose; beyond, there is none
+    planar_share: float = 0.85  # share of inliers that one homography explains on a plane
+    small_angle_deg: float = 1.0  # median triangulation angle below which there is a warning
 
 
 @dataclass(frozen=True)
 class EstimationOptions:
-    """How the pose is estimated. Raises InputError, naming the field, on a value out of range."""
+    """How the pose is estimated. Raises InputError, naming the field, for a value out of range."""
 
     estimator: EstimatorName = "poselib"
-    runs: int = 5  # each with a seed of its own; the model with most inliers is kept
+    runs: int = 5  # RANSAC runs with different seeds; the model with most inliers is kept
     iterations: int = 1000  # of each run
-    # Matches that a run draws its samples from, chosen anew for each; every run's model is scored,
-    # and the best one refined, on all matches. RANSAC's time grows with the matches it scores.
+    # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC
+    # grows with the matches that it scores. The models are compared and refined on all matches.
     max_sampled: int = 3000
     threshold_px: float | None = None  # epipolar error of an inlier, original pixels
-    threshold_factor: float = 2.0  # times the matches' own error_px, where threshold_px is None
+    threshold_factor: float = 2.0  # times the matches' own error_px, if threshold_px is None
     seed: int = 0
     refine: bool = True  # on the inliers of the best model
     verdict: VerdictOptions = field(default_factory=VerdictOptions)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import poselib
 
-from dgc_pose.estimation.backends import VIRTUAL_FOCAL
+from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 from dgc_pose.geometry.epipolar import essential_from_pose
 
 _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [VIRTUAL_FOCAL, 0.0, 0.0]}

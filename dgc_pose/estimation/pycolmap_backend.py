@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pycolmap
 
-from dgc_pose.estimation.backends import VIRTUAL_FOCAL
+from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 
 
 def run_pycolmap(

@@ -1,1 +1,1 @@
-"""Two-view geometry in float64: rotations, epipolar distances, triangulation, homographies."""
+"""Two-view geometry in float64: rotations, epipolar distances, depths, homographies."""

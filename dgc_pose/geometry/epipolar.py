@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-_TINY = 1e-300  # keeps 0 / 0 at a point on the epipole at 0
+_TINY = 1e-300  # makes 0 / 0, at the epipoles, 0
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -24,12 +24,12 @@ def essential_from_pose(R: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def fundamental_from_essential(E: np.ndarray, K1: np.ndarray, K2: np.ndarray) -> np.ndarray:
-    """F = K2^-T E K1^-1, which takes pixels as E takes rays."""
+    """F = K2^-T E K1^-1: the essential matrix for pixels instead of normalised points."""
     return np.linalg.inv(K2).T @ E @ np.linalg.inv(K1)
 
 
 def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The four poses (R, t), |t| = 1, that an essential matrix stands for."""
+    """The four poses (R, t), |t| = 1, of an essential matrix (3, 3)."""
     R1, R2, t = cv2.decomposeEssentialMat(E)
     t = t[:, 0] / np.linalg.norm(t)
     return [(R1, t), (R2, t), (R1, -t), (R2, -t)]
@@ -38,7 +38,10 @@ def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 def epipolar_terms(
     points1: np.ndarray, points2: np.ndarray, F: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For points (N, 2): x2^T F x1, and the squared normals of the lines in images 1 and 2."""
+    """x2^T F x1, and the squared norms of the epipolar lines' normals in images 1 and 2: (N,) each.
+
+    points1, points2: (N, 2).
+    """
     x1, x2 = homogeneous(points1), homogeneous(points2)
     lines2, lines1 = x1 @ F.T, x2 @ F
     algebraic = (x2 * lines2).sum(1)

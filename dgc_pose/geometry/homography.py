@@ -1,4 +1,4 @@
-"""Homographies, by OpenCV: a robust fit, transfer errors, and the poses a plane allows."""
+"""Homographies, by OpenCV: robust fit, transfer error, and the poses of a plane."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 
 from dgc_pose.geometry.epipolar import homogeneous
 
-# OpenCV's MAGSAC takes its points for pixels: of normalised ones it drops most of the inliers.
+# OpenCV's MAGSAC expects pixels: it drops most inliers of normalised points.
 _PIXELS = 1000.0
 
 
 def fit_homography(
     points1: np.ndarray, points2: np.ndarray, threshold: float, seed: int = 0
 ) -> np.ndarray | None:
-    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None where there is none.
+    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None if none is found.
 
     points1, points2: normalised (N, 2); threshold: on the transfer error, in the same unit.
     """
@@ -34,13 +34,16 @@ def fit_homography(
         H = H * np.outer([1 / _PIXELS, 1 / _PIXELS, 1], [_PIXELS, _PIXELS, 1])
         kept = transfer_error(points1, points2, H) < threshold
         fitted, _ = cv2.findHomography(points1[kept], points2[kept], 0)
-    except cv2.error:  # of degenerate points, such as all alike
+    except cv2.error:  # degenerate points, such as copies of one
         return None
     return H if fitted is None else fitted
 
 
 def transfer_error(points1: np.ndarray, points2: np.ndarray, H: np.ndarray) -> np.ndarray:
-    """Distance (N,) in image 2 from H x1 to x2, the points' unit; infinite beyond the horizon."""
+    """Distance (N,) in image 2 from H x1 to x2, in the points' unit; infinite beyond the horizon.
+
+    points1, points2: (N, 2).
+    """
     moved = homogeneous(points1) @ H.T
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = np.linalg.norm(moved[:, :2] / moved[:, 2:] - points2, axis=1)
@@ -50,7 +53,7 @@ def transfer_error(points1: np.ndarray, points2: np.ndarray, H: np.ndarray) -> n
 def homography_poses(H: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """The poses (R, t), |t| = 1, of two views of a plane with x2 ~ H x1 in normalised points.
 
-    Both signs of each translation; a homography that is a rotation gives none.
+    Both signs of each translation; none if the homography is a rotation.
     """
     _, rotations, translations, _ = cv2.decomposeHomographyMat(H, np.eye(3))
     poses = []

@@ -1,4 +1,4 @@
-"""Rotations: angles, quaternions, and the rotation that best turns one set of rays into another."""
+"""Rotation matrices as angles and quaternions, by SciPy."""
 
 from __future__ import annotations
 
@@ -15,10 +15,3 @@ def quaternion_wxyz(R: np.ndarray) -> np.ndarray:
     """The unit quaternion (w, x, y, z) of a rotation matrix (3, 3), with w >= 0."""
     x, y, z, w = Rotation.from_matrix(R).as_quat(canonical=True)
     return np.array([w, x, y, z])
-
-
-def fit_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that minimises sum |ray2 - R ray1|^2 over unit rays (N, 3) (Kabsch)."""
-    U, _, Vt = np.linalg.svd(rays2.T @ rays1)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    return U @ np.diag([1.0, 1.0, sign]) @ Vt

@@ -1,6 +1,6 @@
 """Errors and scores of poses and correspondence maps."""
 
-from dgc_pose.metrics.maps import aepe, count_within, endpoint_errors, jaccard, pck
+from dgc_pose.metrics.maps import aepe, count_within, endpoint_errors, jaccard
 from dgc_pose.metrics.pose import folded, pose_auc, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.reliability import Reliability
 
@@ -11,7 +11,6 @@ __all__ = [
     "endpoint_errors",
     "folded",
     "jaccard",
-    "pck",
     "pose_auc",
     "rotation_error_deg",
     "translation_error_deg",

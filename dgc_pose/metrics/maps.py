@@ -14,8 +14,9 @@ def endpoint_errors(
 ) -> np.ndarray:
     """Distances (N,) float64 between map and truth at the N valid cells, in the maps' unit.
 
-    map, truth: (..., 2); valid: (...) bool. Euclidean, or max(|dx|, |dy|) with `per_axis`.
-    Raises InputError where the shapes do not agree.
+    map, truth: (..., 2); valid: (...) bool. Euclidean; with `per_axis` max(|dx|, |dy|), as in the
+    DGC-Net authors' evaluation, which is never stricter. Raises InputError if the shapes do not
+    agree.
     """
     offsets = _valid_offsets(map, truth, valid)
     return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
@@ -24,44 +25,26 @@ def endpoint_errors(
 def aepe(map: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> float:
     """Average end-point error: mean Euclidean distance over the valid cells, in the maps' unit.
 
-    map, truth: (..., 2); valid: (...) bool. NaN where no cell is valid.
-    Raises InputError where the shapes do not agree.
+    map, truth: (..., 2); valid: (...) bool. NaN if no cell is valid. Raises InputError if the
+    shapes do not agree.
     """
     errors = endpoint_errors(map, truth, valid)
     return float(errors.mean()) if len(errors) else float("nan")
 
 
-def pck(
-    map: np.ndarray,
-    truth: np.ndarray,
-    valid: np.ndarray,
-    thresholds: Sequence[float] | np.ndarray,
-    per_axis: bool = False,
-) -> np.ndarray:
-    """Share in [0, 1] of the valid cells whose error is at most each threshold ("percentage of
-    correct keypoints").
-
-    map, truth: (..., 2); valid: (...) bool; thresholds: (K,) in the maps' unit, such as
-    alpha * 240 for maps in pixels of 240 x 240. The error is the Euclidean distance; with
-    `per_axis` it is max(|dx|, |dy|), as in the DGC-Net authors' evaluation: never stricter.
-    Returns (K,), NaN where no cell is valid. Raises InputError where the shapes do not agree.
-    """
-    errors = endpoint_errors(map, truth, valid, per_axis)
-    if len(errors) == 0:
-        return np.full(np.shape(thresholds), np.nan)
-    return count_within(errors, thresholds) / len(errors)
-
-
 def count_within(errors: np.ndarray, thresholds: Sequence[float] | np.ndarray) -> np.ndarray:
-    """How many of the errors (N,) are at most each threshold (K,): (K,) int. NaN never is."""
+    """Number (K,) of errors (N,) that are at most each threshold (K,); NaN never is.
+
+    Over N this is the "percentage of correct keypoints" (PCK).
+    """
     # NaN sorts last, beyond every threshold.
     return np.searchsorted(np.sort(errors), np.asarray(thresholds, np.float64), side="right")
 
 
 def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
-    """Intersection over union of two masks of the same shape, in [0, 1]; 1 where both are empty.
+    """Intersection over union of two masks of the same shape, in [0, 1]; 1 if both are empty.
 
-    Both must be bool: a matchability is thresholded by the caller. Raises InputError otherwise.
+    Both must be bool: the caller thresholds a matchability. Raises InputError otherwise.
     """
     if prediction.dtype != np.bool_ or truth.dtype != np.bool_ or prediction.shape != truth.shape:
         raise InputError(
@@ -73,7 +56,7 @@ def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
 
 
 def _valid_offsets(map: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """map - truth of the valid cells: (N, 2) float64."""
+    """map - truth at the N valid cells, (N, 2) float64."""
     if map.shape != truth.shape or map.shape[-1:] != (2,):
         raise InputError(f"map and truth must have one shape (..., 2): {map.shape}, {truth.shape}")
     if valid.shape != map.shape[:-1] or valid.dtype != np.bool_:

@@ -13,8 +13,8 @@ from dgc_pose.errors import InputError
 def rotation_error_deg(R: ArrayLike, R_gt: ArrayLike) -> float:
     """Angle of the rotation R_gt^T R between two rotation matrices (3, 3), degrees in [0, 180].
 
-    It is acos((trace - 1) / 2), taken as an arctangent, which keeps its digits near 0 and 180.
-    Raises InputError where a shape is not (3, 3) or a value is not finite.
+    acos((trace - 1) / 2), computed as an arctangent, which is accurate near 0 and 180 too. Raises
+    InputError if a shape is not (3, 3) or a value is not finite.
     """
     relative = _checked(R_gt, "R_gt", (3, 3)).T @ _checked(R, "R", (3, 3))
     axis = (
@@ -29,7 +29,7 @@ def rotation_error_deg(R: ArrayLike, R_gt: ArrayLike) -> float:
 def translation_error_deg(t: ArrayLike, t_gt: ArrayLike) -> float:
     """Angle between two directions (3,) of any length, degrees in [0, 180].
 
-    Raises InputError where a shape is not (3,), a value is not finite or a vector is zero.
+    Raises InputError if a shape is not (3,), a value is not finite or a vector is zero.
     """
     a, b = _checked(t, "t", (3,)), _checked(t_gt, "t_gt", (3,))
     for vector, name in ((a, "t"), (b, "t_gt")):
@@ -40,9 +40,9 @@ def translation_error_deg(t: ArrayLike, t_gt: ArrayLike) -> float:
 
 
 def folded(error_deg: float) -> float:
-    """min(e, 180 - e): the translation error of the matching literature, blind to the sign of t.
+    """min(e, 180 - e): the translation error of the matching literature, which ignores t's sign.
 
-    error_deg: degrees in [0, 180], or infinite for a failure, which stays infinite.
+    error_deg: degrees in [0, 180]; infinite for a failure, and so is the result.
     """
     return min(error_deg, abs(180.0 - error_deg))
 
@@ -50,12 +50,12 @@ def folded(error_deg: float) -> float:
 def pose_auc(errors: ArrayLike, thresholds: Sequence[float] = (5, 10, 20)) -> tuple[float, ...]:
     """Area under the recall curve of pose errors up to each threshold, percent of the full area.
 
-    The curve of the matching literature: from (0, 0) it joins the points (e_i, i/N), errors in
-    ascending order, by straight lines, and stays level from the last error below the threshold. The
-    area under it is exact. Failures are infinite errors: they count among the N.
+    The curve of the matching literature: straight lines from (0, 0) through the points (e_i, i/N),
+    errors in ascending order, and constant from the last error below the threshold on. The area
+    under it is exact. Failures are infinite errors and count among the N.
 
-    errors: (N,), in the unit of the thresholds, for one pair max(rotation, folded translation).
-    Raises InputError where errors is empty, holds NaN or negative numbers, or a threshold is not
+    errors: (N,), in the unit of the thresholds, for a pair max(rotation, folded translation).
+    Raises InputError if errors is empty, has NaN or negative numbers, or a threshold is not
     positive.
     """
     values = np.asarray(errors, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""How well a confidence agrees with how often it is right (Guo et al., ICML 2017)."""
+"""Calibration of a confidence: its mean against the share of correct matches (Guo et al., 2017)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from dgc_pose.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """Counts over equal bins of confidence in [0, 1]; those of several parts add up.
+    """Counts over equal bins of confidence in [0, 1]; counts of several parts can be added.
 
-    Bin b of B holds the confidences from b / B up to (b + 1) / B, the last one 1 as well.
+    Bin b of B has the confidences in [b / B, (b + 1) / B), the last one also 1.
     """
 
-    counts: np.ndarray  # (B,) int, matches in the bin
-    correct: np.ndarray  # (B,) int, of them right
+    counts: np.ndarray  # (B,) int, matches
+    correct: np.ndarray  # (B,) int, correct matches
     confidence: np.ndarray  # (B,) float64, sum of their confidences
 
     @classmethod
     def of(cls, confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> Reliability:
-        """Count matches of any shape: their confidence in [0, 1], and a bool whether right.
+        """Count matches. confidence: of any shape, in [0, 1]; correct: bool of the same shape.
 
-        Raises InputError where the shapes do not agree or a confidence lies outside [0, 1].
+        Raises InputError if the shapes do not agree or a confidence lies outside [0, 1].
         """
         if confidence.shape != correct.shape or correct.dtype != np.bool_:
             raise InputError(
@@ -55,18 +55,18 @@ class Reliability:
 
     @property
     def share_correct(self) -> np.ndarray:
-        """Share of each bin's matches that is right, (B,); NaN where the bin is empty."""
+        """Share (B,) of correct matches in each bin; NaN if the bin is empty."""
         return _quotient(self.correct, self.counts)
 
     @property
     def mean_confidence(self) -> np.ndarray:
-        """Mean confidence of each bin's matches, (B,); NaN where the bin is empty."""
+        """Mean confidence (B,) of each bin; NaN if the bin is empty."""
         return _quotient(self.confidence, self.counts)
 
     @property
     def calibration_error(self) -> float:
-        """Expected calibration error in [0, 1]: the mean over all matches of the difference between
-        their bin's mean confidence and its share of right ones. NaN without matches."""
+        """Expected calibration error in [0, 1]: |mean confidence - share correct| of the bins,
+        weighted by their counts. NaN without matches."""
         total = self.counts.sum()
         if total == 0:
             return float("nan")

@@ -31,8 +31,8 @@ GOOD = Judged("a", "rendered", "true", "ok", True, 300, GOOD_EVIDENCE, 0.1, 0.2,
 
 
 def with_places(kind, places, name="a"):
-    evidence = dataclasses.replace(GOOD_EVIDENCE, places=places)
-    success = places >= VerdictOptions().min_places
+    evidence = dataclasses.replace(GOOD_EVIDENCE, occupied_cells=places)
+    success = places >= VerdictOptions().min_occupied_cells
     status = "ok" if success else "chance_inliers"
     return dataclasses.replace(
         GOOD, name=name, kind=kind, evidence=evidence, success=success, status=status
@@ -40,15 +40,15 @@ def with_places(kind, places, name="a"):
 
 
 def test_other_gates_are_tried_on_the_evidence_kept():
-    least = VerdictOptions().min_places
+    least = VerdictOptions().min_occupied_cells
     assert succeeds(with_places("true", least), VerdictOptions())
     assert not succeeds(with_places("true", least - 1), VerdictOptions())
-    assert succeeds(with_places("true", least - 1), VerdictOptions(min_places=least - 1))
+    assert succeeds(with_places("true", least - 1), VerdictOptions(min_occupied_cells=least - 1))
     assert not succeeds(dataclasses.replace(GOOD, evidence=None), VerdictOptions())
 
 
 def test_the_rates_count_unrelated_successes_and_true_failures_and_no_mere_turns():
-    least = VerdictOptions().min_places
+    least = VerdictOptions().min_occupied_cells
     judged = [
         with_places("unrelated", least),
         *[with_places("unrelated", 3)] * 3,
@@ -67,7 +67,7 @@ def test_gates_are_chosen_that_part_the_kinds_and_the_defaults_where_they_do():
     hard = [with_places("unrelated", places) for places in (5, 27, 29)]
     hard += [with_places("true", places) for places in (31, 50, 70)]
     chosen = choose_gates(hard)
-    assert 29 < chosen.min_places <= 31
+    assert 29 < chosen.min_occupied_cells <= 31
     assert rates(hard, chosen) == (0, 0)
     with pytest.raises(InputError, match="unrelated and true"):
         choose_gates([with_places("true", 50)])
@@ -92,7 +92,7 @@ def test_the_gates_chosen_on_one_half_are_reported_on_the_other():
     ]
     assert lines[1].split()[3:6] == [str(sum(halves)), "100.0", "%"]
     assert lines[3].split()[3:6] == ["0", "0.0", "%"]
-    assert lines[5].endswith("min_places 30")
+    assert lines[5].endswith("min_occupied_cells 30")
 
 
 def test_halves_without_pairs_of_both_kinds_are_said_so():

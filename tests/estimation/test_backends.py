@@ -5,8 +5,9 @@ import poselib
 import pycolmap
 import pytest
 
-from dgc_pose.estimation.backends import VIRTUAL_FOCAL, get_backend
+from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 from dgc_pose.estimation.poselib_backend import refine_pose
+from dgc_pose.estimation.ransac import get_backend
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
@@ -118,8 +119,8 @@ def test_refinement_lowers_the_error_of_a_pose_that_is_a_little_off():
     scene, points1, points2 = normalised(seed=6, count=500, sigma_px=1.0, outliers=0.0)
     t = scene.t + (0.02, -0.03, 0.02)
     t /= np.linalg.norm(t)
-    turned = scene.R @ np.array([[1, -0.01, 0], [0.01, 1, 0], [0, 0, 1]])
-    U, _, Vt = np.linalg.svd(turned)
+    off = scene.R @ np.array([[1, -0.01, 0], [0.01, 1, 0], [0, 0, 1]])
+    U, _, Vt = np.linalg.svd(off)
     R, refined = refine_pose(points1, points2, U @ Vt, t, THRESHOLD)
     assert np.linalg.norm(refined) == pytest.approx(1)
     assert translation_error_deg(refined, scene.t) < 0.25 * translation_error_deg(t, scene.t)

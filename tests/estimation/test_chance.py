@@ -12,7 +12,7 @@ from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.matches import Matches
-from two_view import two_view_scene
+from two_view import normalised_problem, two_view_scene
 
 
 def test_the_chance_level_is_the_share_of_inliers_among_all_wrong_pairs():
@@ -26,7 +26,7 @@ def test_the_chance_level_is_the_share_of_inliers_among_all_wrong_pairs():
         if i != j
     )
     assert hits > 20
-    found = chance_ratio(points1, points2, E, 0.02, seed=3)
+    found = chance_ratio(normalised_problem(points1, points2, 0.02, seed=3), E)
     assert found == pytest.approx((hits + 1) / (40 * 39 + 1))
 
 
@@ -36,23 +36,23 @@ def test_of_many_matches_a_draw_tells_the_same():
     E = essential_from_pose(np.eye(3), np.array([0.6, 0.0, 0.8]))
     wrong = [np.roll(np.arange(9000), shift) for shift in range(1, 30)]
     every = np.mean([sampson_distance(points1, points2[i], E) < 0.05 for i in wrong])
-    assert chance_ratio(points1, points2, E, 0.05, seed=5) == pytest.approx(every, rel=0.1)
+    found = chance_ratio(normalised_problem(points1, points2, 0.05, seed=5), E)
+    assert found == pytest.approx(every, rel=0.1)
 
 
 def test_right_matches_do_not_raise_the_chance_level():
     scene = two_view_scene("general", seed=31, count=400, sigma_px=0.0, outliers=0.0)
-    camera1, camera2 = scene.cameras
-    points1, points2 = camera1.normalise(scene.points1), camera2.normalise(scene.points2)
+    problem = scene.problem(threshold=1e-6)
     E = essential_from_pose(scene.R, scene.t)
-    assert (sampson_distance(points1, points2, E) < 1e-6).all()
-    assert chance_ratio(points1, points2, E, 1e-6, seed=0) < 1e-3
+    assert (sampson_distance(problem.points1, problem.points2, E) < 1e-6).all()
+    assert chance_ratio(problem, E) < 1e-3
 
 
 def test_matches_that_all_end_in_one_point_agree_by_chance_alone():
     points1 = np.random.default_rng(2).uniform(-0.5, 0.5, (50, 2))
     points2 = np.tile([[0.1, -0.2]], (50, 1))
     E = essential_from_pose(np.eye(3), np.array([0.1, -0.2, 1.0]))  # its epipole is that point
-    assert chance_ratio(points1, points2, E, 0.01, seed=0) == 1
+    assert chance_ratio(normalised_problem(points1, points2, 0.01), E) == 1
 
 
 @pytest.mark.parametrize(

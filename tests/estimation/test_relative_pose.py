@@ -1,4 +1,4 @@
-"""From matches to a pose or to a plain no, on every kind of scene and with every library."""
+"""From matches to a pose or to a failure, on every kind of scene and with every library."""
 
 import numpy as np
 import poselib
@@ -124,7 +124,7 @@ def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind, estimator
 
 @pytest.mark.parametrize("count", [60, 200, 3000])
 @pytest.mark.parametrize("sigma_px", [0.0, 0.5, 3.0])
-def test_a_pure_rotation_is_told_at_any_noise_and_count(sigma_px, count):
+def test_a_pure_rotation_is_recognised_at_any_noise_and_count(sigma_px, count):
     for seed in range(2):
         scene = two_view_scene(
             "rotation_only", seed=seed, count=count, sigma_px=sigma_px, outliers=0.2
@@ -135,7 +135,7 @@ def test_a_pure_rotation_is_told_at_any_noise_and_count(sigma_px, count):
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 45.0, 90.0, 180.0])
-def test_a_pure_roll_is_told(degrees):
+def test_a_pure_roll_is_recognised(degrees):
     rng = np.random.default_rng(7)
     camera = Camera(np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]]), (1001, 1001))
     R = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
@@ -160,7 +160,7 @@ def test_exact_copies_of_one_image_are_a_rotation_of_nothing():
 def test_smooth_errors_of_dense_matches_are_no_translation(smooth, degrees):
     """A network's errors vary slowly over its grid of 60 x 60, and so look like parallax."""
     camera = Camera(np.array([[1700.0, 0, 799.5], [0, 1700, 599.5], [0, 0, 1]]), SIZE1)
-    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    R = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
     y, x = (np.mgrid[0:60, 0:60] + 0.5) * np.array([20, 1600 / 60])[:, None, None] - 0.5
     points2 = np.column_stack([x.ravel(), y.ravel()])
     for seed in range(3):
@@ -168,11 +168,11 @@ def test_smooth_errors_of_dense_matches_are_no_translation(smooth, degrees):
         error = np.stack(
             [gaussian_filter(rng.standard_normal((60, 60)), smooth).ravel() for _ in range(2)], 1
         )
-        points1 = (points2 - (799.5, 599.5)) @ turn[:2, :2] + (799.5, 599.5)
+        points1 = (points2 - (799.5, 599.5)) @ R[:2, :2] + (799.5, 599.5)
         points1 = points1 + 4.0 * error / error.std(0)
         pose = estimate_pose(as_matches(points1, points2, 4.0), camera, camera)
         assert pose.status == "rotation_only" and pose.t is None
-        assert rotation_error_deg(pose.R, turn) < 1.0
+        assert rotation_error_deg(pose.R, R) < 1.0
 
 
 @pytest.mark.parametrize("baseline", [0.03, 0.3])

@@ -21,8 +21,8 @@ def test_rotation_error_is_the_angle_that_was_put_in(seed: int, angle: float) ->
     rng = np.random.default_rng(seed)
     R_gt = Rotation.random(rng=rng).as_matrix()
     axis = rng.normal(size=3)
-    turn = Rotation.from_rotvec(np.radians(angle) * axis / np.linalg.norm(axis)).as_matrix()
-    for R in (R_gt @ turn, turn @ R_gt):
+    change = Rotation.from_rotvec(np.radians(angle) * axis / np.linalg.norm(axis)).as_matrix()
+    for R in (R_gt @ change, change @ R_gt):
         assert rotation_error_deg(R, R_gt) == pytest.approx(angle, abs=1e-9)
 
 

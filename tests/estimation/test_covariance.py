@@ -4,25 +4,26 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.consensus import error_scale
+from dgc_pose.estimation.covariance import error_radius_deg, error_slopes, pose_covariance
+from dgc_pose.estimation.model import Model, error_scale
 from dgc_pose.estimation.poselib_backend import refine_pose
-from dgc_pose.estimation.uncertainty import error_radius_deg, error_slopes, pose_covariance
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
-from two_view import two_view_scene
+from two_view import normalised_problem, two_view_scene
 
 SCALE = 2e-3
 
 
-def normalised(count, seed=0, sigma_px=0.5, kind="general"):
-    scene = two_view_scene(kind, seed=seed, count=count, sigma_px=sigma_px, outliers=0.0)
-    camera1, camera2 = scene.cameras
-    return scene, camera1.normalise(scene.points1), camera2.normalise(scene.points2)
+def normalised(count, sigma_px=0.5):
+    scene = two_view_scene(count=count, sigma_px=sigma_px, outliers=0.0)
+    problem = scene.problem()
+    return scene, problem.points1, problem.points2
 
 
 def test_the_errors_are_sampsons_with_a_sign_and_the_slopes_their_differences():
     scene, points1, points2 = normalised(60)
-    errors, slopes, tangent = error_slopes(points1, points2, scene.R, scene.t)
+    problem = scene.problem()
+    errors, slopes, tangent = error_slopes(problem, scene.R, scene.t)
     E = essential_from_pose(scene.R, scene.t)
     np.testing.assert_allclose(np.abs(errors), sampson_distance(points1, points2, E), atol=1e-15)
     np.testing.assert_allclose(
@@ -32,27 +33,28 @@ def test_the_errors_are_sampsons_with_a_sign_and_the_slopes_their_differences():
     for k in range(5):
         sides = []
         for sign in (1, -1):
-            turn = sign * step * np.eye(5)[k, :3]
-            R = Rotation.from_rotvec(turn).as_matrix() @ scene.R
+            rotvec = sign * step * np.eye(5)[k, :3]
+            R = Rotation.from_rotvec(rotvec).as_matrix() @ scene.R
             t = scene.t + tangent @ (sign * step * np.eye(5)[k, 3:])
-            sides.append(error_slopes(points1, points2, R, t / np.linalg.norm(t))[0])
+            sides.append(error_slopes(problem, R, t / np.linalg.norm(t))[0])
         np.testing.assert_allclose(slopes[:, k], (sides[0] - sides[1]) / (2 * step), atol=1e-7)
 
 
 def test_a_match_at_both_epipoles_has_no_slope_rather_than_nan():
     points = np.zeros((1, 2))  # forward motion: the middle of either image is its epipole
-    errors, slopes, _ = error_slopes(points, points, np.eye(3), np.array([0.0, 0, 1]))
+    problem = normalised_problem(points, points)
+    errors, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]))
     assert np.isfinite(errors).all() and np.isfinite(slopes).all()
 
 
 @pytest.mark.parametrize("variances", [(4.0, 0, 0), (1.0, 1, 1), (3.0, 2, 0), (9.0, 1, 0.1)])
 def test_the_radius_holds_the_share_that_it_names(variances):
     covariance = np.diag(variances) * 1e-6
-    turn = Rotation.random(random_state=3).as_matrix()
+    R = Rotation.random(random_state=3).as_matrix()
     drawn = np.random.default_rng(0).standard_normal((200_000, 3)) * np.sqrt(np.diag(covariance))
     lengths = np.degrees(np.linalg.norm(drawn, axis=1))
     for share in (0.5, 0.9):
-        radius = error_radius_deg(turn @ covariance @ turn.T, share)
+        radius = error_radius_deg(R @ covariance @ R.T, share)
         assert (lengths < radius).mean() == pytest.approx(share, abs=0.035)
 
 
@@ -65,22 +67,23 @@ def test_the_radius_of_equal_axes_is_chi_squares_and_it_ends_at_180_degrees():
 
 def refitted(points1, points2, scene):
     """The pose that the covariance is of: a Cauchy fit at its own scale."""
-    scale = error_scale(points1, points2, scene.R, scene.t, 4 * SCALE)
-    R, t = refine_pose(points1, points2, scene.R, scene.t, scale)
-    return R, t, pose_covariance(points1, points2, R, t, scale)
+    problem = normalised_problem(points1, points2, 4 * SCALE)
+    scale = error_scale(problem, scene.R, scene.t)
+    model = Model.of_pose(problem, *refine_pose(points1, points2, scene.R, scene.t, scale))
+    return model.R, model.t, pose_covariance(problem, model)
 
 
 def test_the_covariance_is_that_of_poses_from_other_noise():
     clean, first, second = normalised(800, sigma_px=0.0)
     rng = np.random.default_rng(0)
-    turns, shifts, said = [], [], []
+    rotations, shifts, said = [], [], []
     for _ in range(60):
         noisy = [p + 4e-4 * rng.standard_normal(p.shape) for p in (first, second)]
         R, t, covariance = refitted(*noisy, clean)
-        turns.append(Rotation.from_matrix(R @ clean.R.T).as_rotvec())
+        rotations.append(Rotation.from_matrix(R @ clean.R.T).as_rotvec())
         shifts.append(t - clean.t)
         said.append(covariance)
-    drawn = np.cov(np.column_stack([turns, shifts]).T)
+    drawn = np.cov(np.column_stack([rotations, shifts]).T)
     mean = np.mean(said, axis=0)
     assert mean.shape == (6, 6)
     np.testing.assert_allclose(mean, mean.T, atol=1e-18)
@@ -106,7 +109,9 @@ def test_errors_that_neighbours_share_make_the_pose_less_certain():
 
 def test_matches_in_one_spot_tell_no_covariance():
     points = np.full((30, 2), 0.1)
-    assert pose_covariance(points, points, np.eye(3), np.array([1.0, 0, 0]), SCALE) is None
+    every = np.ones(30, dtype=bool)
+    model = Model(np.eye(3), np.array([1.0, 0, 0]), inliers=every, in_front=every)
+    assert pose_covariance(normalised_problem(points, points, SCALE), model) is None
 
 
 def test_nine_errors_in_ten_are_below_what_the_pose_says():

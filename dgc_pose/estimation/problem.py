@@ -1,0 +1,94 @@
+"""The problem that all stages of the estimation share: normalised matches and a threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.matches import Matches
+
+_DEFAULTS = EstimationOptions()
+_GRID = 24  # cells along the longer side of an image
+
+
+@dataclass(frozen=True, eq=False)
+class TwoViewProblem:
+    """Matches of two calibrated views in normalised coordinates: x = K^-1 u, distortion undone."""
+
+    points1: np.ndarray  # (N, 2)
+    points2: np.ndarray  # (N, 2)
+    threshold: float  # Sampson distance below which a match is an inlier, in the points' unit
+    # Sides of a grid cell in image 1 and in image 2, in the points' unit; None for key points.
+    cells: tuple[float, float] | None
+    seed: int  # of every random draw
+    index: np.ndarray  # (N,) int, the row of each match among the matches given
+    warnings: tuple[str, ...] = ()  # what was dropped, and why
+
+    @classmethod
+    def of(
+        cls,
+        matches: Matches,
+        camera1: Camera,
+        camera2: Camera,
+        options: EstimationOptions = _DEFAULTS,
+    ) -> TwoViewProblem:
+        """The problem of matches in pixels and their cameras.
+
+        Matches that are not finite, duplicates, and matches whose distortion cannot be undone are
+        dropped and counted. The threshold in pixels of the originals is divided by each camera's
+        focal length; the mean of both counts. Raises InputError if `matches` is not Matches.
+        """
+        if not isinstance(matches, Matches):
+            raise InputError(f"matches must be Matches, not {type(matches).__name__}")
+        index, warnings = _usable(matches)
+        points1 = camera1.normalise(matches.points1[index])
+        points2 = camera2.normalise(matches.points2[index])
+        undone = np.isfinite(points1).all(1) & np.isfinite(points2).all(1)
+        if not undone.all():
+            warnings.append(f"{(~undone).sum()} matches dropped: their distortion cannot be undone")
+        pixels = options.threshold_px or options.threshold_factor * matches.error_px
+        return cls(
+            points1=points1,
+            points2=points2,
+            threshold=pixels * (1 / camera1.focal + 1 / camera2.focal) / 2,
+            cells=None if matches.key_points else (_cell_side(camera1), _cell_side(camera2)),
+            seed=options.seed,
+            index=index,
+            warnings=tuple(warnings),
+        ).subset(undone)
+
+    def __len__(self) -> int:
+        return len(self.points1)
+
+    def subset(self, kept: np.ndarray) -> TwoViewProblem:
+        """The same problem with some of its matches. kept: (N,) bool."""
+        return replace(
+            self, points1=self.points1[kept], points2=self.points2[kept], index=self.index[kept]
+        )
+
+
+def _usable(matches: Matches) -> tuple[np.ndarray, list[str]]:
+    """Indices of the finite, distinct matches, and what was dropped."""
+    rows = np.column_stack([matches.points1, matches.points2])
+    finite = np.isfinite(rows).all(1)
+    kept = np.flatnonzero(finite)
+    _, first = np.unique(rows[kept], axis=0, return_index=True)
+    warnings = []
+    if not finite.all():
+        warnings.append(f"{(~finite).sum()} matches dropped: not finite")
+    if len(first) < len(kept):
+        warnings.append(f"{len(kept) - len(first)} matches dropped: duplicates")
+    return kept[np.sort(first)], warnings
+
+
+def _cell_side(camera: Camera) -> float:
+    """The side of a grid cell, normalised.
+
+    A camera without an image size counts as one whose principal point is the middle of the image.
+    """
+    longer = max(camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1))
+    return float(longer) / _GRID / camera.focal

@@ -1,0 +1,77 @@
+"""RANSAC: several seeded runs of a backend, and the model with most inliers over all matches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dgc_pose.estimation.backend import MINIMAL, Backend
+from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.options import EstimationOptions, EstimatorName
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import sampson_distance
+from dgc_pose.threads import in_threads
+
+# Backends with a random generator for each run. The others seed one of the process or thread.
+_THREAD_SAFE: frozenset[EstimatorName] = frozenset({"poselib"})
+
+
+def best_model(problem: TwoViewProblem, options: EstimationOptions) -> Model | None:
+    """The model with most inliers of `options.runs` RANSAC runs; None if no run finds one.
+
+    Each run draws its samples from at most `options.max_sampled` matches, chosen by its own seed.
+    Inliers are counted here over all matches, the same way for every backend.
+    """
+    if len(problem) < MINIMAL:
+        return None
+    backend = get_backend(options.estimator)
+
+    def run(seed: int) -> list[np.ndarray]:
+        sampled = _sample(len(problem), options.max_sampled, seed)
+        return backend(
+            problem.points1[sampled],
+            problem.points2[sampled],
+            threshold=problem.threshold,
+            iterations=options.iterations,
+            seed=seed,
+        )
+
+    seeds = run_seeds(options)
+    thread_safe = options.estimator in _THREAD_SAFE
+    found = in_threads(run, seeds) if thread_safe else [run(seed) for seed in seeds]
+    essentials = [E for matrices in found for E in matrices]
+    if not essentials:
+        return None
+    counts = [
+        (sampson_distance(problem.points1, problem.points2, E) < problem.threshold).sum()
+        for E in essentials
+    ]
+    return Model.of_essential(problem, essentials[int(np.argmax(counts))])
+
+
+def run_seeds(options: EstimationOptions) -> list[int]:
+    """A seed for each run, all different, drawn from the one in the options."""
+    seeds = np.random.SeedSequence(options.seed).generate_state(options.runs)
+    # OpenCV and pycolmap take positive 32-bit seeds.
+    return [int(seed) % (2**31 - 1) for seed in seeds]
+
+
+def get_backend(name: EstimatorName) -> Backend:
+    """The backend of that name. Its library is imported on the first call."""
+    if name == "poselib":
+        from dgc_pose.estimation.poselib_backend import run_poselib
+
+        return run_poselib
+    if name == "pycolmap":
+        from dgc_pose.estimation.pycolmap_backend import run_pycolmap
+
+        return run_pycolmap
+    from dgc_pose.estimation.opencv_backend import run_opencv
+
+    return run_opencv
+
+
+def _sample(count: int, most: int, seed: int) -> np.ndarray | slice:
+    """Indices of at most `most` of `count` matches, drawn at random; all if there are no more."""
+    if count <= most:
+        return slice(None)
+    return np.random.default_rng(seed).permutation(count)[:most]

@@ -1,0 +1,121 @@
+"""The problem made of matches and cameras: what is dropped, the threshold, the grid cells."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dgc_pose.camera import Camera, parse_camera
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.matches import Matches
+from two_view import two_view_scene
+
+
+def as_matches(points1, points2):
+    return Matches(points1, points2, np.ones(len(points1)), 1.0)
+
+
+def estimate(scene, matches):
+    return estimate_pose(matches, *scene.cameras)
+
+
+def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_length():
+    scene = two_view_scene("general", seed=2, count=300, sigma_px=0.5, outliers=0.2)
+    points1 = np.vstack([scene.points1, scene.points1[:7], scene.points1[:3]])
+    points2 = np.vstack([scene.points2, scene.points2[:7], scene.points2[:3]])
+    points1[300] = scene.points1[0]  # rows 300 to 306 are copies, 307 to 309 not finite
+    points1[307, 0], points1[308, 1], points2[309, 0] = np.nan, np.inf, -np.inf
+    order = np.random.default_rng(0).permutation(310)
+    pose = estimate(scene, as_matches(points1[order], points2[order]))
+    assert pose.success
+    assert pose.num_matches == 300
+    assert pose.inliers.shape == (310,)
+    assert not pose.inliers[order >= 307].any()
+    assert pose.inliers.sum() == pose.num_inliers
+    assert "3 matches dropped: not finite" in pose.warnings
+    assert "7 matches dropped: duplicates" in pose.warnings
+    kept = pose.inliers[np.argsort(order)]
+    assert kept[:300][scene.true].mean() > 0.8
+
+
+def test_only_bad_matches_are_too_few():
+    nothing = np.full((40, 2), np.nan)
+    pose = estimate(two_view_scene(count=1), as_matches(nothing, nothing))
+    assert pose.status == "too_few_matches"
+    assert pose.num_matches == 0
+    assert pose.inliers.shape == (40,)
+    assert pose.warnings == ("40 matches dropped: not finite",)
+
+
+def test_one_match_many_times_is_one_match():
+    points = np.tile([[100.0, 200.0]], (500, 1))
+    pose = estimate(two_view_scene(count=1), as_matches(points, points))
+    assert pose.status == "too_few_matches"
+    assert pose.num_matches == 1
+
+
+def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
+    scene = two_view_scene("general", count=300, sigma_px=0.2, outliers=0.0)
+    _, camera2 = scene.cameras
+    strong = parse_camera("SIMPLE_RADIAL,1600,1200,1700,810.5,590.5,-0.9")
+    lost = ~np.isfinite(strong.normalise(scene.points1)).all(1)
+    assert 0 < lost.sum() < 280
+    pose = estimate_pose(scene.matches, strong, camera2)
+    assert pose.num_matches == 300 - lost.sum()
+    assert pose.inliers.shape == (300,) and not pose.inliers[lost].any()
+    assert any(f"{lost.sum()} matches dropped" in warning for warning in pose.warnings)
+
+
+def test_the_problem_is_the_finite_distinct_matches_in_normalised_coordinates():
+    scene = two_view_scene("general", seed=3, count=50)
+    points1 = scene.points1.copy()
+    points1[7] = np.nan
+    points1[20], points2 = points1[19], scene.points2.copy()
+    points2[20] = points2[19]
+    problem = TwoViewProblem.of(as_matches(points1, points2), *scene.cameras)
+    kept = [k for k in range(50) if k not in (7, 20)]
+    assert problem.index.tolist() == kept and len(problem) == 48
+    for points, pixels, K in (
+        (problem.points1, points1[kept], scene.K1),
+        (problem.points2, points2[kept], scene.K2),
+    ):
+        rays = np.linalg.solve(K, np.column_stack([pixels, np.ones(48)]).T).T
+        np.testing.assert_allclose(points, rays[:, :2], atol=1e-13)
+    assert problem.warnings == (
+        "1 matches dropped: not finite",
+        "1 matches dropped: duplicates",
+    )
+    part = problem.subset(np.arange(48) % 2 == 0)
+    assert part.index.tolist() == kept[::2]
+    assert np.array_equal(part.points2, problem.points2[::2])
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        problem.threshold = 1.0
+
+
+def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length():
+    scene = two_view_scene(count=30)
+    cameras = scene.cameras
+    matches = as_matches(scene.points1, scene.points2)
+
+    def threshold(**options):
+        return TwoViewProblem.of(matches, *cameras, EstimationOptions(**options)).threshold
+
+    pixel = (1 / 1695 + 1 / 1105) / 2  # mean focal lengths of K1 and K2
+    assert threshold(threshold_px=3.0) == pytest.approx(3.0 * pixel)
+    assert threshold(threshold_factor=1.5) == pytest.approx(1.5 * matches.error_px * pixel)
+    assert threshold(threshold_px=3.0, threshold_factor=9.0) == threshold(threshold_px=3.0)
+
+
+def test_a_cell_is_a_24th_of_the_longer_side_and_key_points_have_none():
+    scene = two_view_scene(count=30)
+    camera1, camera2 = scene.cameras
+    dense = scene.matches
+    assert TwoViewProblem.of(dense, camera1, camera2).cells == pytest.approx(
+        (1600 / 24 / 1695, 1280 / 24 / 1105)
+    )
+    # Without a size the principal point, (810, 590), counts as the middle.
+    unknown = TwoViewProblem.of(dense, Camera(scene.K1), camera2)
+    assert unknown.cells[0] == pytest.approx(1621 / 24 / 1695)
+    key_points = dataclasses.replace(dense, key_points=True)
+    assert TwoViewProblem.of(key_points, camera1, camera2).cells is None

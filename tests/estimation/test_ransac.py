@@ -1,0 +1,79 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dgc_pose.estimation import EstimationOptions, ransac
+from dgc_pose.estimation.ransac import best_model, run_seeds
+from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from two_view import two_view_scene
+
+
+def test_every_run_has_a_seed_of_its_own_that_depends_on_the_options_seed():
+    seeds = run_seeds(EstimationOptions(runs=50))
+    assert len(set(seeds)) == 50
+    assert all(0 <= seed < 2**31 for seed in seeds)
+    assert seeds == run_seeds(EstimationOptions(runs=50))
+    assert not set(seeds) & set(run_seeds(EstimationOptions(runs=50, seed=1)))
+    assert run_seeds(EstimationOptions(runs=5)) == seeds[:5]
+
+
+def test_of_all_runs_the_one_with_most_inliers_is_kept(monkeypatch):
+    scene = two_view_scene(count=100, sigma_px=0.0, outliers=0.3)
+    problem = scene.problem()
+    truth = essential_from_pose(scene.R, scene.t)
+    wrong = essential_from_pose(np.eye(3), np.array([0.0, 1, 0]))
+    answers = iter([[], [wrong], [wrong, truth], [wrong], []])
+    asked = []
+
+    def backend(first, second, *, threshold, iterations, seed):
+        asked.append((threshold, iterations, seed))
+        return next(answers)
+
+    monkeypatch.setattr(ransac, "get_backend", lambda name: backend)
+    options = EstimationOptions(estimator="opencv", iterations=77)
+    model = best_model(problem, options)
+    assert asked == [(problem.threshold, 77, seed) for seed in run_seeds(options)]
+    assert rotation_error_deg(model.R, scene.R) < 1e-5
+    assert translation_error_deg(model.t, scene.t) < 1e-5
+    assert model.inliers[scene.true].all()
+
+
+def test_each_run_samples_from_its_own_draw_and_its_model_is_scored_on_all(monkeypatch):
+    scene = two_view_scene(count=300, sigma_px=0.0, outliers=0.3)
+    problem = scene.problem()
+    truth = essential_from_pose(scene.R, scene.t)
+    pairs = np.column_stack([problem.points1, problem.points2])
+    rows = {tuple(row): k for k, row in enumerate(pairs)}
+    seen = []
+
+    def backend(first, second, *, threshold, iterations, seed):
+        seen.append([rows[tuple(row)] for row in np.column_stack([first, second])])
+        return [truth]
+
+    monkeypatch.setattr(ransac, "get_backend", lambda name: backend)
+    options = EstimationOptions(estimator="opencv", max_sampled=120)
+    model = best_model(problem, options)
+    assert [len(set(drawn)) for drawn in seen] == [120] * 5
+    assert len({tuple(sorted(drawn)) for drawn in seen}) == 5
+    assert model.inliers.shape == (300,) and model.inliers[scene.true].all()
+    again = seen.copy()
+    seen.clear()
+    best_model(problem, options)
+    assert seen == again
+    seen.clear()
+    best_model(problem, replace(options, max_sampled=300))
+    assert seen == [list(range(300))] * 5
+
+
+def test_no_run_with_a_model_is_no_model(monkeypatch):
+    monkeypatch.setattr(ransac, "get_backend", lambda name: lambda *a, **k: [])
+    assert best_model(two_view_scene(count=100).problem(), EstimationOptions()) is None
+
+
+@pytest.mark.parametrize("count", [0, 1, 4])
+def test_fewer_than_five_matches_are_no_model(count):
+    problem = two_view_scene(count=5).problem().subset(np.arange(5) < count)
+    assert len(problem) == count
+    assert best_model(problem, EstimationOptions()) is None
