@@ -36,8 +36,7 @@ class Forward:
 def multiply_adds(net: DGCNet) -> tuple[int, int]:
     """Multiply-adds of the convolutions for a pair: of both images' encoder, and of the decoders.
 
-    net: uncompiled, since its own convolutions are counted. Correlations are left out: they are
-    hardly a hundredth.
+    Correlations are left out: they are hardly a hundredth.
     """
     parameter = next(net.parameters())
     image = torch.zeros(1, 3, INPUT_SIZE, INPUT_SIZE, device=parameter.device)
