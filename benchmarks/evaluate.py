@@ -58,7 +58,7 @@ class Evaluation(Generic[Score]):
         number = first - first % batch
         pairs = self.pairs.read(number)
         waiting: deque[list[Future[Scored[Score]]]] = deque()
-        with pose_pool(workers) as submit:
+        with pose_pool(self.pairs.kind, workers) as submit:
             while some := list(islice(pairs, batch)):
                 for jobs in self.match(some):
                     if number >= first:

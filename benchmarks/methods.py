@@ -127,7 +127,7 @@ def parse_methods(
     for name in stored:
         if name in (*CLASSICAL, *shipped()):
             raise InputError(f"--matches {name}: a method of that name is there already")
-    methods = []
+    methods: list[Method] = []
     for text in specifications:
         method = _parse(text, defaults, stored)
         if any(other.name == method.name for other in methods):
@@ -170,13 +170,13 @@ def load_engines(
             refiners = {one: _refiner(matcher, one) for one in wanted}
             passes[key] = Engine(matcher, refiners)
             continue
-        cache = kept and kept.features
+        cache = None if kept is None else kept.features
         if name in networks:
             dense = DenseMatcher(networks[name].net, options, cache)
         else:
             dense = load_dense_matcher(name, device=device, options=options, cache=cache)
         networks.setdefault(name, dense)
-        native = kept and kept.native
+        native = None if kept is None else kept.native
         passes[key] = Engine(dense, {one: refined(dense, one, native) for one in wanted})
     return Engines(passes, {name: kept for name, kept in caches.items() if name in networks})
 

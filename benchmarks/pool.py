@@ -16,12 +16,14 @@ from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, score
 from dgc_pose.errors import DgcPoseError
 
-Submit = Callable[[Job[Score]], "Future[Scored[Score]]"]
-
-
 @contextmanager
-def pose_pool(workers: int) -> Iterator[Submit[Score]]:
-    """A function that has a job done: in this process at once, or by one of `workers` others."""
+def pose_pool(
+    kind: type[Score], workers: int
+) -> Iterator[Callable[[Job[Score]], Future[Scored[Score]]]]:
+    """A function that has a job done: in this process at once, or by one of `workers` others.
+
+    kind: of the records.
+    """
     if workers == 1:
         yield _done_here
         return

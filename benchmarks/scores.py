@@ -45,8 +45,10 @@ class PoseScore:
 
 Score = TypeVar("Score", bound=PoseScore)
 
-POSE_COLUMNS = ("status", "success", "num_matches", "num_inliers", "inlier_ratio")
-POSE_COLUMNS += ("rotation_error_deg", "translation_error_deg", "translation_folded_deg")
+POSE_COLUMNS = (
+    *("status", "success", "num_matches", "num_inliers", "inlier_ratio"),
+    *("rotation_error_deg", "translation_error_deg", "translation_folded_deg"),
+)
 SECONDS = ("match_seconds", "estimate_seconds")
 
 
@@ -57,7 +59,7 @@ class PairScore(PoseScore):
     image1: str  # as the list names it
     image2: str
 
-    identity = ("method", "image1", "image2")
+    identity: ClassVar[tuple[str, ...]] = ("method", "image1", "image2")
     tables = {RESULTS: (*identity, "true_rotation_deg", *POSE_COLUMNS, *SECONDS)}
 
 

@@ -102,7 +102,9 @@ def pair_seed(seed: int, *words: int) -> int:
 
 def evidence_text(evidence: Evidence | None) -> str:
     """What a verdict rests on, as JSON; empty for None."""
-    return "" if evidence is None else json.dumps(asdict(evidence), default=lambda value: value.tolist())
+    if evidence is None:
+        return ""
+    return json.dumps(asdict(evidence), default=lambda value: value.tolist())
 
 
 def _rotation(truth: Truth) -> float:

@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -62,8 +62,8 @@ class VerdictScore(PoseScore):
         """What the verdict rests on."""
         if not self.evidence_json:
             return None
-        values = json.loads(self.evidence_json)
-        return Evidence(**{k: np.array(v) if k == "rotation" else v for k, v in values.items()})
+        values: dict[str, Any] = json.loads(self.evidence_json)
+        return Evidence(**(values | {"rotation": np.array(values["rotation"])}))
 
     @property
     def chooses(self) -> bool:

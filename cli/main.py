@@ -1,6 +1,7 @@
 """The command `dgc-pose`: its subcommands, and the one place where their errors are shown.
 
-A subcommand's module is imported when it is called, so that `dgc-pose --help` is quick. Exit codes: 0 done, 2 unusable input, 3 no pose (set by the subcommand).
+A subcommand's module is imported when it is called, so that `dgc-pose --help` is quick. Exit codes:
+0 done, 2 unusable input, 3 no pose (set by the subcommand).
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from dgc_pose.errors import DgcPoseError
 
 UNUSABLE_INPUT = 2
 INTERRUPTED = 130  # what shells report after SIGINT
-# Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. With
-# its default of 300,000 a machine with another busy process spends nearly all its time spinning.
+# Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
+# default 300,000: a machine with another busy process then spends nearly all its time spinning.
 SPIN_COUNT = "10000"
 
 

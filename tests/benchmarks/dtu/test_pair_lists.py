@@ -4,12 +4,17 @@ import pytest
 from dtu_layout import WRITERS, grey_scan
 
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
-from dgc_pose.benchmarks.dtu.pair_files import read_pair_file, write_pair_csv
-from dgc_pose.benchmarks.dtu.pairs import PairOptions, draw, find_pairs, pair_of
+from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file, write_pair_csv
+from dgc_pose.benchmarks.dtu.view_pairs import (
+    ViewPairOptions,
+    draw,
+    find_view_pairs,
+    listed_pair,
+)
 from dgc_pose.benchmarks.pair_list import write_pairs
 from dgc_pose.errors import InputError
 
-OPTIONS = PairOptions(pairs=8, min_overlap=0)
+OPTIONS = ViewPairOptions(pairs=8, min_overlap=0)
 ANGLES = [0, 8, 17, 27]
 ID_LIST = """-- image1 image2 scan qw qx qy qz tx ty tz
 -- rest of the comment
@@ -37,7 +42,7 @@ def ids(pairs):
 
 
 def test_our_csv_reads_back(tmp_path, dataset):
-    drawn = draw(find_pairs(dataset, OPTIONS), OPTIONS)
+    drawn = draw(find_view_pairs(dataset, OPTIONS), OPTIONS)
     write_pair_csv(tmp_path / "pairs.csv", drawn)
     text = (tmp_path / "pairs.csv").read_text()
     assert text.startswith("scene,view1,view2,rotation_deg,overlap,baseline_mm\n4,")
@@ -55,8 +60,8 @@ def test_a_csv_may_have_its_columns_in_any_order(tmp_path, dataset):
 @pytest.mark.parametrize("layout", WRITERS)
 def test_superglue_lists_of_any_layout_name_the_same_views(tmp_path, dataset, layout):
     other = opened(tmp_path / "other", layout)
-    drawn = draw(find_pairs(other, OPTIONS), OPTIONS)
-    write_pairs(tmp_path / "list.txt", [pair_of(other, pair) for pair in drawn])
+    drawn = draw(find_view_pairs(other, OPTIONS), OPTIONS)
+    write_pairs(tmp_path / "list.txt", [listed_pair(other, pair) for pair in drawn])
     assert ids(read_pair_file(tmp_path / "list.txt", dataset)) == ids(drawn)
 
 

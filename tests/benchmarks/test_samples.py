@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu.samples import (
+from dgc_pose.benchmarks.samples import (
     MatchSample,
     method_file_name,
     read_sample,
