@@ -138,7 +138,7 @@ def filter_options(command: Command) -> Command:
         type=float,
         metavar="PX",
         default=MATCHING.cycle_px,
-        help="Match the other way too, and drop matches that come back further than this off.",
+        help="Compute the reverse map too, and drop matches of a larger cycle error.",
     )
     @click.option(
         "--max-matches",

@@ -1,4 +1,4 @@
-"""Arrays as callers hand them over: NumPy, lists or torch tensors, without importing torch."""
+"""Arguments as NumPy arrays: from arrays, lists or torch tensors, without importing torch."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from dgc_pose.errors import InputError
 
 
 def is_tensor(value: Any) -> bool:
-    """Whether `value` behaves as a torch tensor (told by its methods: torch is not imported)."""
+    """Whether `value` has the methods of a torch tensor."""
     return all(hasattr(value, method) for method in ("detach", "cpu", "numpy"))
 
 
 def as_numpy(value: Any, name: str) -> np.ndarray:
-    """`value` as a NumPy array of booleans, integers or floats; shares memory where it can.
+    """`value` as a NumPy array of booleans, integers or floats; shares memory if possible.
 
-    Raises InputError, naming the argument `name`, where `value` is no array of real numbers.
+    Raises InputError, naming the argument `name`, if `value` is no array of real numbers.
     """
     try:
         if is_tensor(value):

@@ -1,4 +1,4 @@
-"""A camera: its intrinsic matrix K, the image size K refers to, and its lens distortion.
+"""A camera: its intrinsic matrix K, the image size that K refers to, and its lens distortion.
 
 Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) there.
 """
@@ -17,21 +17,22 @@ from dgc_pose import colmap_camera
 from dgc_pose.arrays import as_numpy
 from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import InputError
+from dgc_pose.pixels import rescale
 
-# How far a principal point may lie from the middle of the image, as a share of its side, before K
-# is suspected of belonging to an image of another size.
+# Offset of the principal point from the middle of the image, as a share of its side, beyond which K
+# may belong to an image of another size.
 _USUAL_OFFSET = 0.2
-_MAX_FILE_BYTES = 4096  # of a file that holds nine numbers
+_MAX_FILE_BYTES = 4096  # of a file with nine numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A calibrated camera. Raises InputError where K is no intrinsic matrix, see `as_camera`."""
+    """A calibrated camera. Raises InputError if K is no intrinsic matrix, see `as_camera`."""
 
     K: np.ndarray  # (3, 3) float64, pixels
-    size: tuple[int, int] | None = None  # (width, height) of the image K refers to, where known
+    size: tuple[int, int] | None = None  # (width, height) of the image K refers to, or unknown
     distortion: Distortion | None = None  # of the lens; None for a pinhole
-    warnings: tuple[str, ...] = ()  # what the user should know about where K comes from
+    warnings: tuple[str, ...] = ()  # about the origin of K, for the user
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
@@ -44,9 +45,9 @@ class Camera:
         return float(self.K[0, 0] + self.K[1, 1]) / 2
 
     def normalise(self, points: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) to K^-1 of them, (N, 2) float64, with the distortion undone.
+        """Pixels u (N, 2) to normalised coordinates K^-1 u (N, 2) float64, without distortion.
 
-        NaN where the distortion cannot be undone. Raises InputError for another shape.
+        NaN for points whose distortion cannot be undone. Raises InputError for another shape.
         """
         points = np.asarray(points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2:
@@ -56,35 +57,25 @@ class Camera:
         normalised = np.column_stack([x, y])
         return normalised if self.distortion is None else self.distortion.undo(normalised)
 
-    def undistort(self, points: np.ndarray) -> np.ndarray:
-        """Pixels (N, 2) of this camera to pixels of the ideal pinhole camera of the same K.
-
-        NaN where the distortion cannot be undone. Raises InputError for another shape.
-        """
-        if self.distortion is None:
-            return np.array(points, dtype=np.float64)
-        return self.normalise(points) @ self.K[:2, :2].T + self.K[:2, 2]
-
     def resized(self, size: tuple[int, int]) -> Camera:
-        """This camera after its image is resized to (width, height), sides scaled independently.
+        """The camera of the image resized to (width, height), each side by its own factor.
 
-        x' = (x + 0.5) s - 0.5, for the principal point too. Raises InputError where the present
-        size is not known.
+        Raises InputError if the present size is not known.
         """
         if self.size is None:
             raise InputError("a camera without a size cannot be resized")
         scale = np.array([size[0] / self.size[0], size[1] / self.size[1], 1.0])
         K = self.K * scale[:, None]
-        K[:2, 2] = (self.K[:2, 2] + 0.5) * scale[:2] - 0.5
+        K[:2, 2] = rescale(self.K[:2, 2], self.size, size)
         return replace(self, K=K, size=(int(size[0]), int(size[1])))
 
 
 def as_camera(value: Camera | Any, name: str = "K") -> Camera:
-    """A camera from what a caller may hand over: a Camera, an array (3, 3) or a text or path.
+    """A camera from a Camera, an array (3, 3), a path, or a text (see `parse_camera`).
 
-    Raises InputError, naming the argument `name`, where the matrix has another shape, is not
-    finite, is singular, or is not upper triangular with positive focal lengths and a last row of
-    0 0 1; and where the text cannot be read (see `parse_camera`).
+    Raises InputError, naming the argument `name`, if the matrix has another shape, is not finite,
+    is singular, or is not upper triangular with positive focal lengths and a last row of 0 0 1, or
+    if the text cannot be read.
     """
     if isinstance(value, Camera):
         return value
@@ -94,15 +85,15 @@ def as_camera(value: Camera | Any, name: str = "K") -> Camera:
 
 
 def parse_camera(text: str, name: str = "K") -> Camera:
-    """A camera from one text, as on the command line.
+    """A camera from a text, as on the command line.
 
     One of: 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; the path of a text or
-    .npy file with a 3x3 matrix; a COLMAP camera 'MODEL,width,height,parameters...', whose principal
-    point is COLMAP's, half a pixel more than ours. Raises InputError of one line, naming `name`.
+    .npy file with a 3x3 matrix; a COLMAP camera 'MODEL,width,height,parameters...' with COLMAP's
+    principal point, half a pixel more than ours. Raises InputError of one line, naming `name`.
     """
     try:
         is_file = Path(text).is_file()
-    except (OSError, ValueError):  # too long for a path, for one
+    except (OSError, ValueError):  # such as a text too long for a path
         is_file = False
     if is_file:
         return as_camera(_read_matrix(Path(text), name), name)
@@ -114,15 +105,16 @@ def parse_camera(text: str, name: str = "K") -> Camera:
         raise InputError(
             f"{name}: {text!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters nor a file"
         )
-    return as_camera(_matrix(numbers[:2], numbers[2:]), name)
+    fx, fy, cx, cy = numbers
+    return as_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], name)
 
 
 def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, ...]:
-    """Refuses the K of an image of another size. `size`: (width, height) of the image in hand.
+    """Check that a camera belongs to an image of `size` (width, height).
 
-    Raises InputError, naming the argument `name`, where the camera's declared size is another, or
-    the principal point lies outside the image. Returns warnings: one where it lies so far from the
-    middle that K may belong to an image of another size.
+    Raises InputError, naming the argument `name`, if the camera's own size is another, or if its
+    principal point lies outside the image. Returns a warning if the principal point lies so far
+    from the middle that K may belong to an image of another size.
     """
     width, height = size
     if camera.size is not None and tuple(camera.size) != (width, height):
@@ -155,23 +147,22 @@ def camera_for(value: Camera | Any, size: tuple[int, int], name: str) -> Camera:
 
 
 def guess_camera(path: str | Path) -> Camera:
-    """A camera guessed from an image file alone, with a warning, for a pose it is a poor ground.
+    """A camera guessed from an image file, with a warning that poses will be inaccurate.
 
-    The focal length is that of the file's EXIF data, else 1.2 times the longer side; the principal
-    point is the middle. Raises ImageError where the image cannot be read.
+    The focal length is that of the file's EXIF data, or else 1.2 times the longer side; the
+    principal point is the middle. Raises ImageError if the image cannot be read.
     """
-    focal, size, from_exif = colmap_camera.guess(Path(path))
+    K, size, from_exif = colmap_camera.guess(Path(path))
     source = "its EXIF data" if from_exif else "nothing but its size (1.2 times the longer side)"
     warning = (
-        f"{path}: the focal length of {focal:.0f} pixels is a guess from {source}; "
+        f"{path}: the focal length of {K[0, 0]:.0f} pixels is a guess from {source}; "
         f"expect the pose to be much less accurate than with a calibration"
     )
-    middle = [size[0] / 2 - 0.5, size[1] / 2 - 0.5]
-    return Camera(_matrix([focal, focal], middle), size, warnings=(warning,))
+    return Camera(K, size, warnings=(warning,))
 
 
 def _checked_matrix(value: Any, name: str) -> np.ndarray:
-    """An intrinsic matrix as (3, 3) float64, its own copy, not to be written to."""
+    """A read-only copy (3, 3) float64 of an intrinsic matrix."""
     K = np.array(as_numpy(value, name), dtype=np.float64)
     if K.shape != (3, 3):
         raise InputError(f"{name} must have shape (3, 3), not {K.shape}")
@@ -194,12 +185,6 @@ def _listed(numbers: np.ndarray) -> str:
     return " ".join(f"{number:g}" for number in numbers)
 
 
-def _matrix(focal: list[float], principal_point: list[float]) -> np.ndarray:
-    return np.array(
-        [[focal[0], 0, principal_point[0]], [0, focal[1], principal_point[1]], [0, 0, 1]]
-    )
-
-
 def _read_matrix(path: Path, name: str) -> np.ndarray:
     try:
         data = path.read_bytes() if path.stat().st_size <= _MAX_FILE_BYTES else b""
@@ -217,9 +202,8 @@ def _parse_colmap(words: list[str], name: str) -> Camera:
     if size is None or parameters is None or any(not side.is_integer() for side in size):
         raise InputError(f"{name}: expected MODEL,width,height,parameters, not {','.join(words)!r}")
     try:
-        found = colmap_camera.split_parameters(words[0].upper(), parameters)
-        K = _matrix([*found.focal], [*found.principal_point])
-        return Camera(K, (int(size[0]), int(size[1])), found.distortion)
+        K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
+        return Camera(K, (int(size[0]), int(size[1])), distortion)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
 

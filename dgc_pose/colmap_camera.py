@@ -1,4 +1,4 @@
-"""COLMAP's camera models, through pycolmap: their parameters, their distortion, and its guess."""
+"""COLMAP's cameras, through pycolmap: parameters, distortion, and the guess of a focal length."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from dgc_pose.errors import ImageError, InputError
 if TYPE_CHECKING:
     import pycolmap
 
-# A point whose undistortion, distorted again, misses it by more was not undone (unit: the focal
-# length, so a hundredth of a pixel at a focal length of 1000).
+# Distance to a point of its undistortion, distorted again, beyond which the distortion was not
+# undone. In focal lengths: a hundredth of a pixel at a focal length of 1000.
 _MAX_ROUND_TRIP = 1e-5
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """Lens distortion by one of COLMAP's models, in units of the focal length, so free of K.
+    """Lens distortion by one of COLMAP's models, in normalised coordinates, independent of K.
 
-    Raises InputError where COLMAP has no such model, or it takes other coefficients.
+    Raises InputError if COLMAP has no such model, or if the coefficients do not fit it.
     """
 
     model: str  # COLMAP's name, such as "OPENCV" or "SIMPLE_RADIAL"
@@ -40,10 +40,10 @@ class Distortion:
             raise InputError(f"{self.model} has coefficients that are not finite")
 
     def undo(self, points: np.ndarray) -> np.ndarray:
-        """Where an ideal pinhole of focal length 1 sees what this lens sees at `points`.
+        """Normalised points (N, 2) float64 without their distortion: x / z and y / z.
 
-        points and result: (N, 2) float64, x / z and y / z. NaN where the model has no answer: a ray
-        at 90 degrees or more from the axis, or a point beyond the distortion's turning point.
+        NaN if the model has no answer: for rays at 90 degrees or more from the axis, and for points
+        beyond the radius at which the distortion stops growing.
         """
         camera = _model(self.model)
         parameters = np.zeros(len(camera.params))
@@ -56,18 +56,11 @@ class Distortion:
         return np.where(undone[:, None], ideal, np.nan)
 
 
-class Intrinsics(NamedTuple):
-    """A COLMAP camera's parameters, told apart."""
+def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distortion | None]:
+    """K (3, 3) and the distortion, None for a pinhole, of COLMAP's parameter list.
 
-    focal: tuple[float, float]  # pixels, along x and y
-    principal_point: tuple[float, float]  # pixels; (0, 0) is the centre of the top-left pixel
-    distortion: Distortion | None  # None for the pinhole models
-
-
-def split_parameters(model: str, parameters: list[float]) -> Intrinsics:
-    """COLMAP's parameter list told apart, its principal point moved by half a pixel to ours.
-
-    Raises InputError where COLMAP has no such model, or it takes another number of parameters.
+    The principal point is half a pixel less than in the list. Raises InputError if COLMAP has no
+    such model, or if it takes another number of parameters.
     """
     camera = _model(model)
     if len(parameters) != len(camera.params):
@@ -75,29 +68,23 @@ def split_parameters(model: str, parameters: list[float]) -> Intrinsics:
             f"{model} takes {len(camera.params)} parameters ({camera.params_info}), "
             f"not {len(parameters)}"
         )
-    values = np.asarray(parameters, dtype=np.float64)
-    focal = values[camera.focal_length_idxs()]
-    principal_point = values[camera.principal_point_idxs()] - 0.5
+    camera.params = parameters
     distortion = None
     if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        distortion = Distortion(model, tuple(values[camera.extra_params_idxs()].tolist()))
-    return Intrinsics(
-        (float(focal[0]), float(focal[-1])),
-        (float(principal_point[0]), float(principal_point[1])),
-        distortion,
-    )
+        distortion = Distortion(model, tuple(camera.params[camera.extra_params_idxs()].tolist()))
+    return _matrix(camera), distortion
 
 
 class Guess(NamedTuple):
-    """What COLMAP makes of an image without a calibration."""
+    """COLMAP's camera for an image without a calibration."""
 
-    focal: float  # pixels
+    K: np.ndarray  # (3, 3)
     size: tuple[int, int]  # (width, height)
-    from_exif: bool  # else 1.2 times the longer side
+    from_exif: bool  # else the focal length is 1.2 times the longer side
 
 
 def guess(path: Path) -> Guess:
-    """COLMAP's guess of the focal length. Raises ImageError where the image cannot be read."""
+    """COLMAP's guess of the intrinsics. Raises ImageError if the image cannot be read."""
     import pycolmap
 
     try:
@@ -105,12 +92,19 @@ def guess(path: Path) -> Guess:
     except ValueError as error:
         raise ImageError(f"{path} does not exist or is not an image that can be read") from error
     size = (int(camera.width), int(camera.height))
-    return Guess(float(camera.mean_focal_length()), size, bool(camera.has_prior_focal_length))
+    return Guess(_matrix(camera), size, bool(camera.has_prior_focal_length))
+
+
+def _matrix(camera: pycolmap.Camera) -> np.ndarray:
+    """K (3, 3) in pixels whose (0, 0) is the centre of the top-left one."""
+    K = np.array(camera.calibration_matrix())
+    K[:2, 2] -= 0.5
+    return K
 
 
 def _model(name: str) -> pycolmap.Camera:
-    """A camera of this model with some parameters, to be replaced."""
-    import pycolmap  # here and not above: only cameras that come from COLMAP need it
+    """A camera of this model with arbitrary parameters."""
+    import pycolmap  # on first use: only COLMAP's cameras need it
 
     known = [known for known in pycolmap.CameraModelId.__members__ if known != "INVALID"]
     camera = pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1) if name in known else None

@@ -1,10 +1,10 @@
-"""The errors that dgc-pose raises on purpose. They share one base, so that one except gets all."""
+"""The errors that dgc-pose raises. They share one base class."""
 
 from __future__ import annotations
 
 
 class DgcPoseError(Exception):
-    """Base of every error that dgc-pose raises on purpose; its message is one line, for people."""
+    """Base of every error that dgc-pose raises; its message is one line, for people."""
 
 
 class InputError(DgcPoseError, ValueError):

@@ -17,7 +17,7 @@ from dgc_pose.errors import ImageError, InputError
 if TYPE_CHECKING:
     import torch
 
-MAX_PIXELS = 400_000_000  # width times height; more is refused, before decoding where possible
+MAX_PIXELS = 400_000_000  # width times height; more is refused, if possible before decoding
 MAX_BYTES = 2**31 - 1  # of a file; OpenCV counts an encoded image's bytes in a signed 32-bit number
 
 _EXIF_ORIENTATION = 0x0112
@@ -27,7 +27,7 @@ _HEADER_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """An image as the rest of the library takes it. Raises InputError if `pixels` is not so."""
+    """An image of 8-bit RGB. Raises InputError for pixels of another type or shape."""
 
     pixels: np.ndarray  # (H, W, 3) uint8, RGB, contiguous
     name: str = "image"  # the path, or the argument's name
@@ -51,21 +51,21 @@ class Image:
 def load_image(
     source: str | Path | np.ndarray | torch.Tensor | Image, name: str = "image"
 ) -> Image:
-    """Any image as 8-bit RGB.
+    """An image as 8-bit RGB.
 
     `source` is a path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) in RGB(A) order, or a
     torch tensor of such a shape, of (1, H, W), (3, H, W) or (4, H, W), or of a batch of one image.
     An `Image` is returned as it is. `name` is the argument's name in errors about arrays.
 
     Grey is repeated, alpha is dropped. 8-bit values are kept, floats within [0, 1] are multiplied
-    by 255, and everything else (16 bit, 12 bit in 16, other floats) is stretched from the image's
-    own minimum and maximum, over all colours together, to 0 and 255.
+    by 255, and all others (16 bit, 12 bit in 16, other floats) are rescaled from the image's own
+    minimum and maximum, over all colours together, to 0 and 255.
 
-    Files give their pixels as stored, for that is what K refers to: an EXIF orientation is not
-    applied, and a warning says so.
+    Files give their pixels as stored, to which K refers: an EXIF orientation is not applied, with a
+    warning.
 
-    Raises ImageError, with the path, where a file is missing, empty, corrupt or too large;
-    InputError, with `name`, where an array has the wrong shape, is empty or is not finite.
+    Raises ImageError, with the path, if a file is missing, empty, corrupt or too large; InputError,
+    with `name`, if an array has the wrong shape, is empty or is not finite.
     """
     if isinstance(source, Image):
         return source
@@ -81,7 +81,7 @@ def _read_file(path: Path) -> Image:
     data = _read_bytes(path)
     notes = _check_header(data, path)
     try:
-        # Not IMREAD_COLOR: it turns the image by its EXIF tag and cuts 16 bits to the upper 8.
+        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         array = None
@@ -115,7 +115,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
-    """Refuses what need not be decoded to be refused; returns warnings."""
+    """Check what the header tells without decoding; returns warnings."""
     header = _open_header(data)
     if header is None:
         return ()
@@ -123,12 +123,12 @@ def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
     orientation = _orientation(header)
     try:
         header.verify()  # the checksums of a PNG; libpng would print to stderr
-    except Exception as error:  # whatever a format's reader trips over
+    except Exception as error:  # each format's reader raises its own
         raise ImageError(f"{path} is corrupt: {error}") from error
     if orientation not in range(2, 9):
         return ()
     if header.format == "TIFF":
-        # OpenCV's TIFF reader turns some of these and not others.
+        # OpenCV's TIFF reader rotates some of these and not others.
         raise ImageError(f"{path} is a TIFF with orientation tag {orientation}: save it upright")
     return (
         f"{path}: EXIF orientation {orientation} is not applied, "
@@ -137,9 +137,9 @@ def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
 
 
 def _open_header(data: bytes) -> PIL.Image.Image | None:
-    """An encoded image, not decoded; None where Pillow cannot read its header.
+    """An encoded image, not decoded; None if Pillow cannot read its header.
 
-    Not through PIL.Image.open, which refuses from 179 million pixels on: telephones take more.
+    Not through PIL.Image.open, which refuses 179 million pixels and more: phones take such images.
     """
     PIL.Image.init()
     for name in _HEADER_FORMATS:
@@ -148,17 +148,17 @@ def _open_header(data: bytes) -> PIL.Image.Image | None:
             continue
         try:
             return factory(io.BytesIO(data), "")
-        except Exception:  # corrupt headers raise almost anything; decoding has the last word
+        except Exception:  # corrupt headers raise almost anything; decoding decides
             return None
     return None
 
 
 def _orientation(header: PIL.Image.Image) -> int:
     if header.format != "TIFF" and "exif" not in header.info:
-        return 1  # asking a PNG that has none for its EXIF would decode all of it
+        return 1  # getexif would decode all of a PNG without EXIF data
     try:
         return int(header.getexif().get(_EXIF_ORIENTATION, 1))
-    except Exception:  # a broken EXIF block raises almost anything, and harms no pixel
+    except Exception:  # a broken EXIF block raises almost anything; the pixels are intact
         return 1
 
 
@@ -187,7 +187,7 @@ def _to_rgb8(array: np.ndarray, name: str) -> np.ndarray:
         )
     if array.size == 0:
         raise InputError(f"{name} has no pixels: shape {array.shape}")
-    array = _to_8_bit(array[:, :, :3], name)  # alpha goes first: it has a range of its own
+    array = _to_8_bit(array[:, :, :3], name)  # without alpha, which has its own range
     if array.shape[2] == 1:
         array = np.repeat(array, 3, axis=2)
     return np.ascontiguousarray(array)

@@ -1,4 +1,4 @@
-"""Matches: what every matcher hands out and every estimator takes."""
+"""Matches: the result of every matcher and the input of the estimation."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from dgc_pose.errors import InputError
 class Matches:
     """Point matches between two images, in pixels of the original images.
 
-    Raises InputError where the shapes do not agree or `error_px` is not positive. Non-finite
-    coordinates are let through: the estimator drops and counts them.
+    Raises InputError if the shapes do not agree or `error_px` is not positive. Coordinates may be
+    non-finite: the estimation drops and counts such matches.
     """
 
     points1: np.ndarray  # (N, 2) float64, pixels of the original image 1
     points2: np.ndarray  # (N, 2) float64, pixels of the original image 2
     confidence: np.ndarray  # (N,) float64 in [0, 1]
     error_px: float  # expected error of a good match, pixels of the original images
-    # Whether each match was found by itself, of key points. Those of a dense map go wrong together
-    # with their neighbours, and are no evidence beside them.
+    # Whether the matches are independent detections (key points). Errors of a dense map's matches
+    # are correlated among neighbours.
     key_points: bool = False
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Independent pieces of work side by side, in threads."""
+"""Parallel work in threads."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Result = TypeVar("Result")
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """`[work(item) for item in items]`, in as many threads as OpenCV is set to take.
+    """`[work(item) for item in items]`, in as many threads as OpenCV uses.
 
-    For work that spends its time outside of Python and hangs on nothing but its item, so that the
-    answer is the same for any number of threads. One number serves OpenCV and this:
-    `cv2.setNumThreads`, the processors' own count by default.
+    For work that spends its time outside of Python and depends on its item alone, so that the
+    answer is the same for any number of threads. `cv2.setNumThreads` sets the number for both; the
+    default is the number of processors.
     """
     threads = min(cv2.getNumThreads(), len(items))
     if threads <= 1:

@@ -13,7 +13,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.image import Image
-from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions
+from dgc_pose.matching import (
+    CorrespondenceMap,
+    Matcher,
+    MatchingOptions,
+    MatchResult,
+    select_matches,
+)
+from dgc_pose.network.net import DGCNet
 
 SIZE = (320, 240)  # width, height, pixels
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
@@ -23,21 +30,26 @@ T = np.array([-0.95, 0.2, 0.25]) / np.linalg.norm([-0.95, 0.2, 0.25])
 CELLS = 160  # of the map's grid, along each side
 
 
-class MapMatcher(DenseMatcher):
-    """Stands for the matcher with its network: hands out one map for any two images."""
+class MapMatcher(Matcher):
+    """In place of `DenseMatcher`: gives one map for any two images."""
 
     def __init__(
-        self, correspondences: CorrespondenceMap, options: MatchingOptions | None = None
+        self,
+        correspondence_map: CorrespondenceMap,
+        options: MatchingOptions | None = None,
+        net: DGCNet | None = None,
     ) -> None:
-        self.correspondences = correspondences
+        self.correspondence_map = correspondence_map
         self.options = options or MatchingOptions()
+        self.net = net
 
     @property
     def name(self) -> str:
         return "map"
 
-    def correspond(self, image1: Image, image2: Image) -> CorrespondenceMap:
-        return self.correspondences
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        matches = select_matches(self.correspondence_map, self.options)
+        return MatchResult(matches, self.correspondence_map)
 
 
 def grid(columns: int, rows: int) -> np.ndarray:
@@ -47,36 +59,36 @@ def grid(columns: int, rows: int) -> np.ndarray:
     return np.stack(np.meshgrid(x, y), -1)
 
 
-def places_in_image1(places2: np.ndarray, t: np.ndarray = T) -> np.ndarray:
-    """Where the surface points seen at (..., 2) pixels of image 2 are in image 1."""
-    x, y = np.moveaxis((places2 - K[:2, 2]) / 300.0, -1, 0)
+def points_in_image1(points2: np.ndarray, t: np.ndarray = T) -> np.ndarray:
+    """The surface points at (..., 2) pixels of image 2, in pixels of image 1."""
+    x, y = np.moveaxis((points2 - K[:2, 2]) / 300.0, -1, 0)
     depth = 5.0 + 1.2 * np.sin(5 * x) + 0.9 * np.cos(7 * y) + 1.5 * x * y
-    points2 = np.stack([x * depth, y * depth, depth], -1)
-    points1 = (points2 - t) @ R
-    return points1[..., :2] / points1[..., 2:] * 300.0 + K[:2, 2]
+    in_camera2 = np.stack([x * depth, y * depth, depth], -1)
+    in_camera1 = (in_camera2 - t) @ R
+    return in_camera1[..., :2] / in_camera1[..., 2:] * 300.0 + K[:2, 2]
 
 
 def true_map(t: np.ndarray = T, error_px: float = 0.0) -> CorrespondenceMap:
     """The true map, exact or with a random error (one sigma); t = 0 gives a pure rotation.
 
-    It is matchable where the place lies inside image 1.
+    It is matchable if the point lies inside image 1.
     """
-    places2 = grid(CELLS, CELLS)
-    noise = np.random.default_rng(0).normal(size=places2.shape)
-    return make_map(places_in_image1(places2, t) + error_px * noise, places2)
+    points2 = grid(CELLS, CELLS)
+    noise = np.random.default_rng(0).normal(size=points2.shape)
+    return make_map(points_in_image1(points2, t) + error_px * noise, points2)
 
 
 def noise_map(seed: int = 0) -> CorrespondenceMap:
-    """A map that means nothing."""
+    """A random map."""
     rng = np.random.default_rng(seed)
     return make_map(rng.random((CELLS, CELLS, 2)) * SIZE - 0.5, grid(CELLS, CELLS))
 
 
-def make_map(places1: np.ndarray, places2: np.ndarray) -> CorrespondenceMap:
-    inside = ((places1 >= -0.5) & (places1 <= np.array(SIZE) - 0.5)).all(-1)
+def make_map(points1: np.ndarray, points2: np.ndarray) -> CorrespondenceMap:
+    inside = ((points1 >= -0.5) & (points1 <= np.array(SIZE) - 0.5)).all(-1)
     return CorrespondenceMap(
-        map=places1.astype(np.float32),
-        grid=places2.astype(np.float32),
+        map=points1.astype(np.float32),
+        grid=points2.astype(np.float32),
         matchability=np.where(inside, 0.9, 0.1).astype(np.float32),
         size1=SIZE,
         size2=SIZE,
@@ -89,7 +101,7 @@ def pictures(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     noise = rng.random((SIZE[1], SIZE[0], 3)).astype(np.float32)
     texture = sum(cv2.GaussianBlur(noise, (0, 0), sigma) * sigma for sigma in (1.2, 3.0, 8.0))
     first = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
-    x, y = np.moveaxis(places_in_image1(grid(*SIZE)).astype(np.float32), -1, 0)
+    x, y = np.moveaxis(points_in_image1(grid(*SIZE)).astype(np.float32), -1, 0)
     return first, cv2.remap(first, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.image import Image, load_image
+from dgc_pose.image import Image, load_image, resize
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
 
@@ -344,3 +344,24 @@ def test_an_image_holds_8_bit_rgb_alone(pixels: np.ndarray) -> None:
 
 def test_input_errors_are_value_errors() -> None:
     assert issubclass(InputError, ValueError) and issubclass(ImageError, DgcPoseError)
+
+
+def test_resize_follows_the_half_pixel_rule() -> None:
+    """A ramp stays that of the half-pixel rule: shrunk, enlarged, or each along one axis."""
+    height, width = 300, 480
+    x = np.arange(width) * 0.5
+    ramp = np.repeat(np.repeat(x[None, :, None], height, 0), 3, 2)
+    for size in ((240, 240), (960, 600), (240, 600), (960, 100)):
+        found = resize(ramp.astype(np.float32), size)
+        assert found.shape == (size[1], size[0], 3)
+        expected = ((np.arange(size[0]) + 0.5) * width / size[0] - 0.5) * 0.5
+        inner = slice(4, -4)
+        np.testing.assert_allclose(found[5, inner, 0], expected[inner], atol=1e-3)
+
+
+def test_shrinking_averages() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (960, 960, 3), dtype=np.uint8)
+    found = resize(noise, (240, 240)).astype(float)
+    expected = noise.reshape(240, 4, 240, 4, 3).mean((1, 3))
+    assert np.abs(found - expected).max() <= 1
+    assert cv2.resize(noise, (240, 240)).std() > 2 * found.std()  # plain bilinear would alias

@@ -49,7 +49,7 @@ def test_cameras_may_be_cameras_and_warnings_arrive(pair: RenderedPair) -> None:
     trace = trace_relative_pose(
         pair.image1, pair.image2, Camera(pair.K1, (640, 480)), odd, matcher=SiftMatcher()
     )
-    assert trace.correspondences is None and len(trace.matches) > 50
+    assert trace.correspondence_map is None and len(trace.matches) > 50
     assert any("principal point" in warning for warning in trace.pose.warnings)
 
 
@@ -76,11 +76,11 @@ def test_an_image_with_itself_has_no_translation(pair: RenderedPair) -> None:
     assert pose.R is not None and rotation_error_deg(pose.R, np.eye(3)) < 0.01
 
 
-def test_a_turned_copy_is_a_rotation(pair: RenderedPair) -> None:
+def test_a_rotated_copy_is_a_rotation(pair: RenderedPair) -> None:
     K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
-    turned = np.rot90(pair.image1).copy()
-    turned_K = np.array([[600.0, 0, 239.5], [0, 600, 319.5], [0, 0, 1]])
-    pose = estimate_relative_pose(pair.image1, turned, K, turned_K, matcher=SiftMatcher())
+    rotated = np.rot90(pair.image1).copy()
+    rotated_K = np.array([[600.0, 0, 239.5], [0, 600, 319.5], [0, 0, 1]])
+    pose = estimate_relative_pose(pair.image1, rotated, K, rotated_K, matcher=SiftMatcher())
     expected = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # x2 = y1, y2 = -x1
     assert pose.status == "rotation_only" and pose.R is not None
     assert rotation_error_deg(pose.R, expected) < 0.1

@@ -63,7 +63,7 @@ def test_a_pose_is_the_same_for_any_number_of_threads() -> None:
 def test_aligned_patches_are_the_same_for_any_number_of_threads() -> None:
     first, second = dense_scene.pictures()
     points2 = np.random.default_rng(0).uniform((60, 40), (260, 200), (900, 2))
-    places = dense_scene.places_in_image1(points2)
+    places = dense_scene.points_in_image1(points2)
     local = consistent(Matches(places, points2, np.ones(900), error_px=1.0), 12)
     found = []
     for threads in (1, 4):

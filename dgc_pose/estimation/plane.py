@@ -25,9 +25,7 @@ def planar_share(problem: TwoViewProblem, model: Model) -> tuple[float, np.ndarr
     return float((error < limit).mean()), H
 
 
-def best_planar_model(
-    problem: TwoViewProblem, model: Model, H: np.ndarray, refined: bool
-) -> Model:
+def best_planar_model(problem: TwoViewProblem, model: Model, H: np.ndarray, refined: bool) -> Model:
     """The best of a model and of the poses that a plane's homography allows.
 
     On a plane the five-point solver has a family of near solutions; the homography allows two, each

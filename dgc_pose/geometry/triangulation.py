@@ -42,7 +42,7 @@ def triangulation_angles_deg(points1: np.ndarray, points2: np.ndarray, R: np.nda
 
 
 def epipolar_angles(points1: np.ndarray, points2: np.ndarray, E: np.ndarray) -> np.ndarray:
-    """Angle (N,) between ray 2 of each normalised match and the epipolar plane of ray 1, radians."""
+    """Angle (N,), radians, between ray 2 of normalised matches and the epipolar plane of ray 1."""
     normals = homogeneous(points1) @ E.T
     lengths = np.linalg.norm(normals, axis=1)
     sine = np.abs((normals * unit_rays(points2)).sum(1)) / np.where(lengths > 0, lengths, 1)

@@ -98,7 +98,7 @@ class DenseMatcher(Matcher):
             for i, one in enumerate(found)
             if one.matchability.mean() < self.options.rotate_below
         }
-        for quarter_turns in (1, 2, 3):
+        for quarter_turns in sorted({*suggested.values()} - {0}):
             weak = [i for i, rotation in suggested.items() if rotation == quarter_turns]
             maps = self._rotated_maps([pairs[i] for i in weak], quarter_turns, cache)
             for i, rotated in zip(weak, maps, strict=True):
@@ -121,8 +121,6 @@ class DenseMatcher(Matcher):
         self, pairs: Sequence[tuple[Image, Image]], quarter_turns: int, cache: FeatureCache
     ) -> list[CorrespondenceMap]:
         """The maps computed with each image 2 rotated, given over image 2 as it is."""
-        if not pairs:
-            return []
         source = _stacked([self._features(first, 0, cache) for first, _ in pairs])
         target = _stacked([self._features(second, quarter_turns, cache) for _, second in pairs])
         forward = _split(self.net.decode(source, target, self.options.finest))
@@ -199,8 +197,8 @@ def network_input(pixels: np.ndarray, device: torch.device) -> Tensor:
 
 
 def _cycle_error(forward: Tensor, reverse: Tensor, size2: tuple[int, int]) -> np.ndarray:
-    """Distance (S, S) of each cell of image 2 from where the two maps (1, S, S, 2) send it and
-    back, in pixels of image 2 at size2."""
+    """Distance (S, S) between each cell of image 2 and its image under both maps (1, S, S, 2), in
+    pixels of image 2 at size2."""
     normalised = (2 * forward + 1) / INPUT_SIZE - 1
     sampled = F.grid_sample(
         reverse.movedim(-1, 1), normalised, padding_mode="border", align_corners=False

@@ -120,7 +120,7 @@ def read_flo(path: Path) -> np.ndarray:
         raise InputError("not a .flo file: it does not begin with 202021.25")
     width, height = (int(side) for side in np.frombuffer(header[4:], "<i4"))
     size = path.stat().st_size
-    # OpenCV reads such a file without an error, as far as it goes.
+    # OpenCV reads a truncated file without an error.
     if width < 1 or height < 1 or size != 12 + 8 * width * height:
         raise InputError(f"{size} bytes are not those of a flow of {width} x {height}")
     flow: np.ndarray = cv2.readOpticalFlow(str(path)).astype(np.float64)

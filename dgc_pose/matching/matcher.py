@@ -21,8 +21,8 @@ class CorrespondenceMap:
     matchability: np.ndarray  # (H, W) float32 in [0, 1]; 1 everywhere for a net without a mask
     size1: tuple[int, int]  # (width, height) of image 1
     size2: tuple[int, int]  # (width, height) of image 2
-    # (H, W) float32, pixels of image 2: distance of the cell from where the reverse map sends its
-    # point in image 1; None if the reverse map was not computed
+    # (H, W) float32, pixels of image 2: cycle error, the distance between the cell and its point in
+    # image 1 mapped back by the reverse map; None if that map was not computed
     cycle: np.ndarray | None = None
 
 

@@ -104,8 +104,8 @@ def align(
     )
     return replace(
         found,
-        points1=rescale(found.points1, small_size1, size1),
-        points2=rescale(found.points2, small_size2, size2),
+        points1=(found.points1 + 0.5) / scale1 - 0.5,  # the inverse of `rescale` above, to the bit
+        points2=(found.points2 + 0.5) / scale2 - 0.5,
         pixel=float((1 / scale1 + 1 / scale2).mean()) / 2,
     )
 

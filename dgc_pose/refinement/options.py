@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 from dgc_pose.errors import InputError
 
-# Where the matches to align come from: the map itself, the encoder's features at native resolution,
+# The source of the matches to align: the map itself, the encoder's features at native resolution,
 # or optical flow from the map's estimate. "auto": the features, and the map if those give too few.
 SourceName = Literal["auto", "map", "features", "flow"]
 
@@ -19,7 +19,7 @@ class FeatureOptions:
     long_side: int = 800  # pixels at most of the images that features are computed on
     candidates: int = 8  # cells of stride 16 compared for each cell, besides those of the map
     neighbours: int = 12  # that a match must agree with, to compare scales by
-    # Mean matchability below which the scale that the map shows is not trusted.
+    # Mean matchability below which scales other than the map's are tried.
     other_scales_below: float = 0.25
 
     def __post_init__(self) -> None:

@@ -52,10 +52,10 @@ class Refiner(Matcher):
         return [self.refine(*pair, given) for pair, given in zip(pairs, results, strict=True)]
 
     def refine(self, image1: Image, image2: Image, given: MatchResult) -> MatchResult:
-        """A matcher's result with refined matches, and the error of the way they were made.
+        """A matcher's result with its matches refined; `error_px` is that of the last step done.
 
-        A step that leaves fewer than `min_matches` is undone. If every source fails, the matches
-        given are returned: refinement makes no result worse.
+        A step that leaves fewer than `min_matches` is undone. If every source gives too few, the
+        result is returned as given.
         """
         for found in self._found(image1, image2, given):
             refined = self._steps(image1, image2, found)

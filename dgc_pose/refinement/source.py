@@ -1,4 +1,4 @@
-"""Where the refiner takes the matches from that it aligns."""
+"""The sources of the matches that the refiner aligns."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from dgc_pose.matching.matcher import CorrespondenceMap
 
 
 class MatchSource(Protocol):
-    """One way to better matches, given those of a matcher and its dense map."""
+    """Finds better matches, given those of a matcher and its dense map."""
 
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
     ) -> Matches:
-        """Matches in pixels of the images; `error_px` is the error of this way."""
+        """Matches in pixels of the images; `error_px` is the error of this source."""
 
 
 class MapMatches:

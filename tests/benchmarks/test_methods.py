@@ -8,7 +8,7 @@ import pytest
 from dgc_pose.benchmarks.dtu.methods import Method, load_engines, matches_of, parse_methods
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap, MatchingOptions
+from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult, select_matches
 
 
 def test_names_stand_for_methods() -> None:
@@ -48,23 +48,28 @@ def _map() -> CorrespondenceMap:
     return CorrespondenceMap(place, grid, trust, (10, 10), (10, 10), None)
 
 
+def _taken(method: Method, options: MatchingOptions) -> Matches:
+    found = _map()
+    return matches_of(method, MatchResult(select_matches(found, options), found), options)
+
+
 def test_a_method_takes_what_it_trusts_or_everything() -> None:
     options = MatchingOptions(min_share=0.9)  # more than the mask leaves
     trusting = MatchingOptions(matchability=0.5)
-    everywhere = matches_of(Method("n/all", "n", everywhere=True), _map(), options)
-    assert len(everywhere) == 96
-    assert len(matches_of(Method("n", "n"), _map(), trusting)) == 46
-    assert len(matches_of(Method("n", "n"), _map(), MatchingOptions(matchability=0.9))) == 0
-    assert len(matches_of(Method("n", "n"), _map(), options)) == 0
-    few = MatchingOptions(max_matches=10)
-    assert len(matches_of(Method("n/all", "n", everywhere=True), _map(), few)) <= 10
+    everywhere = Method("n/all", "n", everywhere=True)
+    assert len(_taken(everywhere, options)) == 96
+    assert len(_taken(Method("n", "n"), trusting)) == 46
+    assert len(_taken(Method("n", "n"), MatchingOptions(matchability=0.9))) == 0
+    assert len(_taken(Method("n", "n"), options)) == 0
+    assert len(_taken(everywhere, MatchingOptions(max_matches=10))) <= 10
 
 
 def test_points_have_no_everywhere() -> None:
     points = Matches(np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3), 1.0)
-    assert matches_of(Method("p", "p"), points, MatchingOptions()) is points
+    found = MatchResult(points, None)
+    assert matches_of(Method("p", "p"), found, MatchingOptions()) is points
     with pytest.raises(InputError, match="points and no map"):
-        matches_of(Method("p/all", "p", everywhere=True), points, MatchingOptions())
+        matches_of(Method("p/all", "p", everywhere=True), found, MatchingOptions())
 
 
 def test_an_engine_is_loaded_once(tmp_path) -> None:

@@ -14,7 +14,8 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path, pairs=2)
     scene = dense_scene.true_map(error_px=0.7)
-    monkeypatch.setattr(refinement, "load_matcher", lambda weights: dense_scene.MapMatcher(scene))
+    matcher = dense_scene.MapMatcher(scene)
+    monkeypatch.setattr(refinement, "load_dense_matcher", lambda weights: matcher)
     return tmp_path
 
 
@@ -23,16 +24,17 @@ def run(*arguments):
 
 
 def test_a_line_for_each_variant_and_threshold(folder):
-    result = run("pairs.txt", "--variants", "none,map-only,map,sift", "--thresholds", "own,0.5")
+    variants = ("none", "map-only", "map", "sift-unguided")
+    result = run("pairs.txt", "--variants", ",".join(variants), "--thresholds", "own,0.5")
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.stdout.splitlines()[1:]]
     assert [tuple(row[:4]) for row in rows] == [
         (name, threshold, "2", "0")
-        for name in ("none", "map-only", "map", "sift")
+        for name in variants
         for threshold in ("own", "0.5")
     ]
     error = {row[0]: float(row[5]) + float(row[6]) for row in rows if row[1] == "own"}
-    assert error["map"] < 0.5 * error["none"] and error["sift"] < 0.5 * error["none"]
+    assert error["map"] < 0.5 * error["none"] and error["sift-unguided"] < 0.5 * error["none"]
 
 
 @pytest.mark.parametrize(

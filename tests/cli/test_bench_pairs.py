@@ -22,12 +22,12 @@ def folder(tmp_path, monkeypatch):
     dense_scene.write_pair_list(tmp_path, pairs=3)
     maps = {"true": dense_scene.true_map(), "noise": dense_scene.noise_map()}
 
-    def load_matcher(weights, *, device, options):
+    def load_dense_matcher(weights, *, device, options, cache):
         if weights not in maps:
             raise WeightsError(f"{weights}: no such weights")
         return dense_scene.MapMatcher(maps[weights], options)
 
-    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_matcher", load_matcher)
+    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
     return tmp_path
 
 
@@ -91,10 +91,12 @@ def test_images_are_looked_for_under_root(folder):
 def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypatch):
     calls = iter(range(10))
 
+    original = dense_scene.MapMatcher.match
+
     def match(self, image1, image2):
         if next(calls) == 2:
             raise RuntimeError("killed")
-        return self.select(self.correspond(image1, image2))
+        return original(self, image1, image2)
 
     monkeypatch.setattr(dense_scene.MapMatcher, "match", match)
     result = bench("pairs.txt", "--methods", "true", "--out", "run")

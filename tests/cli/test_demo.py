@@ -15,7 +15,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 def test_the_known_pose_is_that_of_the_pictures():
     pair = bundled_pair()
-    matches = SiftMatcher().match(load_image(pair.path1), load_image(pair.path2))
+    matches = SiftMatcher().match(load_image(pair.path1), load_image(pair.path2)).matches
     pose = estimate_pose(matches, pair.camera1, pair.camera2, EstimationOptions())
     assert pose.success
     assert rotation_error_deg(pose.R, pair.R) < 0.5

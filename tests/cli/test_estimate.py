@@ -43,13 +43,13 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def network(monkeypatch):
-    """Puts a map in the network's place; returns the function that chooses it."""
+    """Replaces the network by a map; returns the function that chooses the map."""
 
-    def use(correspondences):
-        def load_matcher(weights, *, device, options):
-            return dense_scene.MapMatcher(correspondences, options)
+    def use(found):
+        def load_dense_matcher(weights, *, device, options, cache):
+            return dense_scene.MapMatcher(found, options)
 
-        monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)
+        monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
 
     use(dense_scene.true_map())
     return use
@@ -123,7 +123,7 @@ def test_all_outputs_are_written(folder, network):
         assert file["points1"].shape == file["points2"].shape == (data["num_matches"], 2)
         assert file["confidence"].shape == (data["num_matches"],)
         assert file["inliers"].dtype == bool and file["inliers"].sum() == data["num_inliers"]
-        off = dense_scene.places_in_image1(file["points2"]) - file["points1"]
+        off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
         assert np.abs(off).max() < 1e-3
     picture = cv2.imread("p.png")
     assert picture is not None and picture.std() > 10

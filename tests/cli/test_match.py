@@ -19,10 +19,10 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pictures(tmp_path)
 
-    def load_matcher(weights, *, device, options):
+    def load_dense_matcher(weights, *, device, options, cache):
         return dense_scene.MapMatcher(dense_scene.true_map(), options)
 
-    monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)
+    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
     return tmp_path
 
 
@@ -43,7 +43,7 @@ def test_map_and_matches_are_written(folder):
         count = len(file["confidence"])
         assert 0 < count <= 300
         assert file["points1"].shape == file["points2"].shape == (count, 2)
-        off = dense_scene.places_in_image1(file["points2"]) - file["points1"]
+        off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
         assert np.abs(off).max() < 1e-3
     assert f"{count} matches of {dense_scene.CELLS**2} cells" in result.stdout
 

@@ -16,11 +16,10 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path)
 
-    def load_matcher(weights, *, device, options):
+    def load_dense_matcher(weights, *, device, options, cache):
         return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), options)
 
-    monkeypatch.setattr("dgc_pose.matching.dense.load_matcher", load_matcher)
-    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_matcher", load_matcher)
+    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
     return tmp_path
 
 
@@ -34,7 +33,7 @@ def test_matches_written_are_refined_and_the_map_is_not(folder, refine, error):
     assert result.exit_code == 0, result.stderr
     with np.load("m.npz", allow_pickle=False) as file:
         assert np.array_equal(file["map"], dense_scene.true_map(error_px=0.7).map)
-        off = dense_scene.places_in_image1(file["points2"]) - file["points1"]
+        off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
     assert error[0] < np.median(np.linalg.norm(off, axis=1)) < error[1]
 
 
@@ -56,6 +55,6 @@ def test_the_benchmark_refines_as_it_is_told(folder):
 
 
 @pytest.mark.parametrize("command", ["match", "estimate", "bench-pairs", "demo"])
-def test_a_way_that_there_is_not_is_refused(folder, command):
+def test_an_unknown_source_is_refused(folder, command):
     result = run(command, "--refine", "magic")
     assert result.exit_code == 2 and "magic" in result.stderr

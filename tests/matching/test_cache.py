@@ -1,4 +1,4 @@
-"""The cache: what it keeps, what it drops, and that a matcher with one finds the same."""
+"""The cache: what it keeps and drops, and that a matcher finds the same with one."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def _cache(limit: int) -> BoundedCache[str, bytes]:
     return BoundedCache(lambda key, value: len(value), limit)
 
 
-def test_what_was_not_asked_for_longest_is_dropped() -> None:
+def test_the_least_recently_used_is_dropped() -> None:
     cache = _cache(limit=30)
     for key in ("a", "b", "c", "a", "d", "b", "a"):
         assert cache.get(key, lambda: 10 * b".") == 10 * b"."
         assert cache.held_bytes <= 30
-    # a, b, c are made; a is there; d is made and drops b; b is made and drops c; a is there.
+    # a, b, c are made; a is kept; d is made and drops b; b is made and drops c; a is kept.
     assert (cache.asked, cache.made) == (7, 5)
 
 
@@ -43,28 +43,31 @@ def _images(count: int) -> list[Image]:
     return [Image(one) for one in pixels]
 
 
-def test_the_encoder_runs_once_an_image_and_a_turn() -> None:
+def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite"))
-    options = MatchingOptions(matchability=0.0, roll_share=0.0)
+    options = MatchingOptions(matchability=0.0, rotate_below=0.0)
     plain, cached = DenseMatcher(net, options), DenseMatcher(net, options, feature_cache())
     images = _images(3)
     for first, second in ((0, 1), (0, 2), (1, 2)):
-        expected = plain.correspond(images[first], images[second])
-        found = cached.correspond(images[first], images[second])
+        pair = (images[first], images[second])
+        (expected,), (found,) = (one.correspondence_maps([pair]) for one in (plain, cached))
         assert np.array_equal(found.map, expected.map)
         assert np.array_equal(found.matchability, expected.matchability)
     assert cached.cache is not None and (cached.cache.asked, cached.cache.made) == (6, 3)
 
 
-def test_turned_images_have_features_of_their_own() -> None:
-    """Where every roll is tried, features are made for image 1 and four turns of image 2."""
+def test_rotated_images_have_features_of_their_own() -> None:
+    """If rotations are tried, features are made for image 1 and four rotations of image 2."""
     torch.manual_seed(0)
-    options = MatchingOptions(matchability=0.0, roll_share=1.0)
+    options = MatchingOptions(matchability=0.0, rotate_below=1.0)
     matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), options, feature_cache())
     plain = DenseMatcher(matcher.net, options)
     images = _images(2)
-    assert np.array_equal(matcher.correspond(*images).map, plain.correspond(*images).map)
+    (found,), (expected,) = (
+        one.correspondence_maps([(images[0], images[1])]) for one in (matcher, plain)
+    )
+    assert np.array_equal(found.map, expected.map)
     assert matcher.cache is not None and matcher.cache.made == 5
 
 
@@ -74,7 +77,7 @@ def test_sift_detects_once_an_image() -> None:
     plain, cached = SiftMatcher(), SiftMatcher(cache=cache)
     for first, second in ((0, 1), (0, 2), (1, 2)):
         expected, found = (
-            matcher.match(images[first], images[second]) for matcher in (plain, cached)
+            matcher.match(images[first], images[second]).matches for matcher in (plain, cached)
         )
         assert np.array_equal(found.points1, expected.points1)
     assert (cache.asked, cache.made) == (6, 3)

@@ -1,4 +1,4 @@
-"""Files of other programs: every format says the same as the map it was written from."""
+"""Files of other programs: every format gives the map that it was written from."""
 
 from __future__ import annotations
 
@@ -9,26 +9,31 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu.external import ExternalMatches
-from dgc_pose.benchmarks.dtu.flow import pixel_grid
-from dgc_pose.benchmarks.dtu.protocols import ShownPair
-from dgc_pose.benchmarks.pair_list import Pair
-from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import Image
-from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching import CorrespondenceMap, MatchingOptions, select_matches
+from dgc_pose.matching.files import FileMatcher
+from dgc_pose.pixels import pixel_grid
 
 STORED = (80, 60)  # width, height of both views as stored
 SHOWN = (40, 20)  # and as shown to the methods
 STEM = "scan65_3_7"
 
 
-def _shown(size: tuple[int, int] = SHOWN) -> ShownPair:
-    image = Image(np.zeros((size[1], size[0], 3), np.uint8))
-    camera = Camera(np.diag([50.0, 50.0, 1.0]))
-    pair = Pair("1.png", "2.png", Path(), camera, camera, np.eye(3), np.array([1.0, 0, 0]))
-    return ShownPair(65, 3, 7, image, image, STORED, STORED, pair)
+def _images(size: tuple[int, int] = SHOWN) -> tuple[Image, Image]:
+    """Both views, stored at 80x60 and shown at `size`."""
+    pixels = np.zeros((size[1], size[0], 3), np.uint8)
+    return Image(pixels, "3.png", stored_size=STORED), Image(pixels, "7.png", stored_size=STORED)
+
+
+def _matcher(folder: Path) -> FileMatcher:
+    return FileMatcher(folder, lambda *names: "_".join(["scan65", *(Path(n).stem for n in names)]))
+
+
+def _map(folder: Path, size: tuple[int, int] = SHOWN) -> CorrespondenceMap:
+    found = _matcher(folder).match(*_images(size)).correspondence_map
+    assert found is not None
+    return found
 
 
 def _flow(size: tuple[int, int] = STORED) -> np.ndarray:
@@ -69,27 +74,26 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("writer", WRITERS)
-def test_a_format_gives_the_places_of_its_flow(tmp_path, writer) -> None:
-    """Each cell's map is its grid place moved by the flow there, in pixels of the shown images."""
+def test_a_format_gives_the_points_of_its_flow(tmp_path, writer) -> None:
+    """Each cell's point is its centre moved by the flow there, in pixels of the shown images."""
     flow = _flow()
     flow[10:14, 20:25] = np.nan
     WRITERS[writer](tmp_path / f"{STEM}{Path(writer).suffix}", flow)
-    found = ExternalMatches(tmp_path).find(_shown())
-    assert isinstance(found, CorrespondenceMap)
+    found = _map(tmp_path)
     assert (found.size1, found.size2) == (SHOWN, SHOWN)
     assert found.matchability.shape == (20, 27)  # every third cell, the images shown being 40 x 20
     scale = np.divide(SHOWN, STORED)
     unknown = 0
-    for place, cell, trust in zip(
+    for point, cell, matchability in zip(
         found.map.reshape(-1, 2), found.grid.reshape(-1, 2), found.matchability.ravel(), strict=True
     ):
         x, y = np.rint((cell + 0.5) / scale - 0.5).astype(int)
         if np.isnan(flow[y, x]).any():
             unknown += 1
-            assert trust == 0 and np.isneginf(place).all()
+            assert matchability == 0 and np.isneginf(point).all()
         else:
             expected = (np.array([x, y]) + flow[y, x] + 0.5) * scale - 0.5
-            assert trust == 1 and np.allclose(place, expected, atol=1e-4)
+            assert matchability == 1 and np.allclose(point, expected, atol=1e-4)
     assert unknown > 0
 
 
@@ -97,33 +101,44 @@ def test_a_flow_of_any_size_is_that_of_the_resized_views(tmp_path) -> None:
     flow = np.zeros((60, 40, 2))
     flow[..., 0] = 4.0
     np.save(tmp_path / f"{STEM}.npy", flow)
-    found = ExternalMatches(tmp_path).find(_shown(STORED))
-    assert isinstance(found, CorrespondenceMap) and found.map.shape == (60, 40, 2)
+    found = _map(tmp_path, STORED)
+    assert found.map.shape == (60, 40, 2)
     assert np.allclose(found.map - found.grid, (8.0, 0.0), atol=1e-4)  # 4 of 40 is 8 of 80
     assert np.allclose(found.grid[0, 0], (0.5, 0.0)) and np.allclose(found.grid[-1, -1], (78.5, 59))
 
 
 def test_matchability_and_certainty_are_taken(tmp_path) -> None:
-    trust = np.random.default_rng(0).random((60, 80)).astype(np.float32)
+    values = np.random.default_rng(0).random((60, 80)).astype(np.float32)
     for key in ("matchability", "certainty"):
-        np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), **{key: trust})
-        found = ExternalMatches(tmp_path).find(_shown(STORED))
-        assert isinstance(found, CorrespondenceMap)
-        assert np.array_equal(found.matchability, trust)
+        np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), **{key: values})
+        assert np.array_equal(_map(tmp_path, STORED).matchability, values)
 
 
-def test_points_go_to_the_pixels_shown(tmp_path) -> None:
+def test_matches_are_selected_from_a_map(tmp_path) -> None:
+    np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), matchability=np.full((60, 80), 0.6))
+    for least, count in ((0.5, 2000), (0.7, 0)):
+        matcher = _matcher(tmp_path)
+        matcher.options = MatchingOptions(matchability=least)
+        result = matcher.match(*_images(STORED))
+        assert result.correspondence_map is not None
+        expected = select_matches(result.correspondence_map, matcher.options)
+        assert np.array_equal(result.matches.points1, expected.points1)
+        assert (len(expected) > 0) == (count > 0) and len(expected) <= count
+
+
+def test_points_are_given_in_pixels_of_the_images_shown(tmp_path) -> None:
     points1 = np.array([[-0.5, -0.5], [79.5, 59.5], [39.5, 29.5]])
     np.savez(tmp_path / f"{STEM}.npz", points1=points1, points2=points1[::-1], error_px=3.0)
-    found = ExternalMatches(tmp_path).find(_shown())
-    assert isinstance(found, Matches)
+    result = _matcher(tmp_path).match(*_images())
+    assert result.correspondence_map is None
+    found = result.matches
     assert np.allclose(found.points1, [[-0.5, -0.5], [39.5, 19.5], [19.5, 9.5]])
     assert np.allclose(found.points2, found.points1[::-1])
     assert found.error_px == pytest.approx(3.0 * np.sqrt(0.5 / 3))
     assert np.array_equal(found.confidence, np.ones(3))
     assert not found.key_points
     np.savez(tmp_path / f"{STEM}.npz", points1=points1, points2=points1, key_points=True)
-    assert ExternalMatches(tmp_path).find(_shown()).key_points
+    assert _matcher(tmp_path).match(*_images()).matches.key_points
 
 
 def _bad_archive(**arrays: np.ndarray):
@@ -152,11 +167,11 @@ def _bad_archive(**arrays: np.ndarray):
         (".png", lambda path: cv2.imwrite(str(path), np.zeros((4, 5, 3), np.uint8)), "16-bit"),
     ],
 )
-def test_a_file_that_is_no_map_is_named(tmp_path, suffix, write, reason) -> None:
+def test_a_malformed_file_is_named(tmp_path, suffix, write, reason) -> None:
     path = tmp_path / f"{STEM}{suffix}"
     write(path)
     with pytest.raises(InputError, match=reason) as caught:
-        ExternalMatches(tmp_path).find(_shown())
+        _matcher(tmp_path).match(*_images())
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
 
 
@@ -165,13 +180,13 @@ def _cut(path: Path) -> None:
 
 
 def test_each_pair_needs_one_file(tmp_path) -> None:
-    files = ExternalMatches(tmp_path)
+    files = _matcher(tmp_path)
     np.save(tmp_path / "scan65_3_7.npy", _flow())
-    files.require([(65, 3, 7)])
+    files.require([("3.png", "7.png")])
     with pytest.raises(InputError, match=r"scan65_7_3: no such file .*\.flo"):
-        files.require([(65, 3, 7), (65, 7, 3)])
+        files.require([("3.png", "7.png"), ("7.png", "3.png")])
     np.savez(tmp_path / "scan65_3_7.npz", flow=_flow())
     with pytest.raises(InputError, match="2 files"):
-        files.require([(65, 3, 7)])
+        files.require([("3.png", "7.png")])
     with pytest.raises(InputError, match="no such folder"):
-        ExternalMatches(tmp_path / "nowhere").require([])
+        _matcher(tmp_path / "nowhere").require([])

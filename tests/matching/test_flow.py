@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu.flow import FLOWS, FlowMatcher, agreement, pixel_grid, scaled_map
 from dgc_pose.errors import InputError
 from dgc_pose.image import Image
+from dgc_pose.matching import CorrespondenceMap, select_matches
+from dgc_pose.matching.flow import FLOWS, FlowMatcher, agreement, scaled_map
+from dgc_pose.pixels import pixel_grid
 
 
 def _picture(x: np.ndarray, y: np.ndarray) -> Image:
-    """Waves of many directions and lengths, seen at places (H, W) of a plane 200 wide."""
+    """Waves of many directions and lengths, at points (H, W) of a plane 200 wide."""
     rng = np.random.default_rng(0)
     value = np.zeros_like(x)
     for _ in range(40):
@@ -22,9 +24,9 @@ def _picture(x: np.ndarray, y: np.ndarray) -> Image:
 
 
 def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the pixels of an image of that size lie on a plane of width x height."""
-    places = (pixel_grid(size) + 0.5) * np.divide((width, height), size)
-    return places[..., 0], places[..., 1]
+    """The pixels of an image of that size on a plane of width x height."""
+    points = (pixel_grid(size) + 0.5) * np.divide((width, height), size)
+    return points[..., 0], points[..., 1]
 
 
 @pytest.mark.parametrize("name", FLOWS)
@@ -37,22 +39,26 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
     ],
 )
 def test_the_map_leads_from_image_2_into_image_1(name, sizes, plane) -> None:
-    """Image 2 shows the plane shifted and turned a little; large images are shrunk and their maps
+    """Image 2 shows the plane shifted and rotated a little; large images are shrunk and their maps
     scaled, each axis of each image by its own factor."""
-    turn, shift = 0.01, (4.0, -2.5)
+    angle, shift = 0.01, (4.0, -2.5)
     x, y = _plane(sizes[1], *plane)
-    moved = (x - turn * y + shift[0], y + turn * x + shift[1])
-    found = FlowMatcher(name).correspond(_picture(*_plane(sizes[0], *plane)), _picture(*moved))
+    moved = (x - angle * y + shift[0], y + angle * x + shift[1])
+    matcher = FlowMatcher(name)
+    result = matcher.match(_picture(*_plane(sizes[0], *plane)), _picture(*moved))
+    found = result.correspondence_map
+    assert isinstance(found, CorrespondenceMap) and matcher.name == name
+    assert len(result.matches) == len(select_matches(found, matcher.options)) > 500
     assert (found.size1, found.size2) == sizes
     # From the grid by the formula above, in plane units and back to pixels of image 1.
     unit1, unit2 = np.divide(sizes[0], plane), np.divide(sizes[1], plane)
     u, v = np.moveaxis((found.grid + 0.5) / unit2, -1, 0)
-    expected = np.stack([u - turn * v + shift[0], v + turn * u + shift[1]], -1) * unit1 - 0.5
-    off = np.linalg.norm((found.map - expected) / unit1, axis=-1)[16:-16, 16:-16]
-    assert np.median(off) < 0.3  # without the flow it would be 4
-    trusted = found.matchability[16:-16, 16:-16] == 1
-    assert trusted.mean() > 0.8
-    assert off[trusted].mean() < off.mean() + 1e-6
+    expected = np.stack([u - angle * v + shift[0], v + angle * u + shift[1]], -1) * unit1 - 0.5
+    error = np.linalg.norm((found.map - expected) / unit1, axis=-1)[16:-16, 16:-16]
+    assert np.median(error) < 0.3  # without the flow it would be 4
+    matchable = found.matchability[16:-16, 16:-16] == 1
+    assert matchable.mean() > 0.8
+    assert error[matchable].mean() < error.mean() + 1e-6
 
 
 def test_agreement_is_the_formula() -> None:

@@ -22,24 +22,24 @@ def _map(seed: int = 0, side: int = 60) -> CorrespondenceMap:
     rng = np.random.default_rng(seed)
     axis = (np.arange(side) + 0.5) * 10 - 0.5
     grid = np.stack(np.meshgrid(axis, axis), -1).astype(np.float32)
-    place = grid + rng.normal(0, 3, grid.shape).astype(np.float32)
+    points1 = grid + rng.normal(0, 3, grid.shape).astype(np.float32)
     matchability = rng.random((side, side)).astype(np.float32)
     cycle = rng.exponential(4, (side, side)).astype(np.float32)
-    return CorrespondenceMap(place, grid, matchability, (600, 600), (600, 600), cycle)
+    return CorrespondenceMap(points1, grid, matchability, (600, 600), (600, 600), cycle)
 
 
 def test_filters_against_a_loop() -> None:
-    correspondences = _map()
+    correspondence_map = _map()
     options = MatchingOptions(matchability=0.6, cycle_px=3.0, max_matches=10_000)
-    found = select_matches(correspondences, options)
+    found = select_matches(correspondence_map, options)
     expected = []
     for row in range(60):
         for column in range(60):
-            x, y = correspondences.map[row, column]
+            x, y = correspondence_map.map[row, column]
             inside = -0.5 <= x <= 599.5 and -0.5 <= y <= 599.5
-            sure = correspondences.matchability[row, column] >= 0.6
-            if inside and sure and correspondences.cycle[row, column] <= 3.0:
-                expected.append((x, y, *correspondences.grid[row, column]))
+            sure = correspondence_map.matchability[row, column] >= 0.6
+            if inside and sure and correspondence_map.cycle[row, column] <= 3.0:
+                expected.append((x, y, *correspondence_map.grid[row, column]))
     assert 300 < len(expected) < 1500
     np.testing.assert_array_equal(
         np.column_stack([found.points1, found.points2]), np.array(expected, dtype=np.float64)
@@ -48,9 +48,9 @@ def test_filters_against_a_loop() -> None:
 
 
 def test_error_follows_the_cell() -> None:
-    correspondences = _map()
-    assert cell_size(correspondences) == pytest.approx(10.0)
-    assert select_matches(correspondences, MatchingOptions()).error_px == 10 * ERROR_CELLS
+    correspondence_map = _map()
+    assert cell_size(correspondence_map) == pytest.approx(10.0)
+    assert select_matches(correspondence_map, MatchingOptions()).error_px == 10 * ERROR_CELLS
 
 
 def test_subsample_is_even_and_takes_the_confident() -> None:
@@ -77,15 +77,15 @@ def test_subsample_never_exceeds_and_keeps_what_fits() -> None:
 
 
 def test_a_small_patch_is_no_match() -> None:
-    correspondences = _map()
-    few = np.zeros_like(correspondences.matchability)
+    correspondence_map = _map()
+    few = np.zeros_like(correspondence_map.matchability)
     few[10:14, 10:14] = 0.9
-    patch = replace(correspondences, matchability=few)
+    patch = replace(correspondence_map, matchability=few)
     assert len(select_matches(patch, MatchingOptions(min_share=0.01))) == 0
     assert len(select_matches(patch, MatchingOptions(min_share=0.0))) == 16
 
 
-def test_a_cycle_needs_the_way_back() -> None:
+def test_a_cycle_error_is_required_if_asked_for() -> None:
     one_way = replace(_map(), cycle=None)
     with pytest.raises(InputError, match="cycle"):
         select_matches(one_way, MatchingOptions(cycle_px=2.0))
@@ -93,7 +93,7 @@ def test_a_cycle_needs_the_way_back() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0), ("roll_share", -0.1)],
+    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0), ("rotate_below", -0.1)],
 )
 def test_wrong_options_are_named(field: str, value: float) -> None:
     with pytest.raises(InputError, match=field):

@@ -27,7 +27,7 @@ def test_wrong_matches_go_and_right_ones_stay() -> None:
     assert kept[right].mean() > 0.94 and kept[~right].mean() < 0.02
 
 
-def test_the_affinity_and_the_place_are_the_surface_s() -> None:
+def test_the_affinity_and_the_points_are_the_surface_s() -> None:
     matches, right = _matches(1500, wrong=300)
     found = consistent(matches, 12)
     np.testing.assert_allclose(np.median(found.affinity, 0), _AFFINITY, atol=0.01)

@@ -1,4 +1,4 @@
-"""The encoder's features at native resolution; even an untrained one knows what looks alike."""
+"""The encoder's features at native resolution; even an untrained one finds similar patches."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from dgc_pose.refinement.features import (
     equal_scales,
     match_features,
     mutual_neighbours,
-    refine_places,
+    subcell_points,
 )
-from dgc_pose.refinement.guide import turned_points
+from dgc_pose.refinement.guide import rotate_points
 from dgc_pose.refinement.native import Features, native_cache
+from dgc_pose.refinement.options import FeatureOptions
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +37,10 @@ def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
     return (255 * smooth[0].permute(1, 2, 0)).clamp(0, 255).byte().contiguous().numpy()
 
 
-def _guide(places1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
+def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
     matchability = np.full(grid.shape[:2], 0.9, np.float32)
     return CorrespondenceMap(
-        places1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
+        points1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
     )
 
 
@@ -49,35 +50,34 @@ def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "size1, size2, zoom, expected",
+    "size1, size2, scale, expected",
     [
         ((1600, 1200), (1200, 1600), 1.0, (0.5, 0.5)),
-        ((1600, 1200), (400, 300), 1.0, (0.5, 0.5)),  # as large in both: nothing wider in image 1
+        ((1600, 1200), (400, 300), 1.0, (0.5, 0.5)),  # equal scales
         ((400, 300), (600, 400), 1.0, (1.0, 1.0)),  # never enlarged
-        ((1600, 1200), (1600, 1200), 2.0, (0.25, 0.5)),  # larger in image 1, which shrinks
+        ((1600, 1200), (1600, 1200), 2.0, (0.25, 0.5)),  # of larger scale in image 1
         ((1600, 1200), (1600, 1200), 0.5, (0.5, 0.25)),
         ((1600, 1200), (800, 600), 2.0, (0.5, 1.0)),  # resizing alone makes them equal
     ],
 )
-def test_scales_make_things_equally_large(
-    size1: tuple[int, int], size2: tuple[int, int], zoom: float, expected: tuple[float, float]
+def test_factors_make_the_scales_equal(
+    size1: tuple[int, int], size2: tuple[int, int], scale: float, expected: tuple[float, float]
 ) -> None:
-    found = equal_scales(size1, size2, zoom, 800)
+    found = equal_scales(size1, size2, scale, 800)
     assert found == pytest.approx(expected)
-    assert found[0] * zoom == pytest.approx(found[1])
+    assert found[0] * scale == pytest.approx(found[1])
 
 
 def _match(
-    net: DGCNet, first: np.ndarray, second: np.ndarray, guide: CorrespondenceMap, zoom: float = 1.0
+    net: DGCNet, first: np.ndarray, second: np.ndarray, guide: CorrespondenceMap, scale: float = 1.0
 ) -> Matches:
     return match_features(
         net,
         Image(first),
         Image(second),
         guide,
-        zoom=zoom,
-        long_side=192,
-        candidates=4,
+        scale=scale,
+        options=FeatureOptions(long_side=192, candidates=4),
         cache=native_cache(),
     )
 
@@ -107,7 +107,7 @@ def test_with_all_cells_as_candidates_it_is_the_full_mutual_search() -> None:
     torch.testing.assert_close(cosine.double(), full[index1, index2], atol=1e-5, rtol=0)
 
 
-def test_places_follow_a_shift_of_the_fine_level() -> None:
+def test_points_follow_a_shift_of_the_fine_level() -> None:
     fine = torch.zeros(1, 1, 24, 24)
     fine = F.interpolate(
         torch.randn(1, 8, 12, 12, generator=torch.Generator().manual_seed(0)), (24, 24),
@@ -116,34 +116,34 @@ def test_places_follow_a_shift_of_the_fine_level() -> None:
     fine1 = F.normalize(fine, dim=0)
     fine2 = fine1.roll((-2, 1), (2, 1))  # image 2 shows at x what image 1 shows at x + 2
     cells = torch.tensor([[5.0, 5.0], [6.0, 4.0], [4.0, 7.0]])
-    places1, places2 = refine_places(fine1, fine2, cells, cells)
-    assert torch.equal(places2, 2 * cells + 0.5)
-    torch.testing.assert_close(places1 - places2, torch.tensor([[2.0, -1.0]] * 3), atol=0.5, rtol=0)
+    points1, points2 = subcell_points(fine1, fine2, cells, cells)
+    assert torch.equal(points2, 2 * cells + 0.5)
+    torch.testing.assert_close(points1 - points2, torch.tensor([[2.0, -1.0]] * 3), atol=0.5, rtol=0)
 
 
-@pytest.mark.parametrize("turns", [0, 1, 3])
-def test_the_same_picture_turned_matches_itself(net: DGCNet, turns: int) -> None:
-    """Image 2 is image 1 turned; the map says so, and is itself 10 pixels off."""
+@pytest.mark.parametrize("quarter_turns", [0, 1, 3])
+def test_a_rotated_picture_matches_itself(net: DGCNet, quarter_turns: int) -> None:
+    """Image 2 is image 1 rotated; the map shows the rotation, with an error of 10 pixels."""
     pixels = _picture(192, 160)
-    second = np.ascontiguousarray(np.rot90(pixels, -turns))
+    second = np.ascontiguousarray(np.rot90(pixels, -quarter_turns))
     size2 = (second.shape[1], second.shape[0])
     grid = _grid(size2)
-    truth = turned_points(grid.reshape(-1, 2), size2, turns)
+    truth = rotate_points(grid.reshape(-1, 2), size2, quarter_turns)
     guide = _guide(truth.reshape(grid.shape) + 10, grid, (192, 160), size2)
     found = _match(net, pixels, second, guide)
     assert len(found) > 200
-    off = found.points1 - turned_points(found.points2, size2, turns)
+    off = found.points1 - rotate_points(found.points2, size2, quarter_turns)
     assert np.median(np.abs(off)) < 0.5 and (np.abs(off).max(1) < 3).mean() > 0.9
     # The error is that of a quarter of a cell of stride 4, at the original's own size.
     assert found.error_px == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_map_of_nonsense_does_not_lead_astray(net: DGCNet) -> None:
+def test_a_random_map_does_no_harm(net: DGCNet) -> None:
     pixels = _picture(192, 160)
     grid = _grid((192, 160))
-    nonsense = np.random.default_rng(0).uniform(-500, 700, grid.shape)
-    guide = _guide(nonsense, grid, (192, 160), (192, 160))
-    guide.matchability[:] = 0.0  # and not sure of it, or its turn would count
+    random = np.random.default_rng(0).uniform(-500, 700, grid.shape)
+    guide = _guide(random, grid, (192, 160), (192, 160))
+    guide.matchability[:] = 0.0  # so that its rotation does not count
     found = _match(net, pixels, pixels, guide)
     off = np.abs(found.points1 - found.points2).max(1)
     assert len(found) > 200 and (off < 3).mean() > 0.9
@@ -151,18 +151,18 @@ def test_a_map_of_nonsense_does_not_lead_astray(net: DGCNet) -> None:
 
 @pytest.mark.parametrize("shrunk", ["first", "second"])
 def test_a_picture_matches_itself_at_a_third(net: DGCNet, shrunk: str) -> None:
-    """Half of one picture at three times the size of the other, told so; and not, for contrast."""
+    """One picture at three times the size of the other, with and without the scale given."""
     large = _picture(192, 192)
     small = cv2.resize(large, (64, 64), interpolation=cv2.INTER_AREA)
     first, second = (small, large) if shrunk == "first" else (large, small)
-    zoom = 1 / 3 if shrunk == "first" else 3.0
+    scale = 1 / 3 if shrunk == "first" else 3.0
     size1, size2 = (image.shape[1::-1] for image in (first, second))
     grid = _grid(size2)
     guide = _guide(np.zeros_like(grid), grid, size1, size2)
     guide.matchability[:] = 0.0
     shares = []
-    for told in (zoom, 1.0):
-        found = _match(net, first, second, guide, told)
-        off = found.points1 - ((found.points2 + 0.5) * zoom - 0.5)
-        shares.append((np.abs(off).max(1) < 3 * max(1.0, zoom)).sum())
+    for given in (scale, 1.0):
+        found = _match(net, first, second, guide, given)
+        off = found.points1 - ((found.points2 + 0.5) * scale - 0.5)
+        shares.append((np.abs(off).max(1) < 3 * max(1.0, scale)).sum())
     assert shares[0] > 40 and shares[0] > 2 * shares[1]

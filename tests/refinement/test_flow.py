@@ -1,4 +1,4 @@
-"""Optical flow after the dense map: what the map leaves over."""
+"""Optical flow guided by the dense map: it corrects the map's error."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
-from dgc_pose.refinement.flow import match_flow
+from dgc_pose.refinement import FlowMatches, FlowOptions
 
 
 def _match(
@@ -18,19 +18,19 @@ def _match(
     long_side: int = 800,
     most: int = 900,
 ) -> Matches:
-    return match_flow(
-        Image(first), Image(second), scene, matchability=0.5, long_side=long_side, max_matches=most
-    )
+    options = FlowOptions(matchability=0.5, long_side=long_side, max_matches=most)
+    none = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
+    return FlowMatches(options).find(Image(first), Image(second), scene, none)
 
 
 def _off(found: Matches) -> np.ndarray:
     return np.linalg.norm(
-        found.points1 - dense_scene.places_in_image1(found.points2), axis=1
+        found.points1 - dense_scene.points_in_image1(found.points2), axis=1
     )
 
 
-def test_a_map_that_is_off_by_pixels_becomes_exact() -> None:
-    """Off by a smooth field of up to 4 pixels: flow alone could not bridge the scene's own 100."""
+def test_an_error_of_some_pixels_is_corrected() -> None:
+    """A smooth error of up to 4 pixels; flow alone could not find the scene's motion of 100."""
     truth = dense_scene.true_map()
     x, y = np.moveaxis(truth.grid, -1, 0)
     wrong = truth.map + np.stack([3 * np.sin(x / 40), 4 * np.cos(y / 60)], -1)
@@ -46,14 +46,14 @@ def test_at_half_the_size_the_error_is_twice_as_large() -> None:
     assert len(found) > 100 and np.median(_off(found)) < 0.6
 
 
-def test_other_pictures_have_few_pixels_that_come_back() -> None:
+def test_unrelated_pictures_have_few_consistent_pixels() -> None:
     first, second = dense_scene.pictures()
     same = _match(first, second, dense_scene.true_map(), most=10**6)
     other = _match(dense_scene.pictures(seed=5)[0], second, dense_scene.true_map(), most=10**6)
     assert len(same) > 40_000 and len(other) < 0.3 * len(same)
 
 
-def test_only_where_the_map_is_sure_and_in_both_images() -> None:
+def test_matches_are_matchable_and_inside_both_images() -> None:
     scene = dense_scene.true_map()
     scene.matchability[:, :80] = 0.0
     found = _match(*dense_scene.pictures(), scene)

@@ -1,4 +1,4 @@
-"""The refiner as a whole: exact where it can be, and never less than it was given."""
+"""The refiner as a whole: as exact as the images allow, and never worse than what it was given."""
 
 from __future__ import annotations
 
@@ -11,12 +11,24 @@ from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.image import Image
+from dgc_pose.matchers import refined
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.refinement import RefinementOptions, Refiner
+from dgc_pose.refinement import (
+    AlignmentOptions,
+    FeatureMatches,
+    FeatureOptions,
+    FlowMatches,
+    FlowOptions,
+    MapMatches,
+    MatchSource,
+    RefinementOptions,
+    Refiner,
+)
 from dgc_pose.refinement.native import native_cache
 
 _OPTIONS = MatchingOptions(max_matches=1500)
@@ -28,31 +40,49 @@ def images() -> tuple[Image, Image]:
     return Image(first), Image(second)
 
 
-def _dense() -> dense_scene.MapMatcher:
-    """A matcher whose map is off by half a cell, with an untrained network for its features."""
-    matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), _OPTIONS)
+@pytest.fixture(scope="module")
+def net() -> DGCNet:
     torch.manual_seed(0)
-    matcher.net = DGCNet(preset("dgcm-lite")).eval().requires_grad_(False)
-    return matcher
+    return DGCNet(preset("dgcm-lite")).eval().requires_grad_(False)
 
 
-def _off(matches: Matches) -> np.ndarray:
-    truth = dense_scene.places_in_image1(matches.points2)
+def _noisy() -> dense_scene.MapMatcher:
+    """A matcher whose map has an error of half a cell."""
+    return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), _OPTIONS)
+
+
+def _errors(matches: Matches) -> np.ndarray:
+    truth = dense_scene.points_in_image1(matches.points2)
     return np.linalg.norm(matches.points1 - truth, axis=1)
 
 
-@pytest.mark.parametrize("source", ["map", "flow", "sift"])
+class _GivenPoints(Matcher):
+    """Key points without a map."""
+
+    def __init__(self, matches: Matches) -> None:
+        self.matches = matches
+
+    @property
+    def name(self) -> str:
+        return "points"
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        return MatchResult(self.matches, None)
+
+
+@pytest.mark.parametrize("source", [MapMatches(), FlowMatches()])
 def test_matches_become_ten_times_as_exact_and_so_does_the_pose(
-    images: tuple[Image, Image], source: str
+    images: tuple[Image, Image], source: MatchSource
 ) -> None:
-    dense = _dense()
-    refined = Refiner(dense, RefinementOptions(source=source)).match(*images)  # type: ignore[arg-type]
-    given = dense.match(*images)
-    assert np.median(_off(given)) > 0.5
-    assert len(refined) > 150 and np.median(_off(refined)) < 0.1
+    matcher = _noisy()
+    result = Refiner(matcher, [source]).match(*images)
+    given = matcher.match(*images).matches
+    assert np.median(_errors(given)) > 0.5
+    assert len(result.matches) > 150 and np.median(_errors(result.matches)) < 0.1
+    assert result.correspondence_map is matcher.correspondence_map
     camera = Camera(dense_scene.K, dense_scene.SIZE)
     errors = []
-    for matches in (given, refined):
+    for matches in (given, result.matches):
         pose = estimate_pose(matches, camera, camera)
         assert pose.R is not None and pose.t is not None
         errors.append(
@@ -61,51 +91,79 @@ def test_matches_become_ten_times_as_exact_and_so_does_the_pose(
     assert errors[1] < 0.5 * errors[0]
 
 
+def test_a_batch_gives_what_its_pairs_give_alone(images: tuple[Image, Image]) -> None:
+    refiner = Refiner(_noisy())
+    alone = [refiner.match(*pair) for pair in (images, images[::-1])]
+    for one, other in zip(alone, refiner.match_batch([images, images[::-1]]), strict=True):
+        assert np.array_equal(one.matches.points1, other.matches.points1)
+
+
+def test_without_a_map_the_matcher_s_own_matches_are_aligned(
+    images: tuple[Image, Image], net: DGCNet
+) -> None:
+    """Sources that need a map are passed over, and the matches stay those of key points."""
+    rng = np.random.default_rng(0)
+    points2 = rng.uniform((60, 40), (260, 200), (400, 2))
+    points1 = dense_scene.points_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
+    given = Matches(points1, points2, np.ones(400), 1.0, key_points=True)
+    result = Refiner(_GivenPoints(given), [FeatureMatches(net), FlowMatches()]).match(*images)
+    assert result.correspondence_map is None and result.matches.key_points
+    assert len(result.matches) > 150 and np.median(_errors(result.matches)) < 0.1
+
+    sift = SiftMatcher().match(*images).matches
+    aligned = Refiner(SiftMatcher()).match(*images).matches
+    assert np.median(_errors(aligned)) < np.median(_errors(sift)) < 0.5
+
+
 def test_without_alignment_the_error_is_the_source_s_own(images: tuple[Image, Image]) -> None:
-    dense = _dense()
-    options = RefinementOptions(source="map", align=False, max_matches=200)
-    kept = Refiner(dense, options).match(*images)
-    given = dense.match(*images)
+    matcher = _noisy()
+    options = AlignmentOptions(align=False, max_matches=200)
+    kept = Refiner(matcher, [MapMatches()], options).match(*images).matches
+    given = matcher.match(*images).matches
     assert kept.error_px == given.error_px and 100 < len(kept) <= 200
     rows = {tuple(row) for row in np.hstack([given.points1, given.points2])}
     assert all(tuple(row) in rows for row in np.hstack([kept.points1, kept.points2]))
 
 
-def test_a_scene_that_cannot_be_held_on_to_is_no_worse(images: tuple[Image, Image]) -> None:
-    """Matches that agree with nothing come back as they were; those that agree but do not look
-    alike come back consistent, with the error that they had."""
-    dense = dense_scene.MapMatcher(dense_scene.noise_map(), _OPTIONS)
-    correspondences = dense.correspond(*images)
-    given = dense.select(correspondences)
-    refiner = Refiner(dense, RefinementOptions(source="map"))
-    assert refiner.refine(*images, correspondences, given) is given
+def test_a_scene_that_cannot_be_refined_is_no_worse(images: tuple[Image, Image]) -> None:
+    """Inconsistent matches are returned as they were; those that are consistent but cannot be
+    aligned are returned with the error that they had."""
+    matcher = dense_scene.MapMatcher(dense_scene.noise_map(), _OPTIONS)
+    given = matcher.match(*images)
+    assert Refiner(matcher).refine(*images, given) is given
 
-    dense = _dense()
     other = Image(dense_scene.pictures(seed=9)[0])
-    kept = Refiner(dense, RefinementOptions(source="map")).match(other, images[1])
-    assert kept.error_px == dense.match(*images).error_px and len(kept) > 1000
+    kept = Refiner(_noisy()).match(other, images[1]).matches
+    assert kept.error_px == _noisy().match(*images).matches.error_px and len(kept) > 1000
 
 
 @pytest.mark.parametrize("found_by_features", [0, 400])
-def test_auto_takes_the_map_only_where_the_features_leave_too_few(
-    images: tuple[Image, Image], found_by_features: int, monkeypatch: pytest.MonkeyPatch
+def test_auto_takes_the_map_only_if_the_features_give_too_few(
+    images: tuple[Image, Image],
+    net: DGCNet,
+    found_by_features: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rng = np.random.default_rng(0)
     points2 = rng.uniform((60, 40), (260, 200), (found_by_features, 2))
-    points1 = dense_scene.places_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
+    points1 = dense_scene.points_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
 
     def match_features(*arguments: object, **options: object) -> Matches:
         return Matches(points1, points2, np.ones(len(points1)), 1.0)
 
-    monkeypatch.setattr("dgc_pose.refinement.refine.match_features", match_features)
-    found = Refiner(_dense(), RefinementOptions(source="auto")).match(*images)
-    by_map = Refiner(_dense(), RefinementOptions(source="map")).match(*images)
-    assert np.array_equal(found.points1, by_map.points1) == (found_by_features == 0)
-    assert found.error_px == 0.5 and len(found) > 150
+    monkeypatch.setattr("dgc_pose.refinement.features.match_features", match_features)
+    matcher = _noisy()
+    matcher.net = net
+    by_auto, by_map = (
+        refined(matcher, RefinementOptions(source=source)).match(*images).matches  # type: ignore[arg-type]
+        for source in ("auto", "map")
+    )
+    assert np.array_equal(by_auto.points1, by_map.points1) == (found_by_features == 0)
+    assert by_auto.error_px == 0.5 and len(by_auto) > 150
 
 
 @pytest.mark.parametrize(
-    "sure, shown, true, tried",
+    "matchability, shown, true, tried",
     [
         (0.9, 1.1, 3.0, [1.0]),
         (0.9, 2.2, 3.0, [2.0]),
@@ -115,73 +173,75 @@ def test_auto_takes_the_map_only_where_the_features_leave_too_few(
         (0.1, 2.2, 2.0, [2.0, 1.0]),
     ],
 )
-def test_other_zooms_are_tried_where_the_map_is_weak(
+def test_other_scales_are_tried_if_the_map_is_weak(
     images: tuple[Image, Image],
-    sure: float,
+    net: DGCNet,
+    matchability: float,
     shown: float,
     true: float,
     tried: list[float],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The images' own always, the others where few of the matches agree; the best is kept."""
+    """Equal scale always, the others if few of the matches are consistent; the best is kept."""
     rng = np.random.default_rng(0)
     points2 = rng.uniform((60, 40), (260, 200), (400, 2))
-    zooms: list[object] = []
+    scales: list[object] = []
 
-    def match_features(*arguments: object, zoom: float, **options: object) -> Matches:
-        zooms.append(zoom)
-        points1 = dense_scene.places_in_image1(points2)
-        if zoom != true:
+    def match_features(*arguments: object, scale: float, **options: object) -> Matches:
+        scales.append(scale)
+        points1 = dense_scene.points_in_image1(points2)
+        if scale != true:
             points1 = rng.permutation(points1)
         return Matches(points1, points2, np.ones(400), 1.0)
 
-    monkeypatch.setattr("dgc_pose.refinement.refine.match_features", match_features)
-    monkeypatch.setattr("dgc_pose.refinement.refine.zoom_between", lambda found: shown)
-    dense = _dense()
-    dense.correspondences.matchability[:] = sure
-    found = Refiner(dense, RefinementOptions(source="features")).match(*images)
-    assert zooms == pytest.approx(tried)
-    assert (np.median(_off(found)) < 0.1) == (true in tried)
+    monkeypatch.setattr("dgc_pose.refinement.features.match_features", match_features)
+    monkeypatch.setattr("dgc_pose.refinement.features.scale_between", lambda found: shown)
+    matcher = _noisy()
+    matcher.correspondence_map.matchability[:] = matchability
+    found = Refiner(matcher, [FeatureMatches(net)]).match(*images).matches
+    assert scales == pytest.approx(tried)
+    assert (np.median(_errors(found)) < 0.1) == (true in tried)
 
 
-def test_a_cache_spares_native_passes_and_changes_nothing(images: tuple[Image, Image]) -> None:
+def test_a_cache_spares_native_passes_and_changes_nothing(
+    images: tuple[Image, Image], net: DGCNet
+) -> None:
     cache = native_cache()
-    options = RefinementOptions(source="features")
-    plain, cached = Refiner(_dense(), options), Refiner(_dense(), options, cache)
+    plain, cached = (Refiner(_noisy(), [FeatureMatches(net, cache=one)]) for one in (None, cache))
     for pair in (images, images[::-1]):
-        expected, found = plain.match(*pair), cached.match(*pair)
+        expected, found = plain.match(*pair).matches, cached.match(*pair).matches
         assert np.array_equal(found.points1, expected.points1)
     assert cache.made < cache.asked
 
 
-def test_features_of_an_untrained_network_hold_on_to_the_same_picture() -> None:
+def test_features_of_an_untrained_network_match_a_picture_with_itself(net: DGCNet) -> None:
     first = Image(dense_scene.pictures()[0])
     grid = dense_scene.grid(dense_scene.CELLS, dense_scene.CELLS)
-    dense = _dense()
-    dense.correspondences = dense_scene.make_map(grid + 6, grid)
-    found = Refiner(dense, RefinementOptions(source="features")).match(first, first)
+    matcher = dense_scene.MapMatcher(dense_scene.make_map(grid + 6, grid), _OPTIONS)
+    found = Refiner(matcher, [FeatureMatches(net)]).match(first, first).matches
     off = np.abs(found.points1 - found.points2).max(1)
     assert len(found) > 200 and np.median(off) < 0.1 and off.max() < 2
     assert found.error_px == 0.5
 
 
 @pytest.mark.parametrize(
-    "name, value",
+    "options, name, value",
     [
-        ("source", "nothing"),
-        ("long_side", 16),
-        ("candidates", 0),
-        ("tiles", 0),
-        ("window_cells", 0.0),
-        ("sift_ratio", 1.5),
-        ("min_zncc", 0.0),
-        ("neighbours", 3),
-        ("patch_radius", 1),
-        ("max_matches", 0),
-        ("min_matches", 0),
-        ("back_px", 0.0),
+        (RefinementOptions, "source", "nothing"),
+        (FeatureOptions, "long_side", 16),
+        (FeatureOptions, "candidates", 0),
+        (FeatureOptions, "neighbours", 3),
+        (FeatureOptions, "other_scales_below", 1.5),
+        (FlowOptions, "long_side", 16),
+        (FlowOptions, "matchability", -0.1),
+        (FlowOptions, "max_matches", 0),
+        (AlignmentOptions, "min_zncc", 0.0),
+        (AlignmentOptions, "neighbours", 3),
+        (AlignmentOptions, "patch_radius", 1),
+        (AlignmentOptions, "max_matches", 0),
+        (AlignmentOptions, "min_matches", 0),
     ],
 )
-def test_options_out_of_range_are_named(name: str, value: object) -> None:
+def test_options_out_of_range_are_named(options: type, name: str, value: object) -> None:
     with pytest.raises(InputError, match=name):
-        RefinementOptions(**{name: value})  # type: ignore[arg-type]
+        options(**{name: value})

@@ -80,8 +80,8 @@ def test_the_line_at_infinity_is_left_out(axes):
 
 def test_the_warp_of_the_true_map_is_image_2():
     first, second = dense_scene.pictures()
-    found = warp_image(first, dense_scene.places_in_image1(dense_scene.grid(80, 60)), (320, 240))
-    seen = dense_scene.places_in_image1(dense_scene.grid(320, 240))
+    found = warp_image(first, dense_scene.points_in_image1(dense_scene.grid(80, 60)), (320, 240))
+    seen = dense_scene.points_in_image1(dense_scene.grid(320, 240))
     inside = ((seen > 1) & (seen < np.array(dense_scene.SIZE) - 2)).all(-1)
     assert inside.mean() > 0.4
     difference = np.abs(found.astype(float) - second)[inside]

@@ -15,17 +15,17 @@ from dgc_pose.viz.figure import picture_format, save_figure
 from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose
 
 
-def trace_of(correspondences):
+def trace_of(correspondence_map):
     return trace_relative_pose(
         *dense_scene.pictures(),
         dense_scene.K,
-        matcher=dense_scene.MapMatcher(correspondences),
+        matcher=dense_scene.MapMatcher(correspondence_map),
         options=EstimationOptions(runs=1, iterations=200),
     )
 
 
-def figure_of(correspondences):
-    trace = trace_of(correspondences)
+def figure_of(correspondence_map):
+    trace = trace_of(correspondence_map)
     return plot_pose(trace), trace.pose
 
 
@@ -55,7 +55,7 @@ def test_each_match_in_image_2_lies_on_its_epipolar_line():
 
 def test_without_a_map_its_panels_are_left_out():
     trace = trace_of(dense_scene.true_map())
-    assert len(plot_pose(replace(trace, correspondences=None)).axes) == 3
+    assert len(plot_pose(replace(trace, correspondence_map=None)).axes) == 3
 
 
 def test_without_a_pose_the_reason_is_the_headline():

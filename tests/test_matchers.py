@@ -1,0 +1,81 @@
+"""Matchers by name: what each name gives, and what the caches and fingerprints tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import dense_scene
+import numpy as np
+import pytest
+import torch
+
+from dgc_pose import MatcherCaches, MatchingOptions, load_dense_matcher, load_matcher
+from dgc_pose.errors import WeightsError
+from dgc_pose.image import Image
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import save_weights
+
+
+@pytest.fixture(scope="module")
+def images() -> tuple[Image, Image]:
+    first, second = dense_scene.pictures()
+    return Image(first), Image(second)
+
+
+def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image]) -> None:
+    bare = load_matcher(refinement=None).match(*images)
+    refined = load_matcher().match(*images)
+    assert bare.correspondence_map is not None and refined.correspondence_map is not None
+    assert np.array_equal(bare.correspondence_map.map, refined.correspondence_map.map)
+    by_dense = load_dense_matcher().match(*images)
+    assert np.array_equal(bare.matches.points1, by_dense.matches.points1)
+    errors = [
+        np.median(
+            np.linalg.norm(found.points1 - dense_scene.points_in_image1(found.points2), axis=1)
+        )
+        for found in (bare.matches, refined.matches)
+    ]
+    assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
+
+
+@pytest.mark.parametrize("name", ["sift", "dis", "farneback"])
+def test_matchers_without_weights(images: tuple[Image, Image], name: str) -> None:
+    options = MatchingOptions(max_matches=100)
+    matcher = load_matcher(name, matching=options)
+    assert matcher.name == name and matcher.fingerprint is None
+    found = matcher.match(*images)
+    assert (found.correspondence_map is None) == (name == "sift")
+    assert found.matches.key_points == (name == "sift")
+    assert name == "sift" or len(found.matches) <= 100
+
+
+def test_caches_keep_what_is_computed_of_an_image(images: tuple[Image, Image]) -> None:
+    for name, used in (("sift", ["key_points"]), ("dgcm-lite", ["features", "native"])):
+        caches = MatcherCaches()
+        matcher = load_matcher(name, caches=caches)
+        for _ in range(2):
+            found = matcher.match(*images)
+        assert np.array_equal(
+            found.matches.points1, load_matcher(name).match(*images).matches.points1
+        )
+        for field in ("features", "native", "key_points"):
+            cache = getattr(caches, field)
+            assert (cache.asked > cache.made > 0) if field in used else cache.asked == 0
+
+
+def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:
+    found = []
+    for seed in (0, 1, 0):
+        torch.manual_seed(seed)
+        save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
+        loaded = [load_matcher(tmp_path / "w.safetensors", refinement=None)]
+        loaded.append(load_matcher(tmp_path / "w.safetensors"))
+        assert len({one.fingerprint for one in loaded}) == 1
+        found.append(loaded[0].fingerprint)
+    assert found[0] == found[2] != found[1] and len(found[0] or "") == 16
+
+
+def test_other_names_are_paths_to_weights() -> None:
+    with pytest.raises(WeightsError, match="nowhere"):
+        load_matcher("nowhere")
