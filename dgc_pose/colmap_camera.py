@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -75,16 +75,12 @@ def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distort
     return _matrix(camera), distortion
 
 
-class Guess(NamedTuple):
-    """COLMAP's camera for an image without a calibration."""
+def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
+    """COLMAP's camera for an image without a calibration: K (3, 3), (width, height), and whether
+    its focal length is from EXIF data, else 1.2 times the longer side.
 
-    K: np.ndarray  # (3, 3)
-    size: tuple[int, int]  # (width, height)
-    from_exif: bool  # else the focal length is 1.2 times the longer side
-
-
-def guess(path: Path) -> Guess:
-    """COLMAP's guess of the intrinsics. Raises ImageError if the image cannot be read."""
+    Raises ImageError if the image cannot be read.
+    """
     import pycolmap
 
     try:
@@ -92,7 +88,7 @@ def guess(path: Path) -> Guess:
     except ValueError as error:
         raise ImageError(f"{path} does not exist or is not an image that can be read") from error
     size = (int(camera.width), int(camera.height))
-    return Guess(_matrix(camera), size, bool(camera.has_prior_focal_length))
+    return _matrix(camera), size, bool(camera.has_prior_focal_length)
 
 
 def _matrix(camera: pycolmap.Camera) -> np.ndarray:

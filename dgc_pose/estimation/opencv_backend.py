@@ -7,14 +7,14 @@ import numpy as np
 
 from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 
-_CONFIDENCE = 1.0  # anything less, 1 - 1e-12 too, ends a run of good matches in a few iterations
+_CONFIDENCE = 1.0  # with less, even 1 - 1e-12, a run on good matches ends after a few iterations
 
 
 def run_opencv(
     points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
 ) -> list[np.ndarray]:
-    """See `Backend`. OpenCV draws the same samples for the same order of points whatever
-    cv2.setRNGSeed says, so both the order and the generator's state come from the seed."""
+    """See `Backend`. OpenCV ignores cv2.setRNGSeed and draws the same samples for the same order of
+    points: both the order and the generator's state come from the seed."""
     order = np.random.default_rng(seed).permutation(len(points1))
     params = cv2.UsacParams()
     params.confidence = _CONFIDENCE
@@ -26,15 +26,9 @@ def run_opencv(
     K = np.diag([VIRTUAL_FOCAL, VIRTUAL_FOCAL, 1.0])
     try:
         stack, _ = cv2.findEssentialMat(
-            points1[order] * VIRTUAL_FOCAL,
-            points2[order] * VIRTUAL_FOCAL,
-            K,
-            K,
-            None,
-            None,
-            params,
+            points1[order] * VIRTUAL_FOCAL, points2[order] * VIRTUAL_FOCAL, K, K, None, None, params
         )
-    except cv2.error:  # of degenerate points
+    except cv2.error:  # degenerate points
         return []
     if stack is None:
         return []

@@ -14,7 +14,7 @@ _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [VIRTUA
 def run_poselib(
     points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
 ) -> list[np.ndarray]:
-    """See `Backend`. PoseLib answers with an identity where it failed, which counts as none."""
+    """See `Backend`. PoseLib returns an identity if it fails, which counts as none."""
     ransac = {
         "max_iterations": iterations,
         "min_iterations": iterations,
@@ -36,7 +36,7 @@ def refine_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The pose that minimises the Cauchy loss of the Sampson errors of normalised points (N, 2).
 
-    scale: error, in the points' unit, from which on the loss flattens. Returns R and unit t.
+    scale: of the loss, in the points' unit. Returns R and unit t.
     """
     start = poselib.CameraPose()
     start.R, start.t = R, t

@@ -44,12 +44,18 @@ class TwoViewProblem:
         """
         if not isinstance(matches, Matches):
             raise InputError(f"matches must be Matches, not {type(matches).__name__}")
-        index, warnings = _usable(matches)
+        rows = np.column_stack([matches.points1, matches.points2])
+        finite = np.flatnonzero(np.isfinite(rows).all(1))
+        _, first = np.unique(rows[finite], axis=0, return_index=True)
+        index = finite[np.sort(first)]
         points1 = camera1.normalise(matches.points1[index])
         points2 = camera2.normalise(matches.points2[index])
         undone = np.isfinite(points1).all(1) & np.isfinite(points2).all(1)
-        if not undone.all():
-            warnings.append(f"{(~undone).sum()} matches dropped: their distortion cannot be undone")
+        dropped = {
+            "not finite": len(matches) - len(finite),
+            "duplicates": len(finite) - len(index),
+            "their distortion cannot be undone": int((~undone).sum()),
+        }
         pixels = options.threshold_px or options.threshold_factor * matches.error_px
         return cls(
             points1=points1,
@@ -58,7 +64,9 @@ class TwoViewProblem:
             cells=None if matches.key_points else (_cell_side(camera1), _cell_side(camera2)),
             seed=options.seed,
             index=index,
-            warnings=tuple(warnings),
+            warnings=tuple(
+                f"{count} matches dropped: {why}" for why, count in dropped.items() if count
+            ),
         ).subset(undone)
 
     def __len__(self) -> int:
@@ -69,20 +77,6 @@ class TwoViewProblem:
         return replace(
             self, points1=self.points1[kept], points2=self.points2[kept], index=self.index[kept]
         )
-
-
-def _usable(matches: Matches) -> tuple[np.ndarray, list[str]]:
-    """Indices of the finite, distinct matches, and what was dropped."""
-    rows = np.column_stack([matches.points1, matches.points2])
-    finite = np.isfinite(rows).all(1)
-    kept = np.flatnonzero(finite)
-    _, first = np.unique(rows[kept], axis=0, return_index=True)
-    warnings = []
-    if not finite.all():
-        warnings.append(f"{(~finite).sum()} matches dropped: not finite")
-    if len(first) < len(kept):
-        warnings.append(f"{len(kept) - len(first)} matches dropped: duplicates")
-    return kept[np.sort(first)], warnings
 
 
 def _cell_side(camera: Camera) -> float:

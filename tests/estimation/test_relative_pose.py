@@ -51,8 +51,8 @@ def test_the_pose_of_a_solid_scene(kind, estimator):
         assert pose.inliers[~scene.true].mean() < 0.1
         assert pose.num_inliers == pose.inliers.sum()
         assert pose.inlier_ratio == pytest.approx(pose.inliers.mean())
-        assert pose.evidence.cheirality_ratio > 0.95
-        assert pose.evidence.homography_ratio < 0.8
+        assert pose.cheirality_ratio > 0.95
+        assert pose.homography_ratio < 0.8
 
 
 @pytest.mark.parametrize("refine", [True, False])
@@ -101,7 +101,7 @@ def test_a_plane_gives_a_pose_and_a_warning(estimator):
         pose = estimate(scene, estimator=estimator)
         assert pose.status == "planar" and pose.success
         assert any("plane" in warning for warning in pose.warnings)
-        assert pose.evidence.homography_ratio > 0.85
+        assert pose.homography_ratio > 0.85
         right += pose_error(pose.R, pose.t, scene) < 2
     assert right == 3
 
@@ -266,7 +266,7 @@ def test_most_points_behind_a_camera_are_a_failure(estimator):
     assert_no_pose(pose)
     assert pose.status == "behind_cameras"
     assert pose.R is None
-    assert pose.evidence.cheirality_ratio < 0.6
+    assert pose.cheirality_ratio < 0.6
     assert pose.num_inliers > 500
 
 
