@@ -11,6 +11,7 @@ one matching pass.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -35,6 +36,8 @@ from dgc_pose.refinement.source import MapMatches
 EVERYWHERE = "/all"
 NO_REFINEMENT = "none"
 _KEYS = {"source": "refine", "refine": "refine_pose"}  # of fields that are not called as their key
+
+_SETTING = re.compile(r"[a-z]\w*=")
 
 Stem = Callable[[str, str], str]  # see FileMatcher
 Options = TypeVar("Options")
@@ -220,8 +223,8 @@ def _refiner(matcher: Matcher, options: RefinementOptions) -> Refiner:
 
 def _parse(text: str, defaults: MethodOptions, stored: Sequence[str]) -> Method:
     parts = text.split(":")
-    # A path may hold colons: the settings are what follows the last part without an `=`.
-    first = 1 + max(k for k, part in enumerate(parts) if k == 0 or "=" not in part)
+    # A path may hold colons: the settings are what follows the last part that is none.
+    first = 1 + max(k for k, part in enumerate(parts) if not k or not _SETTING.match(part))
     name = ":".join(parts[:first])
     settings = dict(part.split("=", 1) for part in parts[first:])
     engine = name.removesuffix(EVERYWHERE)

@@ -16,6 +16,7 @@ from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, score
 from dgc_pose.errors import DgcPoseError
 
+
 @contextmanager
 def pose_pool(
     kind: type[Score], workers: int

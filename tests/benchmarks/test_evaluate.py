@@ -154,14 +154,14 @@ def test_a_sample_is_of_the_matches_and_tells_inliers(tmp_path) -> None:
         sample = one.sample
         assert len(sample) == 60
         assert sample.inliers.mean() == pytest.approx(one.score.inlier_ratio, abs=0.25)
-        places = dense_scene.places_in_image1(sample.points2)
+        places = dense_scene.points_in_image1(sample.points2)
         assert np.abs(sample.points1 - places).max() < 1
 
 
 def test_what_cannot_be_used_is_refused(tmp_path) -> None:
     pairs = posed_pairs(tmp_path, 1)
     with pytest.raises(InputError, match="points and no map"):
-        _rows(pairs, methods=parse_methods(["some/all"]))
+        _rows(posed_pairs(tmp_path, 1), methods=parse_methods(["some/all"]))
     (tmp_path / "two_2.png").write_bytes(b"no image")
     with pytest.raises(ImageError, match="two_2.png"):
         _rows(pairs, RunOptions(workers=2))

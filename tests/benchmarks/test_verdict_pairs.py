@@ -1,10 +1,13 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from verdict_folder import write_photos
 
-from dgc_pose.benchmarks.verdict_cases import (
-    VerdictCase,
+from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
+from dgc_pose.benchmarks.verdict_pairs import (
+    VerdictPairs,
     changed,
     facade,
     listed,
@@ -30,16 +33,21 @@ def pair():
 
 @pytest.fixture(scope="module")
 def case(pair):
-    cameras = Camera(pair.K1, SIZE), Camera(pair.K2, SIZE)
-    images = Image(pair.image1), Image(pair.image2)
-    return VerdictCase("pair", "group", "true", *images, *cameras, pair.R, pair.t)
+    truth = Truth({}, Camera(pair.K1, SIZE), Camera(pair.K2, SIZE), pair.R, pair.t)
+    return PosedPair(truth, Image(pair.image1), Image(pair.image2))
+
+
+def changed_pair(case, change):
+    image1, image2, truth = changed(case, change, 0)
+    return PosedPair(truth, image1, image2)
 
 
 def distances(case, points1, points2):
     """Sampson distances in pixels, by the case's cameras and pose."""
-    E = essential_from_pose(case.R, case.t / np.linalg.norm(case.t))
-    normal = case.camera1.normalise(points1), case.camera2.normalise(points2)
-    return sampson_distance(*normal, E) * case.camera1.focal
+    truth = case.truth
+    E = essential_from_pose(truth.R, truth.t / np.linalg.norm(truth.t))
+    normal = truth.camera1.normalise(points1), truth.camera2.normalise(points2)
+    return sampson_distance(*normal, E) * truth.camera1.focal
 
 
 def true_matches(pair):
@@ -49,7 +57,7 @@ def true_matches(pair):
 
 @pytest.mark.parametrize(("change", "turns"), [("roll 90", 1), ("roll 180", 2)])
 def test_a_rolled_view_has_the_pose_that_belongs_to_it(pair, case, change, turns):
-    rolled = changed(case, change, 0)
+    rolled = changed_pair(case, change)
     points1, points2 = true_matches(pair)
     width, height = SIZE
     moved = points2
@@ -61,14 +69,14 @@ def test_a_rolled_view_has_the_pose_that_belongs_to_it(pair, case, change, turns
     x, y = moved.astype(int).T
     a, b = points2.astype(int).T
     assert np.array_equal(rolled.image2.pixels[y, x], pair.image2[b, a])
-    assert rolled.camera2.size == rolled.image2.size == (width, height)
-    assert rotation_error_deg(rolled.R, pair.R) == pytest.approx(90 * turns)
-    assert np.linalg.det(rolled.R) == pytest.approx(1)
+    assert rolled.truth.camera2.size == rolled.image2.size == (width, height)
+    assert rotation_error_deg(rolled.truth.R, pair.R) == pytest.approx(90 * turns)
+    assert np.linalg.det(rolled.truth.R) == pytest.approx(1)
 
 
 def test_a_zoomed_view_is_the_middle_of_the_old_one(pair, case):
-    zoomed = changed(case, "4x zoom", 0)
-    assert zoomed.image2.size == zoomed.camera2.size == (50, 40)
+    zoomed = changed_pair(case, "4x zoom")
+    assert zoomed.image2.size == zoomed.truth.camera2.size == (50, 40)
     points1, points2 = true_matches(pair)
     moved = points2 - (75, 60)
     inside = ((moved >= 0) & (moved < (50, 40))).all(1)
@@ -78,29 +86,31 @@ def test_a_zoomed_view_is_the_middle_of_the_old_one(pair, case):
 
 
 def test_night_is_dark_and_of_the_same_place(pair, case):
-    night = changed(case, "night", 0)
-    assert np.array_equal(night.image2.pixels, changed(case, "night", 0).image2.pixels)
+    night = changed_pair(case, "night")
+    assert np.array_equal(night.image2.pixels, changed_pair(case, "night").image2.pixels)
     assert night.image2.pixels.mean() < 0.5 * pair.image2.mean()
-    assert np.array_equal(night.R, case.R) and night.camera2 is case.camera2
+    assert np.array_equal(night.truth.R, case.truth.R)
+    assert night.truth.camera2 is case.truth.camera2
     day, dark = (cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in (pair.image2, night.image2.pixels))
     assert np.corrcoef(day.ravel(), dark.ravel())[0, 1] > 0.3
 
 
 def test_the_facades_pose_is_that_of_its_pictures():
-    made = facade(1)
+    image1, image2, truth = facade(1)
+    made = PosedPair(truth, image1, image2)
     matches = SiftMatcher().match(made.image1, made.image2)
     off = distances(made, matches.points1, matches.points2)
     assert len(off) > 50 and np.median(off) < 1.0
     away = changed_pose(made)
     assert np.median(distances(away, matches.points1, matches.points2)) > 3.0
-    assert 16 <= rotation_error_deg(made.R, np.eye(3)) <= 24
-    assert np.array_equal(facade(1).image1.pixels, made.image1.pixels)
-    assert not np.array_equal(facade(2).image1.pixels, made.image1.pixels)
+    assert 16 <= rotation_error_deg(made.truth.R, np.eye(3)) <= 24
+    assert np.array_equal(facade(1)[0].pixels, made.image1.pixels)
+    assert not np.array_equal(facade(2)[0].pixels, made.image1.pixels)
 
 
 def changed_pose(case):
     tilt = cv2.Rodrigues(np.array([0.05, 0.0, 0.05]))[0]
-    return VerdictCase(**{**vars(case), "R": tilt @ case.R})
+    return replace(case, truth=replace(case.truth, R=tilt @ case.truth.R))
 
 
 def test_unrelated_photographs_are_two_that_training_holds_back(tmp_path):
@@ -111,13 +121,13 @@ def test_unrelated_photographs_are_two_that_training_holds_back(tmp_path):
     cases = list(unrelated_photos(tmp_path / "photos", 12, seed=0))
     assert len(cases) == 12
     for one in cases:
-        first, second = one.name.split()
+        first, second = str(one.truth.ids["name"]).split()
         assert first != second
         assert {first, second} <= {f"photos/{path.name}" for path in held_back}
-        assert one.kind == "unrelated" and one.R is None
-        assert one.camera1.size == one.image1.size
-    again = [one.name for one in unrelated_photos(tmp_path / "photos", 12, seed=0)]
-    assert again == [one.name for one in cases]
+        assert one.truth.ids["kind"] == "unrelated" and one.truth.R is None
+        assert one.truth.camera1.size == one.image1.size
+    again = [one.truth.ids["name"] for one in unrelated_photos(tmp_path / "photos", 12, seed=0)]
+    assert again == [one.truth.ids["name"] for one in cases]
 
 
 def test_unrelated_scenes_are_photographs_of_two_folders(tmp_path):
@@ -126,7 +136,7 @@ def test_unrelated_scenes_are_photographs_of_two_folders(tmp_path):
     folders = [tmp_path / folder for folder in ("a", "b", "c")]
     met = set()
     for one in unrelated_scenes(folders, 30, seed=0):
-        first, second = (name.split("/")[0] for name in one.name.split())
+        first, second = (name.split("/")[0] for name in str(one.truth.ids["name"]).split())
         assert first != second
         met.add(frozenset((first, second)))
     assert len(met) == 3
@@ -150,6 +160,16 @@ def test_of_a_list_an_even_choice_is_taken(tmp_path):
     lines = [f"photo0_{k:03d}.png photo0_000.png 0 0 {K} {K} {T}" for k in range(1, 10)]
     (tmp_path / "scene" / "house_pairs.txt").write_text("\n".join(lines) + "\n")
     chosen = list(listed(tmp_path / "scene" / "house_pairs.txt", None, 3))
-    assert [one.name.split()[1] for one in chosen] == [f"photo0_00{k}.png" for k in (1, 5, 9)]
-    assert {one.group for one in chosen} == {"house_pairs"}
+    seconds = [str(one.truth.ids["name"]).split()[1] for one in chosen]
+    assert seconds == [f"photo0_00{k}.png" for k in (1, 5, 9)]
+    assert {one.truth.ids["group"] for one in chosen} == {"house_pairs"}
     assert len(list(listed(tmp_path / "scene" / "house_pairs.txt", None, None))) == 9
+
+
+def test_groups_follow_each_other_and_are_begun_anywhere(tmp_path):
+    write_photos(tmp_path / "photos", 90)
+    group = unrelated_photos(tmp_path / "photos", 3, seed=0)
+    pairs = VerdictPairs([group, group])
+    names = [one.truth.ids["name"] for one in pairs.read()]
+    assert names == [ids["name"] for ids in pairs.ids] and len(names) == 6
+    assert [one.truth.ids["name"] for one in pairs.read(4)] == names[4:]
