@@ -40,6 +40,7 @@ _KEYS = {"source": "refine", "refine": "refine_pose"}  # of fields that are not 
 _SETTING = re.compile(r"[a-z]\w*=")
 
 Stem = Callable[[str, str], str]  # see FileMatcher
+PassKey = tuple[str, MatchingOptions]  # an engine, and the options that its map depends on
 Options = TypeVar("Options")
 
 
@@ -62,12 +63,13 @@ class Method:
     options: MethodOptions = field(default_factory=MethodOptions)
 
     @property
-    def matching_pass(self) -> MatchingOptions:
-        """The options that the dense map depends on; methods of one engine that agree in them share
-        its pass."""
+    def key(self) -> PassKey:
+        """What the dense map depends on; methods that agree in it share a matching pass."""
         own = self.options.matching
         cycle_px = None if own.cycle_px is None else 1.0
-        return MatchingOptions(cycle_px=cycle_px, rotate_below=own.rotate_below, finest=own.finest)
+        return self.engine, MatchingOptions(
+            cycle_px=cycle_px, rotate_below=own.rotate_below, finest=own.finest
+        )
 
 
 @dataclass(frozen=True)
@@ -97,12 +99,12 @@ class Engine:
 class Engines:
     """What the methods match with."""
 
-    passes: Mapping[tuple[str, MatchingOptions], Engine]
+    passes: Mapping[PassKey, Engine]
     caches: Mapping[str, MatcherCaches]  # by engine, of networks whose features are kept
 
     def of(self, method: Method) -> Engine:
         """The matching pass of a method."""
-        return self.passes[method.engine, method.matching_pass]
+        return self.passes[method.key]
 
     @property
     def fingerprints(self) -> dict[str, str]:
@@ -130,12 +132,10 @@ def parse_methods(
     for name in stored:
         if name in (*CLASSICAL, *shipped()):
             raise InputError(f"--matches {name}: a method of that name is there already")
-    methods: list[Method] = []
     for text in specifications:
-        method = _parse(text, defaults, stored)
-        if any(other.name == method.name for other in methods):
-            raise InputError(f"the method {method.name!r} is named twice")
-        methods.append(method)
+        if specifications.count(text) > 1:
+            raise InputError(f"the method {text!r} is named twice")
+    methods = [_parse(text, defaults, stored) for text in specifications]
     named = {method.engine for method in methods}
     methods += [_parse(name, defaults, stored) for name in stored if name not in named]
     if not methods:
@@ -154,33 +154,34 @@ def load_engines(
     """Load what the methods match with, each network once.
 
     stored: folders of stored matches by name, whose files `stem` names. keep_features: whether what
-    is computed of an image serves later pairs of it, which makes times those of a list of pairs.
+    is computed of an image serves later pairs of it, so that times are those of a list of pairs.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
+    folders = stored or {}
     caches: dict[str, MatcherCaches] = {}
     networks: dict[str, DenseMatcher] = {}
-    passes: dict[tuple[str, MatchingOptions], Engine] = {}
-    for method in methods:
-        name, options = key = method.engine, method.matching_pass
-        if key in passes:
-            continue
-        own = [one.options for one in methods if (one.engine, one.matching_pass) == key]
+    passes: dict[PassKey, Engine] = {}
+    for name, options in dict.fromkeys(method.key for method in methods):
+        own = [one.options for one in methods if one.key == (name, options)]
         wanted = {one.refinement for one in own if one.refinement is not None}
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
-        if name in CLASSICAL or (stored and name in stored):
-            matcher = _without_network(name, options, stored or {}, stem, kept)
-            refiners = {one: _refiner(matcher, one) for one in wanted}
-            passes[key] = Engine(matcher, refiners)
-            continue
-        cache = None if kept is None else kept.features
-        if name in networks:
-            dense = DenseMatcher(networks[name].net, options, cache)
+        if name in folders:
+            assert stem is not None
+            matcher: Matcher = FileMatcher(folders[name], stem, name, options)
+        elif name in CLASSICAL:
+            matcher = load_matcher(name, matching=options, caches=kept)
         else:
-            dense = load_dense_matcher(name, device=device, options=options, cache=cache)
-        networks.setdefault(name, dense)
-        native = None if kept is None else kept.native
-        passes[key] = Engine(dense, {one: refined(dense, one, native) for one in wanted})
+            cache, native = (None, None) if kept is None else (kept.features, kept.native)
+            if name in networks:
+                dense = DenseMatcher(networks[name].net, options, cache)
+            else:
+                dense = load_dense_matcher(name, device=device, options=options, cache=cache)
+                networks[name] = dense
+            refiners = {one: refined(dense, one, native) for one in wanted}
+            passes[name, options] = Engine(dense, refiners)
+            continue
+        passes[name, options] = Engine(matcher, {one: _refiner(matcher, one) for one in wanted})
     return Engines(passes, {name: kept for name, kept in caches.items() if name in networks})
 
 
@@ -197,19 +198,6 @@ def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
             raise InputError(f"the method {name} is named twice")
     chosen = choose_device(device)
     return {name: load_network(name, chosen) for name in names}
-
-
-def _without_network(
-    name: str,
-    options: MatchingOptions,
-    stored: Mapping[str, Path],
-    stem: Stem | None,
-    caches: MatcherCaches | None,
-) -> Matcher:
-    if name not in stored:
-        return load_matcher(name, matching=options, caches=caches)
-    assert stem is not None
-    return FileMatcher(stored[name], stem, name, options)
 
 
 def _refiner(matcher: Matcher, options: RefinementOptions) -> Refiner:
@@ -234,21 +222,19 @@ def _parse(text: str, defaults: MethodOptions, stored: Sequence[str]) -> Method:
         raise InputError(f"{text}: {SIFT} has key points alone, so {EVERYWHERE} says nothing")
     if engine in (*CLASSICAL, *stored):
         defaults = replace(defaults, refinement=None)
+    if settings.get("refine") == NO_REFINEMENT:
+        del settings["refine"]
+        defaults = replace(defaults, refinement=None)
+    elif "refine" in settings:
+        defaults = replace(defaults, refinement=defaults.refinement or RefinementOptions())
     used: set[str] = set()
     try:
-        source = settings.pop("refine", None)
-        if source == NO_REFINEMENT:
-            defaults = replace(defaults, refinement=None)
-        elif source is not None:
-            refinement = defaults.refinement or RefinementOptions()
-            changed = _changed(refinement, {"refine": source}, set())
-            defaults = replace(defaults, refinement=changed)
         options = _changed(defaults, settings, used)
     except InputError as error:
         raise InputError(f"{text}: {error}") from None
-    unknown = [key for key in settings if key not in used]
-    if unknown:
-        raise InputError(f"{text}: no option {unknown[0]}")
+    for key in settings:
+        if key not in used:
+            raise InputError(f"{text}: no option {key}")
     if name != engine:
         matching = replace(options.matching, matchability=0.0, cycle_px=None, min_share=0.0)
         options = replace(options, matching=matching, refinement=None)

@@ -9,7 +9,6 @@ from typing import Generic
 
 import numpy as np
 
-from dgc_pose.benchmarks.epipolar import median_and_mean, true_fundamental
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, draw_sample
 from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
@@ -18,6 +17,7 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg
+from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,9 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import finite_or_none
 from dgc_pose.metrics import pose_auc
 
-COLUMNS = (
-    "method",
-    "pairs",
-    "failures",
-    "R med",
-    "t med",
-    "t folded",
-    "AUC@5",
-    "AUC@10",
-    "AUC@20",
-    "s/pair",
-)
+COLUMNS = ("method", "pairs", "failures", "R med", "t med", "t folded")
+COLUMNS += ("AUC@5", "AUC@10", "AUC@20", "s/pair")
+MAP_COLUMNS = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
 
 
 @dataclass(frozen=True)
@@ -129,44 +120,40 @@ def summary_table(summaries: Sequence[MethodSummary]) -> str:
 
 def map_table(summaries: Sequence[MapSummary]) -> str:
     """As `summary_table`, with D_e, the number of matches and the pose stage's time."""
-    columns = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
     rows = [
         (
-            *_cells(summary),
-            _number(summary.median_epipolar_px, 2),
-            _number(summary.median_epipolar_confident_px, 2),
-            _number(summary.matches_per_pair, 0),
-            _number(summary.pose_seconds_per_pair, 3),
+            *_cells(one),
+            "-" if np.isnan(one.median_epipolar_px) else f"{one.median_epipolar_px:.2f}",
+            f"{one.median_epipolar_confident_px:.2f}",
+            f"{one.matches_per_pair:.0f}",
+            f"{one.pose_seconds_per_pair:.3f}",
         )
-        for summary in summaries
+        for one in summaries
     ]
-    return aligned([columns, *rows])
+    return aligned([MAP_COLUMNS, *rows])
 
 
 def _cells(summary: MethodSummary) -> tuple[str, ...]:
     share = 100 * summary.failures / summary.pairs
+    angles = (
+        summary.median_rotation_deg,
+        summary.median_translation_deg,
+        summary.median_translation_folded_deg,
+    )
     return (
         summary.method,
         str(summary.pairs),
         f"{summary.failures} ({share:.1f} %)",
-        f"{summary.median_rotation_deg:.2f}",
-        f"{summary.median_translation_deg:.2f}",
-        f"{summary.median_translation_folded_deg:.2f}",
-        f"{summary.auc5:.1f}",
-        f"{summary.auc10:.1f}",
-        f"{summary.auc20:.1f}",
+        *(f"{angle:.2f}" for angle in angles),
+        *(f"{auc:.1f}" for auc in (summary.auc5, summary.auc10, summary.auc20)),
         f"{summary.seconds_per_pair:.2f}",
     )
 
 
 def _json_values(summary: MethodSummary) -> dict[str, Any]:
-    values = ((field.name, getattr(summary, field.name)) for field in fields(summary))
+    values = asdict(summary).items()
     return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in values}
 
 
 def _column(scores: Sequence[PoseScore], field: str) -> np.ndarray:
     return np.array([getattr(score, field) for score in scores])
-
-
-def _number(value: float, decimals: int) -> str:
-    return "-" if np.isnan(value) else f"{value:.{decimals}f}"

@@ -11,7 +11,6 @@ from itertools import chain, islice
 from pathlib import Path
 from typing import Literal, get_args
 
-import cv2
 import numpy as np
 
 from dgc_pose.benchmarks.pair_list import read_pairs
@@ -28,6 +27,7 @@ from dgc_pose.benchmarks.verdicts import PairKind, VerdictScore
 from dgc_pose.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import Image, load_image
+from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
 from dgc_pose.synthesis.photos import held_back_paths
 from dgc_pose.synthesis.render.scene_pair import PairKind as SceneKind
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
@@ -36,7 +36,6 @@ Parts = tuple[Image, Image, Truth]  # of a pair, whose ids are still to be put i
 Change = Literal["roll 90", "roll 180", "4x zoom", "night"]
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff"}
 _VIEW = (800, 600)  # pixels of the views with procedural textures, and of the facade
-_FLOORS, _COLUMNS = 7, 10  # windows of the facade
 
 
 @dataclass(frozen=True)
@@ -141,52 +140,22 @@ def changed_views(pairs: Group, change: Change, seed: int) -> Group:
 
 def changed(pair: PosedPair, change: Change, seed: int) -> Parts:
     """A true pair with another second view, and the pose that belongs to it."""
-    truth, pixels = pair.truth, pair.image2.pixels
+    truth, pixels, R = pair.truth, pair.image2.pixels, np.eye(3)
+    assert truth.R is not None and truth.t is not None
     if change in ("roll 90", "roll 180"):
-        for _ in range(1 if change == "roll 90" else 2):
-            pixels, truth = _rolled(pixels, truth)
+        pixels, camera2, R = rolled(pixels, truth.camera2, 1 if change == "roll 90" else 2)
     elif change == "4x zoom":
-        height, width = pixels.shape[:2]
-        x, y = 3 * width // 8, 3 * height // 8
-        pixels = pixels[y : y + height // 4, x : x + width // 4]
-        K = truth.camera2.K.copy()
-        K[:2, 2] -= (x, y)
-        truth = replace(truth, camera2=Camera(K, (pixels.shape[1], pixels.shape[0])))
+        pixels, camera2 = middle_quarter(pixels, truth.camera2)
     else:
-        pixels = _night(pixels, np.random.default_rng(seed))
+        pixels, camera2 = night(pixels, np.random.default_rng(seed)), truth.camera2
     image2 = Image(np.ascontiguousarray(pixels), f"{pair.image2.name}, {change}")
-    return pair.image1, image2, truth
+    return pair.image1, image2, replace(truth, camera2=camera2, R=R @ truth.R, t=R @ truth.t)
 
 
 def facade(seed: int) -> Parts:
-    """Two views, 20 degrees apart, of a wall whose windows are alike but for their curtains."""
-    rng = np.random.default_rng(seed)
-    wall = _wall(rng)
-    width, height = _VIEW
-    K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1.0]])
-    across = 1.6 / wall.shape[1]  # the wall is 1.6 wide and stands before the cameras at 1.2
-    # From pixels of the wall (x, y, 1) to points in the frame between the cameras.
-    plane = np.array(
-        [[across, 0, -0.8], [0, across, -across * wall.shape[0] / 2], [0, 0, 1.2]]
-    )
-    angle = np.radians(rng.uniform(8, 12))
-    middle = np.array([0, 0, 1.2])
-    rotations = [cv2.Rodrigues(np.array([0.0, side, 0.0]))[0] for side in (-angle, angle)]
-    shifts = [middle - rotation @ middle for rotation in rotations]
-    left, right = (
-        cv2.warpPerspective(
-            wall,
-            K @ (rotation @ plane + np.outer(shift, (0, 0, 1))),
-            _VIEW,
-            flags=cv2.INTER_AREA,
-            borderValue=(150, 180, 210),
-        )
-        for rotation, shift in zip(rotations, shifts, strict=True)
-    )
-    R = rotations[1] @ rotations[0].T
-    camera = Camera(K, _VIEW)
-    truth = Truth({}, camera, camera, R, shifts[1] - R @ shifts[0])
-    return Image(np.ascontiguousarray(left)), Image(np.ascontiguousarray(right)), truth
+    """See `render_facade`."""
+    left, right, camera, R, t = render_facade(seed, _VIEW)
+    return Image(left), Image(right), Truth({}, camera, camera, R, t)
 
 
 def _unrelated(name: str, drawn: Sequence[tuple[Path, Path]]) -> Group:
@@ -216,51 +185,3 @@ def _scenes(scene: SceneKind, seeds: Sequence[int]) -> Group:
 
 def _parts(pair: PosedPair) -> Parts:
     return pair.image1, pair.image2, pair.truth
-
-
-def _rolled(pixels: np.ndarray, truth: Truth) -> tuple[np.ndarray, Truth]:
-    """Image 2 rotated by 90 degrees counterclockwise: (x, y) goes to (y, width - 1 - x)."""
-    width, K = pixels.shape[1], truth.camera2.K
-    rotated = np.array(
-        [[K[1, 1], 0, K[1, 2]], [0, K[0, 0], width - 1 - K[0, 2]], [0, 0, 1]], dtype=np.float64
-    )
-    roll = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
-    camera2 = Camera(rotated, (pixels.shape[0], width))
-    R, t = (None if part is None else roll @ part for part in (truth.R, truth.t))
-    return np.rot90(pixels), replace(truth, camera2=camera2, R=R, t=t)
-
-
-def _night(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A tenth of the light, blue, with the noise of a sensor, and four lamps."""
-    light = (pixels / 255.0) ** 2.2
-    height, width = light.shape[:2]
-    y, x = np.mgrid[:height, :width]
-    lamps = np.zeros((height, width))
-    for _ in range(4):
-        centre = rng.random(2) * (width, height)
-        squared = (x - centre[0]) ** 2 + (y - centre[1]) ** 2
-        lamps += np.exp(-squared / (2 * (0.12 * width) ** 2))
-    dark = light * (0.06 * np.array([0.7, 0.8, 1.2]) + 0.25 * lamps[..., None] * (1.2, 1, 0.6))
-    dark = dark + 0.004 * rng.standard_normal(dark.shape)
-    return (255 * dark.clip(0, 1) ** (1 / 2.2)).round().astype(np.uint8)
-
-
-def _wall(rng: np.random.Generator) -> np.ndarray:
-    """A facade (H, W, 3) uint8: bricks, and a grid of windows that differ in their curtains."""
-    cell = 120
-    bricks = np.full((cell, cell, 3), (160, 110, 90), np.uint8)
-    bricks[::12] = (190, 180, 170)
-    for row in range(0, cell, 12):
-        bricks[row : row + 12, (row // 12 % 2) * 12 :: 24] = (190, 180, 170)
-    bricks[30:95, 35:85] = (235, 235, 230)
-    bricks[34:91, 39:81] = (60, 70, 85)
-    bricks[61:64, 39:81] = bricks[34:91, 59:61] = (235, 235, 230)
-    wall = np.tile(bricks, (_FLOORS, _COLUMNS, 1))
-    for floor in range(_FLOORS):
-        for column in range(_COLUMNS):
-            y, x = floor * cell, column * cell
-            drawn = int(rng.integers(0, 27))
-            wall[y + 34 : y + 34 + drawn, x + 39 : x + 59] = rng.integers(120, 255, 3)
-            wall[y + 34 : y + 34 + drawn, x + 61 : x + 81] = rng.integers(120, 255, 3)
-    grain = rng.normal(0, 6, wall.shape[:2])[..., None]
-    return (wall + grain).clip(0, 255).round().astype(np.uint8)

@@ -23,7 +23,6 @@ OPTIONS = MethodOptions(
     matching=MatchingOptions(max_matches=400), estimation=EstimationOptions(runs=2, iterations=100)
 )
 METHODS = parse_methods(NAMES, OPTIONS)
-PASS = METHODS[0].matching_pass
 
 
 class Net(Matcher):
@@ -72,7 +71,7 @@ def posed_pairs(folder: Path, count: int, protocol: Protocol = "native") -> DtuP
 
 def engines(net: Matcher | None = None, **refiners: object) -> Engines:
     """What `METHODS` match with."""
-    passes = {("net", PASS): Engine(net or Net(), {}), ("some", PASS): Engine(Some(), {})}
+    passes = {METHODS[0].key: Engine(net or Net(), {}), METHODS[2].key: Engine(Some(), {})}
     return Engines(passes, caches={})
 
 

@@ -14,17 +14,29 @@ import cv2
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
-from dgc_pose.benchmarks.epipolar import true_fundamental
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.errors import InputError
 from dgc_pose.files import finite_or_none
 from dgc_pose.image import Image
+from dgc_pose.metrics.epipolar import true_fundamental
 
 _THUMBNAIL = 240  # longest side, pixels
 _JPEG_QUALITY = 70
 _DIGITS = 10  # of an entry of F: a point in the largest image needs fewer
+_RESULT = {  # key in the page's data: field of the record
+    "success": "success",
+    "status": "status",
+    "matches": "num_matches",
+    "inliers": "num_inliers",
+    "R": "rotation_error_deg",
+    "t": "translation_error_deg",
+    "folded": "translation_folded_deg",
+    "all": "epipolar_all_px",
+    "confident": "epipolar_confident_px",
+    "seconds": "estimate_seconds",
+}
 
 
 def page_data(
@@ -124,15 +136,5 @@ def _pair(row: DtuScore) -> dict[str, Any]:
 
 
 def _result(row: DtuScore) -> dict[str, Any]:
-    return {
-        "success": row.success,
-        "status": row.status,
-        "matches": row.num_matches,
-        "inliers": row.num_inliers,
-        "R": finite_or_none(row.rotation_error_deg),
-        "t": finite_or_none(row.translation_error_deg),
-        "folded": finite_or_none(row.translation_folded_deg),
-        "all": finite_or_none(row.epipolar_all_px),
-        "confident": finite_or_none(row.epipolar_confident_px),
-        "seconds": row.estimate_seconds,
-    }
+    values = {key: getattr(row, name) for key, name in _RESULT.items()}
+    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in values.items()}

@@ -98,7 +98,7 @@ def test_night_is_dark_and_of_the_same_place(pair, case):
 def test_the_facades_pose_is_that_of_its_pictures():
     image1, image2, truth = facade(1)
     made = PosedPair(truth, image1, image2)
-    matches = SiftMatcher().match(made.image1, made.image2)
+    matches = SiftMatcher().match(made.image1, made.image2).matches
     off = distances(made, matches.points1, matches.points2)
     assert len(off) > 50 and np.median(off) < 1.0
     away = changed_pose(made)

@@ -12,12 +12,12 @@ from evaluation_pairs import posed_pairs
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, protocol_options
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.benchmarks.epipolar import median_and_mean, true_fundamental
 from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import MatchingOptions
+from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
 from dgc_pose.refinement import RefinementOptions
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.epipolar import median_and_mean
+from dgc_pose.metrics.epipolar import median_and_mean
 
 
 def test_epipolar_figures_are_those_of_the_equation() -> None:
