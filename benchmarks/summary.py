@@ -58,6 +58,18 @@ def by_method(scores: Iterable[Score]) -> dict[str, list[Score]]:
     return found
 
 
+def columns(scores: Iterable[PoseScore]) -> dict[str, dict[str, np.ndarray]]:
+    """The numbers of the records as arrays, by method and field."""
+    return {
+        method: {
+            name: np.array([getattr(one, name) for one in own], dtype=np.float64)
+            for name, value in vars(own[0]).items()
+            if isinstance(value, float)
+        }
+        for method, own in by_method(scores).items()
+    }
+
+
 def summarise(scores: Sequence[PoseScore]) -> MethodSummary:
     """The figures of one method from its records. Raises InputError for none, or if they are of
     several methods."""
