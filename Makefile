@@ -1,4 +1,4 @@
-# `make demo` and `make test` do all the set-up on a fresh machine: they create .venv and install into it.
+# Every target does its own set-up on a fresh machine: it creates .venv and installs into it.
 # The wheels of torch on PyPI carry CUDA; for a small CPU install, have pip look at PyTorch's own index:
 #   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make demo
 PYTHON ?= python3
@@ -11,7 +11,7 @@ PACKAGING := setup.cfg pyproject.toml constraints.txt
 # As the command sets it (cli/main.py), so that the tests bear a busy machine.
 export GOMP_SPINCOUNT ?= 10000
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
@@ -29,8 +29,11 @@ lint: $(VENV)/.installed-dev
 		--cache-dir $(CURDIR)/.mypy_cache -p dgc_pose
 	cd $(INSTALLED) && PYTHONPATH=. $(BIN)/lint-imports --config $(CURDIR)/setup.cfg
 
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) build dgc_pose.egg-info
+	rm -rf $(VENV) build site dgc_pose.egg-info
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
@@ -43,4 +46,9 @@ $(VENV)/.installed: $(PACKAGING) | $(BIN)/python
 $(VENV)/.installed-dev: $(PACKAGING) | $(BIN)/python
 	@echo "Installing into $(VENV) (a few minutes the first time)"
 	$(INSTALL) --editable '.[dev]'
+	touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: $(PACKAGING) | $(BIN)/python
+	@echo "Installing into $(VENV) (a few minutes the first time)"
+	$(INSTALL) --editable '.[docs]'
 	touch $@ $(VENV)/.installed

@@ -1,29 +1,32 @@
-"""Pairs of images that a known homography relates, as they lie on a disk, and their true maps.
+"""Pairs of images that a known homography relates, read from folders, and their true maps.
 
-Three layouts are known, in a folder and in the folders right below it:
+Three layouts are read, in a folder and in the folders right below it:
 - HPatches: sequences `v_*` of 1.ppm to 6.ppm with H_1_2 to H_1_6 (no illumination, `i_*`);
 - VGG's affine-covariant sets: img1 to img6 with H1to2p to H1to6p;
 - annotated pairs: NAME_A, NAME_B and NAME_H.txt.
-A matrix H takes pixels of the first image to the second, x2 ~ H x1.
+A matrix H maps pixels of the first image to the second, x2 ~ H x1.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image, resize
 from dgc_pose.network.config import INPUT_SIZE
+from dgc_pose.pixels import pixel_grid
 from dgc_pose.synthesis.map_pairs import MapPairs
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
-_FAR = 1e6  # pixels; where a map's place would lie beyond the horizon
+_FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,51 +34,60 @@ class HomographyPair:
     """Two images of a plane. Image 1 is the source, image 2 the target."""
 
     name: str
-    group: str  # that its figures are averaged in: a viewpoint of HPatches, or "" for none
+    group: str  # that its figures are averaged in: a viewpoint of HPatches, or ""
     path1: Path
     path2: Path
     H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
-    size1: tuple[int, int] | None = None  # (width, height) that H was made for, where a list says
+    size1: tuple[int, int] | None = None  # (width, height) that H was made for, if a list says
 
 
 @dataclass(frozen=True)
 class HomographySet:
-    """The pairs of a folder or a list, and what was named there but is not on the disk."""
+    """The pairs of a folder or a list, and those that have no files."""
 
     pairs: tuple[HomographyPair, ...]
     missing: tuple[str, ...]  # pairs without an image or a matrix
 
+    @property
+    def sequences(self) -> set[str]:
+        """Names of the sequences of the grouped pairs."""
+        return {pair.path1.parent.name for pair in self.pairs if pair.group}
 
-def find_pairs(root: str | Path) -> HomographySet:
+
+def homography_set(pairs: Sequence[HomographyPair], facts: Mapping[str, Any]) -> MapSet:
+    """The pairs as a data set, read one by one."""
+    cases = (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in pairs)
+    return MapSet(cases, len(pairs), facts)
+
+
+def find_homography_pairs(root: str | Path) -> HomographySet:
     """All pairs of the three layouts in a folder and the folders right below it.
 
-    Raises InputError where there is no pair, or, with the path, where a matrix is none.
+    Raises InputError if there is no pair or, with the path, if a matrix is malformed.
     """
     root = Path(root)
     if not root.is_dir():
         raise InputError(f"{root}: no such folder")
     folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
-    found: list[HomographyPair] = []
-    missing: list[str] = []
-    for folder in folders:
-        for pair in (*_hpatches(folder), *_vgg(folder), *_annotated(folder)):
-            if isinstance(pair, str):
-                missing.append(pair)
-            else:
-                found.append(pair)
+    named = [
+        pair
+        for folder in folders
+        for pair in (*_hpatches(folder), *_vgg(folder), *_annotated(folder))
+    ]
+    found = tuple(pair for pair in named if isinstance(pair, HomographyPair))
     if not found:
         raise InputError(
             f"{root}: no pairs; expected HPatches (v_*/1.ppm, v_*/H_1_2), VGG's sets (img1.ppm, "
             f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
         )
-    return HomographySet(tuple(found), tuple(missing))
+    return HomographySet(found, tuple(pair for pair in named if isinstance(pair, str)))
 
 
 def load_pair(pair: HomographyPair) -> MapPairs:
-    """A batch of the one pair at 240x240, its true map, and where that lies in image 1.
+    """A batch of the one pair at 240x240 with its true map.
 
-    Raises ImageError for an image that cannot be read, InputError where a list was made for a size
-    of image 1 that is not its own.
+    Raises ImageError for an image that cannot be read, InputError if the pair's list was made for
+    another size of image 1.
     """
     image1, image2 = load_image(pair.path1), load_image(pair.path2)
     if pair.size1 is not None and pair.size1 != image1.size:
@@ -102,26 +114,25 @@ def true_map(
     """The map of a homography between images that are squared to `cells` x `cells` pixels.
 
     H: (3, 3), x2 ~ H x1 in pixels of images of size1 and size2, (width, height). Returns the map
-    (cells, cells, 2) float64, for each pixel of the squared target its place in the squared source,
-    and where valid (cells, cells): both coordinates within 0 and cells - 1, which is [-1, 1] in
-    the paper's normalised coordinates. Squaring follows the half-pixel rule.
+    (cells, cells, 2) float64, for each pixel of the squared target a point of the squared source,
+    and a mask (cells, cells) of valid pixels: both coordinates within 0 and cells - 1, which is
+    [-1, 1] in the paper's normalised coordinates. Squaring follows the half-pixel rule.
     """
     squared = _squaring(size2, cells) @ H @ np.linalg.inv(_squaring(size1, cells))
-    # A scale of H changes nothing but the sign of the depth: positive at the source's centre.
+    # The scale of H decides the sign of the depth alone: positive at the source's centre.
     centre = np.array([(cells - 1) / 2, (cells - 1) / 2, 1.0])
     inverse = np.linalg.inv(squared * np.sign((squared @ centre)[2] or 1.0))
-    axis = np.arange(cells, dtype=np.float64)
-    x, y = np.meshgrid(axis, axis)
-    place = np.stack([x, y, np.ones_like(x)], -1) @ inverse.T
-    ahead = place[..., 2] > 0
-    depth = np.where(ahead, place[..., 2], 1.0)
-    truth = np.where(ahead[..., None], place[..., :2] / depth[..., None], _FAR)
+    pixels = pixel_grid((cells, cells))
+    source = np.concatenate([pixels, np.ones((cells, cells, 1))], -1) @ inverse.T
+    ahead = source[..., 2] > 0
+    depth = np.where(ahead, source[..., 2], 1.0)
+    truth = np.where(ahead[..., None], source[..., :2] / depth[..., None], _FAR)
     valid = ahead & ((truth >= 0) & (truth <= cells - 1)).all(-1)
     return np.clip(truth, -_FAR, _FAR), valid
 
 
 def read_matrix(path: Path) -> np.ndarray:
-    """A homography from a text file. Raises InputError, with the path, where it is none."""
+    """A homography from a text file. Raises InputError, with the path, if it is malformed."""
     try:
         rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
         H = np.array([[float(field) for field in row] for row in rows if row])
@@ -140,7 +151,7 @@ def check_matrix(H: np.ndarray, where: str) -> np.ndarray:
 
 
 def _squaring(size: tuple[int, int], cells: int) -> np.ndarray:
-    """Pixels of an image of `size` to those of the square, by the half-pixel rule: (3, 3)."""
+    """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
     sx, sy = np.divide(cells, size)
     return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
 
@@ -168,10 +179,8 @@ def _annotated(folder: Path) -> Iterator[HomographyPair | str]:
         yield _pair(f"{folder.resolve().name}/{name}", "", images, matrix)
 
 
-def _pair(
-    name: str, group: str, images: list[Path | None], matrix: Path
-) -> HomographyPair | str:
-    """The pair, or its name where a part of it is not there."""
+def _pair(name: str, group: str, images: list[Path | None], matrix: Path) -> HomographyPair | str:
+    """The pair, or its name if a file is missing."""
     first, second = images
     if first is None or second is None or not matrix.is_file():
         return name
@@ -179,6 +188,6 @@ def _pair(
 
 
 def _image(stem: Path) -> Path | None:
-    """The file of that name with the ending of an image."""
+    """The image file of that name, whatever its suffix."""
     paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
     return next((path for path in paths if path.is_file()), None)

@@ -24,9 +24,9 @@ _COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]
 
 
 def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
-    """The pairs of all five lists; those whose images are not below `root` are told as missing.
+    """The pairs of all five lists; those whose images are not below `root` are `missing`.
 
-    Raises InputError, with the path and the line, where a list is absent or a line is none.
+    Raises InputError, with the path and the line, if a list is missing or a line malformed.
     """
     pairs: list[HomographyPair] = []
     missing: list[str] = []

@@ -1,9 +1,8 @@
-"""What bench-hpatches and bench-synthetic put on paper: tables, JSON and a row a pair."""
+"""The report of bench-hpatches and bench-synthetic: tables, JSON, and a CSV row a pair."""
 
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
@@ -17,9 +16,9 @@ from dgc_pose.evaluation.map_scores import (
     WITHIN,
     MapSummary,
     PairScores,
-    pooled_reliability,
-    summarise,
+    summarise_maps,
 )
+from dgc_pose.files import finite_or_none
 from dgc_pose.metrics import Reliability
 from dgc_pose.network.config import LEVEL_SIZES
 
@@ -28,17 +27,17 @@ ALL = "all"
 
 _LEVELS = LEVEL_SIZES[::-1]  # coarse to fine, as the scores have them
 HEADING = (
-    "errors in pixels of 240x240, over the pixels whose true place is known, no mask applied\n"
+    "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
     "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each pyramid level's map\n"
     "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
     "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "
-    "which is what dgcm-lite's mask is trained to say"
+    "which dgcm-lite's mask is trained for"
 )
 
 
 def groups_of(scores: Scores) -> list[str]:
-    """The groups of the pairs, in the order in which they came; not the pairs without one."""
+    """The groups of the pairs, in their first order; pairs without a group have none."""
     first = next(iter(scores.values()))
     return list(dict.fromkeys(own.group for own in first if own.group))
 
@@ -49,7 +48,7 @@ def summaries(scores: Scores, group: str | None = None) -> list[MapSummary]:
         method: [one for one in own if group is None or one.group == group]
         for method, own in scores.items()
     }
-    return [summarise(own, ALL if group is None else group) for own in chosen.values()]
+    return [summarise_maps(own, ALL if group is None else group) for own in chosen.values()]
 
 
 def figures_table(rows: Sequence[MapSummary], first: str = "method") -> str:
@@ -69,7 +68,7 @@ def groups_table(
     for method, own in scores.items():
         parts = [[one for one in own if one.group == group] for group in groups]
         parts.append([one for one in own if one.group])
-        cells = [getattr(summarise(part), figure) for part in parts]
+        cells = [getattr(summarise_maps(part), figure) for part in parts]
         lines.append([method, *(_number(value, digits) for value in cells)])
     for name, values in published.items():
         lines.append([name, *(_number(value, digits) for value in values), "-"])
@@ -78,7 +77,7 @@ def groups_table(
 
 def pairs_table(scores: Scores) -> str:
     """The AEPE of every pair without a group, a line each, a column a method; and the share of
-    pixels whose place is known."""
+    its pixels of known correspondence."""
     lines = [["pair", "valid", *scores]]
     for own in zip(*scores.values(), strict=True):
         if own[0].group:
@@ -89,7 +88,7 @@ def pairs_table(scores: Scores) -> str:
 
 
 def reliability_line(method: str, reliability: Reliability) -> str:
-    """How the matchability agrees with the share of matches that are right, on one line."""
+    """The share of right matches by matchability, on one line."""
     shares = " ".join(_number(100 * value, 0) for value in reliability.share_correct)
     return (
         f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {shares}; "
@@ -97,16 +96,29 @@ def reliability_line(method: str, reliability: Reliability) -> str:
     )
 
 
+def reliability_lines(scores: Scores) -> list[str]:
+    """A line for each method that has a mask."""
+    return [
+        reliability_line(summary.method, summary.reliability)
+        for summary in summaries(scores)
+        if summary.reliability is not None
+    ]
+
+
 def report_data(scores: Scores) -> dict[str, Any]:
-    """All figures for JSON, with null where a figure is not there."""
+    """All figures for JSON; null for a figure that does not exist."""
     methods = []
     for method, own in scores.items():
-        groups = [summarise([one for one in own if one.group == g], g) for g in groups_of(scores)]
-        reliability = pooled_reliability(own)
+        groups = [
+            summarise_maps([one for one in own if one.group == group])
+            for group in groups_of(scores)
+        ]
+        total = summarise_maps(own, ALL)
+        reliability = total.reliability
         methods.append(
             {
                 "method": method,
-                "all": _summary_data(summarise(own, ALL)),
+                "all": _summary_data(total),
                 "groups": [_summary_data(group) for group in groups],
                 "reliability": None if reliability is None else _reliability_data(reliability),
                 "pairs": [_pair_data(one) for one in own],
@@ -140,9 +152,9 @@ def _summary_data(summary: MapSummary) -> dict[str, Any]:
         "group": summary.group,
         "pairs": summary.pairs,
         **_figures(summary.aepe, summary.level_aepe),
-        **{f"pck{w:g}": _finite(v) for w, v in zip(WITHIN, summary.within, strict=True)},
-        "jaccard": _finite(summary.jaccard),
-        "jaccard_found": _finite(summary.jaccard_found),
+        **{f"pck{w:g}": finite_or_none(v) for w, v in zip(WITHIN, summary.within, strict=True)},
+        "jaccard": finite_or_none(summary.jaccard),
+        "jaccard_found": finite_or_none(summary.jaccard_found),
         "pck": _finite_list(summary.pck),
     }
 
@@ -153,14 +165,14 @@ def _pair_data(scores: PairScores) -> dict[str, Any]:
         "pair": scores.name,
         "valid_pixels": scores.valid,
         **_figures(scores.aepe, scores.level_aepe),
-        "jaccard": _finite(scores.jaccard),
-        "jaccard_found": _finite(scores.jaccard_found),
+        "jaccard": finite_or_none(scores.jaccard),
+        "jaccard_found": finite_or_none(scores.jaccard_found),
     }
 
 
 def _figures(aepe: float, levels: Sequence[float]) -> dict[str, float | None]:
-    named = {f"aepe{cells}": _finite(v) for cells, v in zip(_LEVELS, levels, strict=True)}
-    return {"aepe": _finite(aepe), **named}
+    named = {f"aepe{cells}": finite_or_none(v) for cells, v in zip(_LEVELS, levels, strict=True)}
+    return {"aepe": finite_or_none(aepe), **named}
 
 
 def _reliability_data(reliability: Reliability) -> dict[str, Any]:
@@ -170,17 +182,13 @@ def _reliability_data(reliability: Reliability) -> dict[str, Any]:
         "counts": reliability.counts.tolist(),
         "share_correct": _finite_list(reliability.share_correct),
         "mean_confidence": _finite_list(reliability.mean_confidence),
-        "expected_calibration_error": _finite(reliability.calibration_error),
+        "expected_calibration_error": finite_or_none(reliability.calibration_error),
     }
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def _finite_list(values: np.ndarray) -> list[float | None]:
-    return [_finite(value) for value in values]
+    return [finite_or_none(value) for value in values]
 
 
 def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+    return "-" if finite_or_none(value) is None else f"{value:.{digits}f}"

@@ -1,20 +1,21 @@
-"""Every network on every pair with a known map; the worst pairs are kept for pictures."""
+"""Every network on every pair of a data set with known maps."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dgc_pose.evaluation.map_comparison import Comparison, compare
-from dgc_pose.evaluation.map_scores import PairScores, score
+from dgc_pose.evaluation.map_scores import PairScores, score_map
 from dgc_pose.network.net import DGCNet
 from dgc_pose.synthesis.map_pairs import MapPairs
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class MapCase:
     """A batch of 240x240 pairs, named."""
 
     group: str  # that the figures are averaged in
@@ -23,8 +24,17 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one network made of one pair."""
+class MapSet:
+    """A data set: pairs with known maps, batch by batch."""
+
+    cases: Iterable[MapCase]
+    total: int  # pairs
+    facts: Mapping[str, Any]  # what the JSON says of the set
+
+
+@dataclass(frozen=True, eq=False)
+class MapOutcome:
+    """One network's result for one pair."""
 
     scores: PairScores
     comparison: Comparison
@@ -32,21 +42,18 @@ class Outcome:
     image2: np.ndarray  # (240, 240, 3) uint8
 
 
-def run(
-    cases: Iterable[Case], nets: Mapping[str, DGCNet], per_axis: bool = False
-) -> Iterator[Outcome]:
-    """Yield the outcome of each pair by each network, case by case, as each is done."""
+def map_outcomes(
+    cases: Iterable[MapCase], nets: Mapping[str, DGCNet], per_axis: bool = False
+) -> Iterator[MapOutcome]:
+    """Yield the outcome of each pair by each network, case by case, as soon as it is known."""
     for case in cases:
+        images1, images2 = _pictures(case.pairs)
         for method, net in nets.items():
             device = next(net.parameters()).device
             comparisons = compare(net, case.pairs.to(device))
             for index, (name, comparison) in enumerate(zip(case.names, comparisons, strict=True)):
-                yield Outcome(
-                    score(method, case.group, name, comparison, per_axis),
-                    comparison,
-                    _picture(case.pairs, index, 1),
-                    _picture(case.pairs, index, 2),
-                )
+                scores = score_map(method, case.group, name, comparison, per_axis)
+                yield MapOutcome(scores, comparison, images1[index], images2[index])
 
 
 class WorstPairs:
@@ -54,22 +61,22 @@ class WorstPairs:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._kept: dict[str, list[Outcome]] = {}
+        self._kept: dict[str, list[MapOutcome]] = {}
 
-    def add(self, outcome: Outcome) -> None:
+    def add(self, outcome: MapOutcome) -> None:
         if not outcome.scores.valid:
-            return  # nothing in it could be found
+            return  # no pixel of known truth
         kept = self._kept.setdefault(outcome.scores.method, [])
         kept.append(outcome)
         kept.sort(key=lambda own: -np.nan_to_num(own.scores.aepe, nan=np.inf))
         del kept[self._count :]
 
-    def of(self, method: str) -> list[Outcome]:
+    def of(self, method: str) -> list[MapOutcome]:
         """The worst first."""
         return self._kept.get(method, [])
 
 
-def _picture(pairs: MapPairs, index: int, number: int) -> np.ndarray:
-    image = (pairs.image1 if number == 1 else pairs.image2)[index]
-    pixels: np.ndarray = (255 * image.permute(1, 2, 0)).round().byte().cpu().numpy()
-    return pixels
+def _pictures(pairs: MapPairs) -> list[np.ndarray]:
+    """Both images of each pair: (B, 240, 240, 3) uint8."""
+    images = (pairs.image1, pairs.image2)
+    return [(255 * each.permute(0, 2, 3, 1)).round().byte().cpu().numpy() for each in images]

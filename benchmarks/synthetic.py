@@ -1,34 +1,39 @@
-"""Fixed sets of synthetic pairs from photographs that trained nothing.
+"""Fixed sets of synthetic pairs from photographs that training holds back.
 
-The paper's sets (its section 4 and Table 1) by their published ranges, without photometric change
-and without anything standing before the views, as its lists have none; and ray-cast 3D scenes.
+The paper's sets (section 4 and Table 1) by their published ranges, without photometric changes and
+occluders, as its lists have none; and ray-cast 3D scenes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from dgc_pose.benchmarks.map_run import Case
+from dgc_pose.benchmarks.map_run import MapCase, MapSet
+from dgc_pose.benchmarks.published import SYNTHETIC
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.synthesis.photometric import PhotometricOptions, random_photometric
-from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
-from dgc_pose.synthesis.render import SceneOptions, render_pairs
-from dgc_pose.synthesis.warp_lists import WarpRow, list_pairs
-from dgc_pose.synthesis.warps import (
-    FAR,
+from dgc_pose.synthesis.options import (
     PAPER_AFFINE,
     PAPER_AFFINE_TPS,
     PAPER_HOMOGRAPHY,
+    PairOptions,
+    PhotometricOptions,
+    SceneOptions,
     WarpOptions,
 )
+from dgc_pose.synthesis.photometric import random_photometric
+from dgc_pose.synthesis.photos import Photos, load_held_back
+from dgc_pose.synthesis.random_pairs import make_pairs
+from dgc_pose.synthesis.render import render_pairs
+from dgc_pose.synthesis.warp_lists import WarpList, WarpRow, list_pairs
+from dgc_pose.synthesis.warps import FAR
 
 # By name, the paper's ranges; the scenes beside them are ray-cast.
 _WARPS: dict[str, WarpOptions] = {
@@ -38,22 +43,43 @@ _WARPS: dict[str, WarpOptions] = {
 }
 _SCENES = "scenes"
 SETS = (*_WARPS, _SCENES)
+_PUBLISHED = {"published": SYNTHETIC}
 
 # The paper's views are the middle 9/16 of a photograph's width and height, mirrored beyond its
-# edges. Ours lie anywhere in it.
+# edges. Ours have any position.
 _VIEW = 9 / 16
-PHOTO_SIDE = round(INPUT_SIZE / _VIEW / 16) * 16  # pixels, so that a view is not enlarged again
-ROTATION_DEG = (5.0, 30.0)  # between the cameras of a scene, roll and all
+PHOTO_SIDE = round(INPUT_SIZE / _VIEW / 16) * 16  # pixels: a view is not enlarged once more
+ROTATION_DEG = (5.0, 30.0)  # between the cameras of a scene, roll included
 _BATCH = 8  # pairs made at a time; another number would make other pairs
+
+
+def synthetic_set(
+    root: str | Path, names: Sequence[str], pairs: int, seed: int, *, changed: bool = False
+) -> MapSet:
+    """`pairs` pairs of each set named, from the photographs below `root` that training holds back.
+
+    Raises InputError for a name that is none of SETS or for no names, ImageError if no photograph
+    is held back.
+    """
+    for name in names:
+        if name not in SETS:
+            raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")
+    if not names:
+        raise InputError("no sets named")
+    photos = load_held_back(root, PHOTO_SIDE)
+    names = list(dict.fromkeys(names))
+    cases = (synthetic_cases(photos, name, pairs, seed, changed=changed) for name in names)
+    facts = {"photographs": len(photos.pixels), "seed": seed, "changed": changed}
+    return MapSet(chain.from_iterable(cases), pairs * len(names), {**facts, **_PUBLISHED})
 
 
 def synthetic_cases(
     photos: Photos, name: str, pairs: int, seed: int, *, changed: bool = False
-) -> Iterator[Case]:
+) -> Iterator[MapCase]:
     """Batches of the set of that name, always the same for the same photographs and seed.
 
-    changed: with the trainer's photometric changes, and its occluders before warped views.
-    Raises InputError for a name that is none of SETS.
+    changed: with the trainer's photometric changes, and its occluders in warped views. Raises
+    InputError for a name that is none of SETS.
     """
     if name not in SETS:
         raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")
@@ -68,28 +94,34 @@ def synthetic_cases(
         kept = min(len(batch.map), pairs - done)
         names = tuple(
             f"{name} {done + index}" + ", past its horizon" * beyond
-            for index, beyond in enumerate(_see_past_the_horizon(batch)[:kept])
+            for index, beyond in enumerate(_beyond_horizon(batch)[:kept])
         )
-        yield Case(name, names, batch.chosen(slice(kept)))
+        yield MapCase(name, names, batch.chosen(slice(kept)))
         done += kept
 
 
-def _see_past_the_horizon(pairs: MapPairs) -> list[bool]:
-    """Of which pairs the target shows more than the plane: no camera sees it turned so far."""
+def _beyond_horizon(pairs: MapPairs) -> list[bool]:
+    """For each pair, whether the target shows the plane's horizon, which no real view does."""
     return (pairs.map >= FAR).flatten(1).any(1).tolist()
 
 
-def listed_cases(rows: Sequence[WarpRow], root: str | Path) -> Iterator[Case]:
-    """Batches of the pairs of an authors' list, by kind, of photographs below `root`.
+def listed_set(path: str | Path, root: str | Path) -> MapSet:
+    """All pairs of an authors' list, of photographs below `root`, batch by batch and by kind.
 
-    Raises ImageError where a photograph cannot be read.
+    Raises InputError if the list is malformed; its batches raise ImageError if a photograph cannot
+    be read.
     """
+    rows = WarpList.read(path).rows
+    return MapSet(_listed_cases(rows, root), len(rows), {"list": str(path), **_PUBLISHED})
+
+
+def _listed_cases(rows: Sequence[WarpRow], root: str | Path) -> Iterator[MapCase]:
     for kind in dict.fromkeys(row.kind for row in rows):
         numbered = [(n, row) for n, row in enumerate(rows, start=1) if row.kind == kind]
         for start in range(0, len(numbered), _BATCH):
             part = numbered[start : start + _BATCH]
             names = tuple(f"{row.file}, row {n}" for n, row in part)
-            yield Case(kind, names, list_pairs([row for _, row in part], root))
+            yield MapCase(kind, names, list_pairs([row for _, row in part], root))
 
 
 def _warped(
@@ -104,9 +136,7 @@ def _warped(
         yield make_pairs(photos, _BATCH, INPUT_SIZE, generator, options)
 
 
-def _scenes(
-    photos: Photos, generator: torch.Generator, changed: bool
-) -> Iterator[MapPairs]:
+def _scenes(photos: Photos, generator: torch.Generator, changed: bool) -> Iterator[MapPairs]:
     """Batches of those scenes whose cameras differ by ROTATION_DEG."""
     scenes = SceneOptions(rotation_deg=ROTATION_DEG, supersample=2)
     while True:

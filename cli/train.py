@@ -1,152 +1,69 @@
-"""`dgc-pose train`: train a preset from photographs."""
+"""`dgc-pose train`: train a preset on photographs."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.options import check_options, option
+from dgc_pose.training.options import RunOptions
+
 if TYPE_CHECKING:
     from dgc_pose.synthesis.depth_scenes import DepthScenes
-    from dgc_pose.synthesis.warps import WarpOptions
-    from dgc_pose.training.stages import Thawed
-    from dgc_pose.training.start import InitPart
+
+
+@dataclass(frozen=True)
+class TrainFiles:
+    """Where a run reads and writes, and how it uses the machine."""
+
+    photos: Path = option(
+        help="Folder of photographs, searched through; one in twenty is held back for validation."
+    )
+    out: Path = option(help="Folder of the run's files.")
+    resume: bool = option(False, "Continue the run in --out.")
+    stop_after: float | None = option(
+        None, "Stop, to --resume later, after so many minutes.", above=0
+    )
+    device: str = option("auto", "auto, cpu or cuda.")
+    threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1)
+    rgbd: tuple[Path, ...] = option(
+        (), "Folder of posed RGB-D frames (K.txt, poses.txt, images, depth); may be repeated."
+    )
+    real_share: float | None = option(
+        None, "Share of the pairs from --rgbd; default: 0.25 with --rgbd.", min=0, max=1
+    )
+    precision: Literal["auto", "float32", "bfloat16"] = option(
+        "auto", "Of the convolutions; auto: bfloat16 if the processor multiplies it."
+    )
+    limit: int | None = option(None, "Use so many photographs only.", min=1)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.real_share and not self.rgbd:
+            raise click.BadParameter("needs --rgbd", param_hint="--real-share")
+
+    def load_real(self) -> DepthScenes | None:
+        """The frames that train; the rest of each sequence is held back."""
+        from dgc_pose.synthesis.depth_scenes import hold_back, load_depth_scenes
+        from dgc_pose.synthesis.posed_depth import read_rgbd
+
+        if not self.rgbd:
+            return None
+        return load_depth_scenes([hold_back(read_rgbd(folder))[0] for folder in self.rgbd])
 
 
 @click.command()
-@click.option(
-    "--photos",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder of photographs, searched through; one "
-    "in twenty is held back for validation.",
-)
-@click.option("--preset", default="dgcm-lite", show_default=True, help="dgc, dgcm or dgcm-lite.")
-@click.option(
-    "--ablation",
-    "ablations",
-    multiple=True,
-    help="no-l2, flow, no-dilation, local-correlation, no-consensus, coarsest-alone or one-size; "
-    "may be given several times.",
-)
-@click.option("--minutes", type=float, help="Of training: a complete schedule in so many.")
-@click.option("--steps", type=int, help="The same in steps; such a run repeats exactly.")
-@click.option(
-    "--out", required=True, type=click.Path(path_type=Path), help="Folder of the run's files."
-)
-@click.option("--resume", is_flag=True, help="Go on with the run in --out.")
-@click.option("--stop-after", type=float, help="Stop, to --resume later, after so many minutes.")
-@click.option("--device", default="auto", show_default=True, help="auto, cpu or cuda.")
-@click.option("--seed", default=0, show_default=True, help="Of all random draws.")
-@click.option("--threads", type=int, default=None, help="CPU threads; default: torch's own choice.")
-@click.option(
-    "--split",
-    default="45,45,10",
-    show_default=True,
-    help="Shares of the time for encoder, decoders and polish, in percent; or for encoder, its "
-    "coarsest levels, decoders and polish.",
-)
-@click.option(
-    "--scene-share",
-    default=0.5,
-    show_default=True,
-    help="Share of the pairs that are ray-cast 3D scenes; the rest are warped photographs.",
-)
-@click.option(
-    "--rgbd",
-    "rgbd",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    help="Folder of posed RGB-D frames (K.txt, poses.txt, images, depth); may be repeated.",
-)
-@click.option(
-    "--real-share",
-    type=float,
-    default=None,
-    help="Share of the pairs from --rgbd; default: 0.25 with --rgbd.",
-)
-@click.option(
-    "--warps",
-    default="wide",
-    show_default=True,
-    help="Ranges of the warps: wide, paper, paper-affine, paper-affine-tps or paper-homography.",
-)
-@click.option("--curriculum", is_flag=True, help="From narrow ranges to full ones by half the run.")
-@click.option("--init", help="Weights to start from: a file, or a shipped name.")
-@click.option(
-    "--init-part",
-    type=click.Choice(["all", "encoder"]),
-    default="all",
-    show_default=True,
-    help="Of the --init weights; the rest starts from random numbers.",
-)
-@click.option(
-    "--rate",
-    default=1.0,
-    show_default=True,
-    help="Times the stages' own learning rates; less, 0.1 say, with --init.",
-)
-@click.option(
-    "--thaw",
-    type=click.Choice(["coarsest", "encoder"]),
-    default=None,
-    help="The encoder, or its coarsest levels, goes on learning while the decoders do.",
-)
-@click.option("--teacher", help="Weights of a net with a mask to learn from, beside the truth.")
-@click.option(
-    "--teacher-weight", default=0.5, show_default=True, help="Of the teacher's map in the loss."
-)
-@click.option(
-    "--batch",
-    type=int,
-    default=None,
-    help="Pairs a step, over all processes; default: the stage's own.",
-)
-@click.option(
-    "--precision",
-    type=click.Choice(["auto", "float32", "bfloat16"]),
-    default="auto",
-    show_default=True,
-    help="Of the convolutions; auto: bfloat16 where the processor multiplies it.",
-)
-@click.option(
-    "--validation-pairs", default=64, show_default=True, help="Pairs of held-back photographs."
-)
-@click.option("--limit", type=int, default=None, help="Use so many photographs only.")
-def train(
-    photos: Path,
-    preset: str,
-    ablations: tuple[str, ...],
-    minutes: float | None,
-    steps: int | None,
-    out: Path,
-    resume: bool,
-    stop_after: float | None,
-    device: str,
-    seed: int,
-    threads: int | None,
-    split: str,
-    scene_share: float,
-    rgbd: tuple[Path, ...],
-    real_share: float | None,
-    warps: str,
-    curriculum: bool,
-    init: str | None,
-    init_part: InitPart,
-    rate: float,
-    thaw: Thawed | None,
-    teacher: str | None,
-    teacher_weight: float,
-    batch: int | None,
-    precision: str,
-    validation_pairs: int,
-    limit: int | None,
-) -> None:
-    """Train PRESET on photographs: encoder, then decoders, then polish.
+@dataclass_options(TrainFiles, "files")
+@dataclass_options(RunOptions, "options")
+def train(files: TrainFiles, options: RunOptions) -> None:
+    """Train a preset on photographs: encoder, then decoders, then polish (decoders end to end).
 
-    The run lives in --out: checkpoint.pt (written every minute; --resume goes on after any kill),
-    a CSV log for each stage and, at the end, PRESET.safetensors.
+    The run's folder --out holds checkpoint.pt (written every minute; --resume continues from it
+    after any kill), a CSV log for each stage and, at the end, the weights as .safetensors.
 
     On several GPUs: torchrun --nproc-per-node N --no-python dgc-pose train ...
     """
@@ -154,76 +71,38 @@ def train(
 
     from dgc_pose.network.device import choose_device, multiplies_bfloat16
     from dgc_pose.synthesis.photos import load_photos
-    from dgc_pose.synthesis.random_pairs import PairOptions
-    from dgc_pose.training.curriculum import Curriculum
     from dgc_pose.training.processes import process_group, rank
     from dgc_pose.training.progress import ProgressLine
-    from dgc_pose.training.run import RunOptions, Trainer
-    from dgc_pose.training.schedule import Schedule
+    from dgc_pose.training.run import Trainer
 
-    if threads is not None:
-        torch.set_num_threads(threads)
-    chosen = choose_device(device)
+    if files.threads is not None:
+        torch.set_num_threads(files.threads)
+    device = choose_device(files.device)
+    real_share = files.real_share
     if real_share is None:
-        real_share = 0.25 if rgbd else 0.0
-    options = RunOptions(
-        preset="+".join([preset, *ablations]),
-        minutes=minutes,
-        steps=steps,
-        seed=seed,
-        schedule=Schedule.parse(split),
-        pairs=PairOptions(
-            scene_share=scene_share, real_share=real_share, warps=_warps(warps)
-        ),
-        curriculum=Curriculum() if curriculum else None,
-        init=init,
-        init_part=init_part,
-        rate=rate,
-        thaw=thaw,
-        teacher=teacher,
-        teacher_weight=teacher_weight,
-        batch=batch,
-        half_precision=precision == "bfloat16"
-        or (precision == "auto" and multiplies_bfloat16(chosen)),
-        validation_count=validation_pairs,
+        real_share = 0.25 if files.rgbd else 0.0
+    options = replace(
+        options,
+        pairs=replace(options.pairs, real_share=real_share),
+        half_precision=files.precision == "bfloat16"
+        or (files.precision == "auto" and multiplies_bfloat16(device)),
     )
-    if stop_after is not None and not stop_after > 0:
-        raise click.BadParameter("must be positive", param_hint="--stop-after")
-    if real_share > 0 and not rgbd:
-        raise click.BadParameter("needs --rgbd", param_hint="--real-share")
-    with process_group(chosen) as own_device:
+    with process_group(device) as own_device:
+        photos = load_photos(files.photos, limit=files.limit)
         trainer = Trainer(
-            load_photos(photos, limit=limit),
-            out,
+            photos,
+            files.out,
             options,
-            real=_real_scenes(rgbd),
+            real=files.load_real(),
             device=own_device,
-            resume=resume,
+            resume=files.resume,
         )
-        trainer.run(ProgressLine(options), stop_after)
+        trainer.run(ProgressLine(options), files.stop_after)
         if rank() > 0:
             return
     if trainer.complete:
         click.echo(f"wrote {trainer.weights_path}")
+    elif options.minutes is None:
+        click.echo(f"stopped after {trainer.step} of {options.steps} steps")
     else:
-        length = f"{steps} steps" if minutes is None else f"{minutes:g} minutes"
-        done = trainer.step if minutes is None else f"{trainer.elapsed / 60:.1f}"
-        click.echo(f"stopped after {done} of {length}")
-
-
-def _warps(name: str) -> WarpOptions:
-    from dgc_pose.synthesis.warps import WARPS
-
-    if name not in WARPS:
-        raise click.BadParameter(f"must be one of {', '.join(WARPS)}", param_hint="--warps")
-    return WARPS[name]
-
-
-def _real_scenes(folders: tuple[Path, ...]) -> DepthScenes | None:
-    """The frames that train; the rest of each walk is held back."""
-    from dgc_pose.synthesis.depth_scenes import hold_back, load_depth_scenes
-    from dgc_pose.synthesis.posed_depth import read_rgbd
-
-    if not folders:
-        return None
-    return load_depth_scenes([hold_back(read_rgbd(folder))[0] for folder in folders])
+        click.echo(f"stopped after {trainer.elapsed / 60:.1f} of {options.minutes:g} minutes")

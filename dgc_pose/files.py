@@ -53,6 +53,25 @@ def _create(path: str, target: Path) -> Path:
     return file
 
 
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """A temporary file beside `path` that takes its place if the block ends without an error.
+
+    An interrupted write leaves the old file whole.
+    """
+    temporary = path.with_name(path.name + ".part")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """The value as a float for JSON, which has no NaN and no infinity: None instead."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. Raises what `staged` raises."""
     with staged(str(path)) as stage:

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import torch
 
+from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.synthesis.render.draw import Draw
-from dgc_pose.synthesis.render.options import SceneOptions
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.random_scene import random_scene
 from dgc_pose.synthesis.render.raycast import Lighting
@@ -69,15 +69,3 @@ def poses(pair: RenderedPair) -> tuple[np.ndarray, np.ndarray]:
     relative = np.eye(4)
     relative[:3, :3], relative[:3, 3] = pair.R, METRES * pair.t
     return first, relative @ first
-
-
-def pfm(values: np.ndarray) -> bytes:
-    """A PFM file's bytes: little-endian floats, the lowest row first."""
-    height, width = values.shape
-    return f"Pf\n{width} {height}\n-1.0\n".encode() + values[::-1].astype("<f4").tobytes()
-
-
-def cam_text(K: np.ndarray, pose: np.ndarray) -> str:
-    rows = [" ".join(map(repr, row)) for row in pose.tolist()]
-    intrinsics = [" ".join(map(repr, row)) for row in K.tolist()]
-    return "\n".join(["extrinsic", *rows, "", "intrinsic", *intrinsics, "", "425.0 2.5"]) + "\n"

@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from demo_scene import demo_scene
 
 from dgc_pose.benchmarks.dtu.calibration import View
 from dgc_pose.camera import Camera
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras
-from dgc_pose.synthesis.render.demo_scene import demo_scene
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.raycast import Lighting, cast, describe, shade
 

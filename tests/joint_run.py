@@ -8,9 +8,14 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from dgc_pose.synthesis.batches import joined
+from dgc_pose.synthesis.draw import seeded
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.random_pairs import PairOptions
+from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.training.options import RunOptions
 from dgc_pose.training.processes import (
     join_batch_norms,
     joint_sum,
@@ -18,17 +23,36 @@ from dgc_pose.training.processes import (
     process_group,
     rank,
 )
-from dgc_pose.training.run import RunOptions, Trainer
-from dgc_pose.training.schedule import Schedule
+from dgc_pose.training.run import Trainer
+from dgc_pose.training.schedule import STAGES, Schedule
 
 _SCHEDULE = Schedule(0.3, 0.5, 0.0, coarsest=0.2)
 PROGRESS = {"encoder": 0.2, "coarsest": 0.4, "decoders": 0.6}  # of the schedule
 
 
+class _BothParts(Trainer):
+    """Trains on the joint batch of two processes, each part of it made as its process makes it."""
+
+    def _make_pairs(self, progress: float) -> MapPairs:
+        size = STAGES[self.options.schedule.at(progress)[0]].size
+        parts = [
+            make_pairs(
+                self.photos,
+                1,
+                size,
+                seeded(self.options.seed, self.step, "pairs", part),
+                self.options.pairs,
+            )
+            for part in (0, 1)
+        ]
+        return joined(parts)
+
+
 def joint_run(out: Path) -> dict[str, dict[str, object]]:
     """Of each stage, from the same random weights: figures of two steps, gradients of the first.
 
-    A batch is two pairs, made as two parts whatever the number of processes.
+    A batch is two pairs. A process that runs alone makes both, as two processes would: see
+    `_BothParts`.
     """
     photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
     pairs = PairOptions(scene_share=0.0)
@@ -39,11 +63,11 @@ def joint_run(out: Path) -> dict[str, dict[str, object]]:
         pairs=pairs,
         validation_count=1,
         batch=2,
-        parts=2,
     )
+    kind = Trainer if process_count() > 1 else _BothParts
     results: dict[str, dict[str, object]] = {}
     for stage, progress in PROGRESS.items():
-        trainer = Trainer((photos, photos), out / stage, options)
+        trainer = kind((photos, photos), out / stage, options)
         first = _figures(trainer, progress)
         gradients = [p.grad.clone() for p in trainer.parameters if p.grad is not None]
         second = _figures(trainer, progress)

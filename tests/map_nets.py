@@ -11,7 +11,7 @@ from dgc_pose.network.net import Prediction
 
 
 class MapNet(nn.Module):
-    """Says the same map and mask of every pair, at all levels.
+    """Gives the same map and mask for every pair, at all levels.
 
     map: (240, 240, 2) pixels of the source; matchability: (240, 240) in (0, 1), or None.
     """
@@ -38,7 +38,7 @@ class MapNet(nn.Module):
 
 
 def shifted(dx: float, dy: float) -> Tensor:
-    """The map that looks for every pixel (dx, dy) further on: (240, 240, 2)."""
+    """The map (240, 240, 2) that shifts every pixel by (dx, dy)."""
     axis = torch.arange(240.0)
     x, y = torch.meshgrid(axis, axis, indexing="xy")
     return torch.stack([x + dx, y + dy], -1)

@@ -1,4 +1,4 @@
-"""A device that pretends: its tensors hold real numbers, and refuse to meet those of the CPU.
+"""A simulated device: its tensors hold real numbers, and do not mix with those of the CPU.
 
 It stands in for a GPU where there is none. What runs on it and agrees with the CPU mixes no devices
 and leaves no tensor behind; how often the processor would have to wait for the GPU is counted. The

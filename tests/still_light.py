@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dgc_pose.synthesis.photometric import PhotometricOptions
+from dgc_pose.synthesis.options import PhotometricOptions
 
 STILL = PhotometricOptions(
     gain=0,

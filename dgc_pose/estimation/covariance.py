@@ -17,7 +17,7 @@ from dgc_pose.estimation.model import Model, error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
 
-BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/accuracy.md
+BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
 _RIDGE = 1e-9  # keeps the remaining information regular if one block has nearly all
 

@@ -1,1 +1,1 @@
-"""A network's dense maps against the truth: per pair, and summed over pairs."""
+"""A network's dense maps compared with the truth: per pair, and summarised over pairs."""

@@ -1,4 +1,4 @@
-"""A network's maps of pairs beside the truth."""
+"""A network's dense maps of pairs, with the true maps."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from dgc_pose.synthesis.map_pairs import MapPairs
 
 @dataclass(frozen=True, eq=False)
 class LevelMap:
-    """A level's map of one pair beside the truth, in pixels of the 240x240 input."""
+    """A level's map of one pair and the true one, in pixels of the 240x240 input."""
 
-    found: np.ndarray  # (S, S, 2) float32, for each cell of the target its place in the source
+    found: np.ndarray  # (S, S, 2) float32, for each cell of the target a point of the source
     truth: np.ndarray  # (S, S, 2) float32
-    valid: np.ndarray  # (S, S) bool, where the truth holds
+    valid: np.ndarray  # (S, S) bool, cells of known truth
 
     @property
     def aepe(self) -> float:
-        """Mean Euclidean error over the valid cells, pixels; NaN where there are none."""
+        """Mean Euclidean error over the valid cells, pixels; NaN without any."""
         return aepe(self.found, self.truth, self.valid)
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What a network says of one pair, beside the truth."""
+    """A network's maps and mask of one pair, with the truth."""
 
     levels: tuple[LevelMap, ...]  # coarse to fine, 15 to 240 cells a side
-    matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None for a net without a mask
-    known: np.ndarray  # (240, 240) bool, where it is known whether there is something to find
+    matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
+    known: np.ndarray  # (240, 240) bool, pixels of known visibility
 
     @property
     def finest(self) -> LevelMap:
@@ -45,7 +45,7 @@ class Comparison:
 
     @property
     def errors(self) -> np.ndarray:
-        """Euclidean error (240, 240) of every pixel; infinite where there is nothing to find."""
+        """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
         distance = np.full(self.finest.valid.shape, np.inf)
         finest = self.finest
         distance[finest.valid] = endpoint_errors(finest.found, finest.truth, finest.valid)
@@ -53,15 +53,15 @@ class Comparison:
 
     @property
     def mask(self) -> np.ndarray | None:
-        """(240, 240) bool, where the matchability is above one half."""
+        """(240, 240) bool, matchability above one half."""
         return None if self.matchability is None else self.matchability > 0.5
 
 
 @torch.no_grad()
 def compare(net: DGCNet, pairs: MapPairs) -> list[Comparison]:
-    """The net's bare forward pass on a batch of 240x240 pairs, pair by pair beside the truth.
+    """The net's forward pass on a batch of 240x240 pairs, split into pairs.
 
-    The net is taken in evaluation mode and left in the mode it came in.
+    The net runs in evaluation mode; its own mode is restored.
     """
     was_training = net.training
     net.eval()

@@ -1,7 +1,7 @@
 """Figures of dense maps as the paper gives them: of one pair, and over the pairs of a group.
 
 AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over pixels. All errors
-are in pixels of the 240x240 images, over the pixels whose true place is known.
+are in pixels of the 240x240 images, over the pixels whose true correspondence is known.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
 RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
-# dgcm-lite's decoders carry a mask that means "visible, and found to within" so many pixels.
+# dgcm-lite's mask is trained to say "visible, and found to within" so many pixels.
 FOUND_PX = 4.0
 
 
@@ -31,14 +31,14 @@ class PairScores:
     method: str
     group: str
     name: str
-    valid: int  # pixels whose place is known; without any, the errors below are NaN
+    valid: int  # pixels of known correspondence; without any, the errors below are NaN
     aepe: float  # pixels
     level_aepe: tuple[float, ...]  # coarse to fine: of the maps of 15 to 240 cells a side
     near: np.ndarray  # (200,) int, valid pixels within each of PCK_THRESHOLDS
     within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
-    jaccard: float  # of the mask against what is visible; NaN without a mask, as the next two
-    jaccard_found: float  # of the mask against what is visible and found to within FOUND_PX
-    # Matches within RIGHT_PX, over all pixels of the target where it is known what is visible.
+    jaccard: float  # of the mask against the visible pixels; NaN without a mask
+    jaccard_found: float  # the same against the pixels visible and found to within FOUND_PX
+    # Matches within RIGHT_PX, over all target pixels of known visibility; None without a mask.
     reliability: Reliability | None
 
 
@@ -53,15 +53,16 @@ class MapSummary:
     level_aepe: tuple[float, ...]  # the same, coarse to fine
     pck: np.ndarray  # (200,) share of all valid pixels within each of PCK_THRESHOLDS
     within: tuple[float, ...]  # share of all valid pixels within each of WITHIN
-    jaccard: float  # mean over pairs; NaN without a mask, as the next
+    jaccard: float  # mean over pairs; NaN without a mask
     jaccard_found: float
+    reliability: Reliability | None  # the pairs' counts together; None without a mask
 
 
-def score(
+def score_map(
     method: str, group: str, name: str, comparison: Comparison, per_axis: bool = False
 ) -> PairScores:
     """The figures of one pair. With `per_axis` the PCK curve takes max(|dx|, |dy|), as the authors'
-    evaluation does; all else is Euclidean."""
+    evaluation does; all other errors are Euclidean."""
     finest, mask = comparison.finest, comparison.mask
     distances = comparison.errors
     euclidean = distances[finest.valid]
@@ -88,10 +89,10 @@ def score(
     )
 
 
-def summarise(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
-    """The figures of one method over its pairs, which the summary calls `group` if that is given.
+def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
+    """The figures of one method over its pairs; `group` names them, by default the first's group.
 
-    Raises InputError where there are no scores or they are of several methods.
+    Raises InputError if there are no scores or they are of several methods.
     """
     methods = {own.method for own in scores}
     if len(methods) != 1:
@@ -99,24 +100,20 @@ def summarise(scores: Sequence[PairScores], group: str | None = None) -> MapSumm
     seen = [own for own in scores if own.valid]
     pixels = sum(own.valid for own in scores)
     levels = zip(*(own.level_aepe for own in scores), strict=True)
+    parts = [own.reliability for own in scores if own.reliability is not None]
     return MapSummary(
         method=methods.pop(),
         group=scores[0].group if group is None else group,
         pairs=len(scores),
         aepe=_mean([own.aepe for own in seen]),
-        # A coarse level may have no valid cell where a finer one has some.
+        # A pair may have valid cells at a fine level and none at a coarse one.
         level_aepe=tuple(_mean([v for v in values if not np.isnan(v)]) for values in levels),
         pck=_share(np.sum([own.near for own in scores], axis=0), pixels),
         within=tuple(_share(np.sum([own.within for own in scores], axis=0), pixels).tolist()),
         jaccard=_mean([own.jaccard for own in scores]),
         jaccard_found=_mean([own.jaccard_found for own in scores]),
+        reliability=sum(parts[1:], parts[0]) if parts else None,
     )
-
-
-def pooled_reliability(scores: Sequence[PairScores]) -> Reliability | None:
-    """The counts of all pairs together; None for a method without a mask."""
-    parts = [own.reliability for own in scores if own.reliability is not None]
-    return sum(parts[1:], parts[0]) if parts else None
 
 
 def _share(counts: np.ndarray, total: int) -> np.ndarray:

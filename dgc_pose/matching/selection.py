@@ -14,7 +14,7 @@ from dgc_pose.matching.matcher import CorrespondenceMap
 
 FinestLevel = Literal[240, 120, 60]
 
-# Error of a good match along one axis, in cells of the map's grid; see docs/accuracy.md.
+# Error of a good match along one axis, in cells of the map's grid; see docs/experiments.md.
 ERROR_CELLS = 0.5
 
 

@@ -1,4 +1,4 @@
-"""What a correspondence network is made of, as data: the presets and the paper's ablations."""
+"""Network configurations: the presets and their ablations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ COARSEST = 4  # index of the level that the correlation runs on
 
 @dataclass(frozen=True)
 class Conv:
-    """One convolution of the pyramid, padded to keep the size; ReLU follows unless told not to."""
+    """One convolution of the pyramid, padded to keep the size, then ReLU by default."""
 
     channels: int
     kernel: int = 3
@@ -34,7 +34,7 @@ class Pool:
 class Residual:
     """x + conv(relu(conv(x))), then ReLU: two 3x3 convolutions around a skip (He et al. 2016)."""
 
-    channels: int  # as many as come in
+    channels: int  # of input and output
     dilation: int = 1  # of the second convolution
 
 
@@ -47,37 +47,37 @@ class DecoderConfig:
 
     channels: tuple[int, ...]  # of each block
     dilations: tuple[int, ...]  # of each block
-    local_radius: int | None = None  # cells of local correlation around each place, or none of it
+    local_radius: int | None = None  # cells of local correlation around each cell; None: none
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Configuration of a `DGCNet`. Raises InputError where the parts do not fit together."""
+    """Configuration of a `DGCNet`. Raises InputError if the parts do not fit together."""
 
     name: str
     pyramid: tuple[PyramidLevel, ...]  # levels 0 (finest, 240) to 4 (coarsest, 15)
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
-    # What a decoder puts out: the map itself (the paper), the displacement from the identity
-    # (the paper's DGC-Net-flow), or a correction of the previous level in cells (ours).
+    # A decoder's output: the map itself (the paper), the displacement from the identity (the
+    # paper's DGC-Net-flow), or a correction of the previous level's map in cells (ours).
     output: Literal["absolute", "displacement", "residual"] = "absolute"
     # None: DGC-Net. "network": the paper's mask network on level 0. "decoder": a third channel of
-    # every decoder, refined from level to level like the map (ours).
+    # every decoder, refined level by level like the map (ours).
     matchability: Literal["network", "decoder"] | None = None
     correlation: Literal["global", "local"] = "global"  # "local": the paper's PWCm-Net
     local_correlation_radius: int = 4  # cells of level 4, for correlation = "local"
     normalise_features: bool = True  # L2 norm over channels before the correlation
     normalise_correlation: bool = True  # ReLU and L2 norm over the correlation's channels
     soft_argmax: bool = False  # the first map from the correlation's peak instead of zeros (ours)
-    # Levels, from the coarsest, whose features have a say in that peak (ours).
+    # Levels, from the coarsest, whose features are correlated for that peak (ours).
     correlated_levels: int = 1
-    # Pixels a side at which both images are encoded once more, and each matched with the other at
-    # full size, for that peak: a view that shows things larger finds them there (ours).
+    # A second, smaller scale for that peak: both images are also encoded at this size in pixels and
+    # correlated with the other at full size, for views of different scale (ours).
     second_size: int | None = None
-    consensus_passes: int = 0  # rounds in which cells hear their neighbours before the peak (ours)
-    # Whether -1 and +1 are the centres of the outer pixels (True, what the authors' weights were
-    # made for) or the outer edges (False, the same place at every level).
+    consensus_passes: int = 0  # rounds of belief propagation before that peak (ours)
+    # Whether -1 and +1 are the centres of the outer pixels (True, as in the authors' weights) or
+    # their outer edges (False, the same point at every level).
     align_corners: bool = True
-    pyramid_batch_norm: bool = False  # only while the pyramid is trained; folded afterwards
+    pyramid_batch_norm: bool = False  # in training only; folded afterwards
 
     def __post_init__(self) -> None:
         if len(self.pyramid) != len(LEVEL_SIZES) or len(self.decoders) != len(LEVEL_SIZES):
@@ -105,11 +105,11 @@ class NetworkConfig:
 
     @property
     def map_channels(self) -> int:
-        """Channels passed from decoder to decoder: x, y and, where decoders carry it, the mask."""
+        """Channels passed between decoders: x, y and, with matchability "decoder", the mask."""
         return 3 if self.matchability == "decoder" else 2
 
     def decoder_inputs(self, level: int) -> int:
-        """Channels that the decoder of a level takes."""
+        """Input channels of a level's decoder."""
         if level == COARSEST:
             width = LEVEL_SIZES[COARSEST]
             if self.correlation == "local":
@@ -180,7 +180,7 @@ PRESETS: dict[str, NetworkConfig] = {
 def preset(name: str) -> NetworkConfig:
     """The preset of that name, or an ablation of it: "dgcm", "dgcm+no-l2", "dgcm+flow+no-dilation".
 
-    Raises InputError, listing the names, where there is none.
+    Raises InputError, listing the names, for an unknown one.
     """
     base, *ablations = name.split("+")
     if base not in PRESETS:

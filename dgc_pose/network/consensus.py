@@ -1,4 +1,4 @@
-"""Neighbours' consent to the matches of the coarsest level, before one of them is chosen (ours)."""
+"""Neighbourhood consensus at the coarsest level, by belief propagation (ours)."""
 
 from __future__ import annotations
 
@@ -8,45 +8,46 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Chosen on pairs of the photographs that train; from half to twice each, little changes.
-_REACH = 1.4  # source cells, deviation of where a neighbour's match may lie from "beside mine"
-_WEIGHT = 0.4  # of the neighbours' votes: they are not independent of each other
-_DOUBT = 0.01  # what a neighbour that sees nothing here still grants: it may be another surface
+# Chosen on training photographs; factors from one half to two change little.
+_REACH = 1.4  # source cells, sigma of a neighbour's match about the match plus the cells' offset
+_WEIGHT = 0.4  # of the messages: neighbours are not independent of each other
+_FLOOR = 0.01  # smallest message: the neighbour may lie on another surface
 
 
 def consensus(scores: Tensor, passes: int) -> Tensor:
-    """Log-probabilities of each target cell's place in the source, its neighbours heard.
+    """Log-probabilities of each target cell's source cell, after belief propagation.
 
-    scores: (B, h * w, h, w) log-likelihoods, laid out as by `global_correlation`. A cell at t that
-    matches s is supported by matches (s + d, t + d) of its eight neighbours, blurred over s, since
-    views are turned, scaled and bent: sum-product belief propagation on the grid of target cells,
-    with `passes` rounds and as many cells of reach.
+    scores: (B, h * w, h, w) log-likelihoods, laid out as by `global_correlation`. Sum-product
+    belief propagation on the grid of target cells, with `passes` rounds: the match (s, t) of a
+    target cell t is supported by the matches (s + d, t + d) of its eight neighbours, blurred over
+    s, as views are rotated, scaled and distorted.
     """
     batch, _, height, width = scores.shape
     blur = _blur(height, width, scores)
     belief = scores.log_softmax(1)
     for _ in range(passes):
-        votes = torch.matmul(blur, belief.exp().flatten(2)).add(_DOUBT).log()
-        support = _summed(votes.view(batch, width, height, height, width))
+        messages = torch.matmul(blur, belief.exp().flatten(2)).add(_FLOOR).log()
+        support = _sum_of_neighbours(messages.view(batch, width, height, height, width))
         belief = (scores + _WEIGHT * support.view_as(scores)).log_softmax(1)
     return belief
 
 
-def _summed(votes: Tensor) -> Tensor:
-    """Over the eight neighbours d the votes at (s + d, t + d), of (B, xs, ys, yt, xt).
+def _sum_of_neighbours(messages: Tensor) -> Tensor:
+    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (B, xs, ys, yt, xt).
 
-    Beyond the source nothing can match; beyond the target there is nobody to vote.
+    Messages about cells outside the source have the smallest value; there are none from cells
+    outside the target.
     """
-    height, width = votes.shape[3:]
-    votes = F.pad(votes, (0, 0, 0, 0, 1, 1, 1, 1), value=math.log(_DOUBT))
-    votes = F.pad(votes, (1, 1, 1, 1))
-    beside = [
-        votes[:, dx : dx + width, dy : dy + height, dy : dy + height, dx : dx + width]
+    height, width = messages.shape[3:]
+    messages = F.pad(messages, (0, 0, 0, 0, 1, 1, 1, 1), value=math.log(_FLOOR))
+    messages = F.pad(messages, (1, 1, 1, 1))
+    neighbours = [
+        messages[:, dx : dx + width, dy : dy + height, dy : dy + height, dx : dx + width]
         for dy in (0, 1, 2)
         for dx in (0, 1, 2)
         if (dy, dx) != (1, 1)
     ]
-    return torch.stack(beside).sum(0)
+    return torch.stack(neighbours).sum(0)
 
 
 def _blur(height: int, width: int, like: Tensor) -> Tensor:

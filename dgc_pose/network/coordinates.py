@@ -27,7 +27,7 @@ def to_normalised(pixels: Tensor, size: tuple[int, int], align_corners: bool) ->
 
 
 def identity_map(size: int, align_corners: bool, like: Tensor) -> Tensor:
-    """The map (1, 2, size, size) that sends every cell to itself, on the device of `like`."""
+    """The identity map (1, 2, size, size), on the device of `like`."""
     cells = torch.arange(size, dtype=like.dtype, device=like.device)
     axis = to_normalised(cells[:, None], (size, size), align_corners)[:, 0]
     return torch.stack([axis.expand(size, size), axis[:, None].expand(size, size)])[None]

@@ -29,7 +29,7 @@ def global_correlation(source: Tensor, target: Tensor) -> Tensor:
 
 
 def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
-    """Target cells against the warped source around the same place.
+    """Target cells against the warped source in a window around the same cell.
 
     Takes (B, C, H, W) of both; returns (B, (2 radius + 1)^2, H, W), channels row by row over
     (dy, dx) from -radius to radius: <warped(y + dy, x + dx), target(y, x)>, zero outside.
@@ -48,37 +48,37 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
 def cell_correlation(source: Tensor, target: Tensor, side: int) -> Tensor:
     """As `global_correlation`, of cells that hold side x side features each.
 
-    Takes (B, C, h side, w side) of both; returns (B, h * w, h, w): how well the best features
-    inside the source's cell fit those inside the target's, on the mean of the latter.
+    Takes (B, C, h side, w side) of both; returns (B, h * w, h, w): the largest correlation of a
+    target feature with the source cell's features, averaged over the target cell's features.
     """
     if side == 1:
         return global_correlation(source, target)
     batch, channels, height, width = target.shape
     h, w = height // side, width // side
-    places = [f.view(batch, channels, h, side, w, side) for f in (source, target)]
-    columns = places[0].permute(0, 3, 5, 4, 2, 1).reshape(batch, -1, channels)
-    rows = places[1].permute(0, 1, 3, 5, 2, 4).reshape(batch, channels, -1)
+    split = [f.view(batch, channels, h, side, w, side) for f in (source, target)]
+    columns = split[0].permute(0, 3, 5, 4, 2, 1).reshape(batch, -1, channels)
+    rows = split[1].permute(0, 1, 3, 5, 2, 4).reshape(batch, channels, -1)
     scores = torch.bmm(columns, rows).view(batch, side**2, h * w, side**2, h * w)
     return scores.amax(1).mean(2).view(batch, h * w, h, w)
 
 
 def cell_correlations(source: Sequence[Tensor], target: Sequence[Tensor]) -> list[Tensor]:
-    """Of each level, the coarsest first: `cell_correlation` of the coarsest level's cells."""
+    """`cell_correlation` of the coarsest level's cells by each level, the coarsest first."""
     levels = enumerate(zip(source, target, strict=True))
     return [cell_correlation(*pair, side=2**index) for index, pair in levels]
 
 
 def match_evidence(correlations: Sequence[Tensor], scales: Tensor) -> Tensor:
-    """What the features of several levels say for each pair of the coarsest level's cells.
+    """The weighted sum (B, h * w, h, w) of the levels' correlations.
 
     correlations: (B, h * w, h, w) of each level, by `cell_correlations`; scales: (levels,) inverse
-    temperatures. Returns their sum, each times its scale.
+    temperatures.
     """
     return torch.tensordot(scales, torch.stack(list(correlations)), 1)
 
 
 def match_scores(evidence: Tensor) -> Tensor:
-    """How likely each pair of cells is a match, as logarithms, up to a constant.
+    """Log-likelihood of a match for each pair of cells, up to a constant (dual softmax).
 
     evidence: (B, h * w, h, w); the softmax over the source and that over the target are multiplied.
     """
@@ -87,12 +87,12 @@ def match_scores(evidence: Tensor) -> Tensor:
 
 
 def peaks(scores: Tensor, window: int = 2) -> tuple[Tensor, Tensor]:
-    """Where in the source each target cell's scores peak, to a fraction of a cell, and how clearly.
+    """The soft-argmax of each target cell's scores within a window, and its probability.
 
-    Takes logarithms (B, h * w, h, w), laid out as by `global_correlation`. The place (B, 2, h, w),
-    x and y in source cells, is the mean of the source cells within `window` of the highest,
-    weighted by their probability; the window keeps a second peak from dragging the mean into the
-    void. How clearly (B, h, w): the share of all probability that lies in the window.
+    Takes logarithms (B, h * w, h, w), laid out as by `global_correlation`. Returns x and y in
+    source cells (B, 2, h, w), the mean of the source cells within `window` of the highest, weighted
+    by their probability (without the window, a second peak would pull the mean between both); and
+    the probability (B, h, w) inside the window.
     """
     batch, cells, height, width = scores.shape
     probability = scores.flatten(2).softmax(1)
@@ -105,6 +105,6 @@ def peaks(scores: Tensor, window: int = 2) -> tuple[Tensor, Tensor]:
     )
     weights = probability.masked_fill(far > window, 0)
     inside = weights.sum(1)
-    place = torch.stack([(weights * x[:, None]).sum(1), (weights * y[:, None]).sum(1)], 1)
-    place = place / inside[:, None]
-    return place.view(batch, 2, height, width), inside.view(batch, height, width)
+    mean = torch.stack([(weights * x[:, None]).sum(1), (weights * y[:, None]).sum(1)], 1)
+    mean = mean / inside[:, None]
+    return mean.view(batch, 2, height, width), inside.view(batch, height, width)

@@ -1,4 +1,4 @@
-"""Choosing the device that the network runs on."""
+"""The device that the network runs on."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dgc_pose.errors import InputError
 
 
 def choose_device(name: str = "auto") -> torch.device:
-    """The torch device of that name; "auto" is a CUDA device where there is one, else the CPU.
+    """The torch device of that name; "auto" is a CUDA device if there is one, else the CPU.
 
-    Raises InputError for a name torch does not know or a device that is not there.
+    Raises InputError for an unknown name or a missing device.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -1,4 +1,4 @@
-"""A frozen network made fast: the same answers, from fewer and quicker passes over the features."""
+"""A frozen network made faster: the same maps by fewer operations."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from dgc_pose.network.net import DGCNet
 
 
 def for_inference(net: DGCNet) -> DGCNet:
-    """A frozen copy of a network, which gives the same maps but for rounding.
+    """A frozen copy of a network, which gives the same maps up to rounding.
 
-    Batch norms are folded into the convolutions before them, ReLUs work in place, and filters lie
-    channels last.
+    Batch norms are folded into the convolutions before them, ReLUs work in place, and filters are
+    stored channels last.
     """
     copy = deepcopy(net).eval().requires_grad_(False)
     for module in list(copy.modules()):
@@ -26,10 +26,10 @@ def for_inference(net: DGCNet) -> DGCNet:
 
 
 def _fold(layers: nn.Sequential) -> None:
-    """Fold the batch norms; their places, and so the names of the other layers, stay."""
+    """Fold the batch norms into identities: the names of the other layers are unchanged."""
     for index, (before, layer) in enumerate(zip(layers, list(layers)[1:], strict=False), 1):
         if isinstance(layer, nn.BatchNorm2d) and isinstance(before, nn.Conv2d):
             layers[index - 1] = fuse_conv_bn_eval(before, layer)
             layers[index] = nn.Identity()
         elif isinstance(layer, nn.ReLU):
-            layer.inplace = True  # what it takes is a convolution's, which no one else reads
+            layer.inplace = True  # its input, a convolution's output, is not read again

@@ -25,48 +25,48 @@ from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
 INITIAL_SCALE = 20.0
-# The coarsest mask logit starts from how clearly the correlation peaks, between these shares.
-_CLEAR = (0.01, 0.99)
+# Bounds of the peak's probability, from which the coarsest mask logit starts.
+_PEAK = (0.01, 0.99)
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the network says of a batch of pairs, coarse to fine."""
+    """The maps and mask logits of a batch of pairs, coarse to fine."""
 
-    # (B, 2, S, S) at S = 15, 30, 60, 120, 240 on the target's grid: x and y of the place in the
-    # source, normalised as the configuration's align_corners says
+    # (B, 2, S, S) at S = 15, 30, 60, 120, 240 on the target's grid: x and y in the source,
+    # normalised by the configuration's align_corners
     maps: tuple[Tensor, ...]
-    # (B, 1, S, S) matchability logits: five where decoders carry them, one (at 240) from the mask
-    # network, none for DGC-Net and where that network's level was left out
+    # (B, 1, S, S) matchability logits: five from decoders with a mask channel, one (at 240) from
+    # the mask network; none for DGC-Net, or if the mask network's level is not decoded
     logits: tuple[Tensor, ...]
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """What the features of a batch of pairs have in common."""
+    """The correlation of the features of a batch of pairs."""
 
-    coarsest: Tensor  # (B, 225, 15, 15) of level 4, or (B, n^2, 15, 15) where it is local
-    # (B, 225, 15, 15) for each pair of cells, by all that have a say; None where it is local
+    coarsest: Tensor  # (B, 225, 15, 15) of level 4, or (B, n^2, 15, 15) if it is local
+    # (B, 225, 15, 15) for each pair of cells, by all correlated levels; None if it is local
     evidence: Tensor | None
 
     def detached(self) -> Correlation:
-        """The same, that hands no gradient on."""
+        """The same, without gradients."""
         return Correlation(
             self.coarsest.detach(), None if self.evidence is None else self.evidence.detach()
         )
 
 
 class DGCNet(nn.Module):
-    """DGC-Net and its kin (Melekhov et al., WACV 2019), as a `NetworkConfig` says.
+    """DGC-Net and its variants (Melekhov et al., WACV 2019), by a `NetworkConfig`.
 
     Called as net(source, target) with images (B, 3, 240, 240), normalised by ImageNet's mean and
-    deviation. The map lies on the target's grid and its values are places in the source.
+    deviation. The map lies on the target's grid; its values are points of the source.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        # Convolutions in bfloat16; places, correlations and the map stay in single precision.
+        # Convolutions in bfloat16; correlations and maps stay in single precision.
         self.half_precision = False
         self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
@@ -91,8 +91,8 @@ class DGCNet(nn.Module):
     def features(self, image: Tensor) -> list[Tensor]:
         """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S).
 
-        With `second_size`, those of the correlated levels of the image at that size follow, the
-        coarsest first, on the grids of the same levels.
+        With `second_size` there follow those of the correlated levels at the second scale, the
+        coarsest first, resampled to the grids of the same levels.
         """
         features = self._encode(image)
         if self.config.second_size is not None:
@@ -135,39 +135,39 @@ class DGCNet(nn.Module):
         return Prediction(maps, ())
 
     def coarsest(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
-        """Level 4: (B, 2 or 3, 15, 15), the map and the mask logit where decoders carry it.
+        """Level 4: (B, 2 or 3, 15, 15), the map and, with matchability "decoder", the mask logit.
 
         From the features of both images, as `features` gives them.
         """
         return self.start(self.correlate(source, target))
 
     def correlate(self, source: list[Tensor], target: list[Tensor]) -> Correlation:
-        """What the features of both images, as `features` gives them, have in common."""
+        """The correlation of both images' features, as `features` gives them."""
         config = self.config
-        (source, *source_smaller), (target, *target_smaller) = map(self._looks, (source, target))
+        (source, *source_smaller), (target, *target_smaller) = map(self._scales, (source, target))
         if config.correlation == "local":
             radius = config.local_correlation_radius
             return Correlation(local_correlation(source[0], target[0], radius), None)
         scales = cast(Tensor, self.correlation_scales)
         correlations = cell_correlations(source, target)
         evidence = match_evidence(correlations, scales)
-        others = [(look, target) for look in source_smaller]
-        others += [(source, look) for look in target_smaller]
-        for pair in others:
+        across = [(smaller, target) for smaller in source_smaller]
+        across += [(source, smaller) for smaller in target_smaller]
+        for pair in across:
             evidence = evidence.maximum(match_evidence(cell_correlations(*pair), scales))
         return Correlation(correlations[0], evidence)
 
-    def _looks(self, features: list[Tensor]) -> list[list[Tensor]]:
-        """The correlated levels, the coarsest first: at full size, and at the second size."""
-        looks = [[features[level] for level in self._correlated_levels]]
+    def _scales(self, features: list[Tensor]) -> list[list[Tensor]]:
+        """The correlated levels, the coarsest first: at full scale, and at the second scale."""
+        scales = [[features[level] for level in self._correlated_levels]]
         if self.config.second_size is not None:
-            looks.append(features[len(LEVEL_SIZES) :])
+            scales.append(features[len(LEVEL_SIZES) :])
         if self.config.normalise_features:
-            return [[l2_normalise(level) for level in look] for look in looks]
-        return looks
+            return [[l2_normalise(level) for level in levels] for levels in scales]
+        return scales
 
     def start(self, correlation: Correlation) -> Tensor:
-        """The state of level 4, as of `coarsest`, from what the features have in common."""
+        """The state of level 4, as of `coarsest`, from the correlation."""
         config = self.config
         inputs = correlation.coarsest
         batch, _, height, width = inputs.shape
@@ -177,12 +177,12 @@ class DGCNet(nn.Module):
             scores = match_scores(correlation.evidence)
             if config.consensus_passes > 0:
                 scores = consensus(scores, config.consensus_passes)
-            cells, clear = peaks(scores)
+            cells, probability = peaks(scores)
             start[:, :2] = to_normalised(
                 cells.movedim(1, -1), (width, height), config.align_corners
             ).movedim(-1, 1)
             if config.matchability == "decoder":
-                start[:, 2] = clear.clamp(*_CLEAR).logit()
+                start[:, 2] = probability.clamp(*_PEAK).logit()
         if config.normalise_correlation:
             inputs = l2_normalise(inputs.relu())
         return self._decode_level(COARSEST, inputs, start)
@@ -195,10 +195,10 @@ class DGCNet(nn.Module):
         return logits.to(features.dtype)
 
     def warp(self, features: Tensor, previous: Tensor) -> Tensor:
-        """Source features (B, C, S, S) at the places of a map (B, 2.., H, W): (B, C, H, W)."""
+        """Source features (B, C, S, S) sampled at a map (B, 2.., H, W): (B, C, H, W)."""
         grid = previous[:, :2].movedim(1, -1)
         warped = F.grid_sample(features, grid, align_corners=self.config.align_corners)
-        # grid_sample forgets the layout, and what mixes layouts afterwards is many times slower.
+        # grid_sample drops the memory format, and operations on mixed formats are far slower.
         if features.is_contiguous(memory_format=torch.channels_last):
             return warped.contiguous(memory_format=torch.channels_last)
         return warped
@@ -213,8 +213,8 @@ class DGCNet(nn.Module):
     ) -> Tensor:
         """Levels 3 to 0: the next state from the previous one, already at this level's size.
 
-        `window` names the rows and columns of the level that the tensors hold, where training
-        decodes only a part of it.
+        window: the rows and columns of the level that the tensors hold, if training decodes only a
+        part of it.
         """
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
@@ -232,7 +232,7 @@ class DGCNet(nn.Module):
         if self.config.output == "absolute":
             return self._regress(level, features, previous)
         if self.config.output == "residual":
-            # A cell is the natural unit of a correction; the mask logit needs no unit.
+            # Corrections are in cells; the mask logit has no unit.
             change = self._regress(level, features, previous)
             cell = 2 / LEVEL_SIZES[level]
             step = torch.cat([change[:, :2] * cell, change[:, 2:]], 1)

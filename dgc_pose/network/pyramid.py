@@ -76,9 +76,9 @@ def _convolution(
 
 
 def fold_batch_norm(trained: Pyramid, plain: Pyramid) -> None:
-    """Write a pyramid trained with batch norm into one without, which then gives the same features.
+    """Load a pyramid trained with batch norm into one without, which then gives the same features.
 
-    VGG without batch norm does not learn from scratch; with it, and folded afterwards, it does.
+    VGG without batch norm does not learn from random weights; with it, folded afterwards, it does.
     """
     convolutions = [m for m in plain.modules() if isinstance(m, nn.Conv2d)]
     modules = [m for m in trained.modules() if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]

@@ -1,4 +1,4 @@
-"""ImageNet's channel statistics, which the network's input is normalised with."""
+"""Normalisation of the network's input by ImageNet's channel statistics."""
 
 from __future__ import annotations
 

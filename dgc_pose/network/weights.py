@@ -1,9 +1,8 @@
-"""Weights: our safetensors, the authors' checkpoints, and what is shipped in the package."""
+"""Weights: our safetensors, the authors' checkpoints, and those shipped in the package."""
 
 from __future__ import annotations
 
 import json
-import os
 import pickle
 from importlib import resources
 from pathlib import Path
@@ -15,12 +14,13 @@ from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.files import replaced
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS, preset
 from dgc_pose.network.net import DGCNet
 
 DEFAULT = DEFAULT_WEIGHTS
 _SUFFIX = ".safetensors"
-_COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and of no use here
+_COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and unused here
 _MASK = "matchability_net."
 
 
@@ -37,7 +37,7 @@ def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cp
 
     weights: a shipped name ("dgcm-lite"), a .safetensors of ours, or an authors' checkpoint (.pth;
     `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first keys that
-    differ, where it is missing, unreadable or made for another network.
+    differ, if it is missing, unreadable or of another network.
     """
     path = _find(weights)
     name, state = _read(path)
@@ -54,19 +54,18 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
         for key, value in net.state_dict().items()
         if not key.endswith(_COUNTER)
     }
-    path = Path(path)
-    temporary = path.with_name(path.name + ".part")
-    # Not save_file, whose files only their owner may read.
-    temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
-    os.replace(temporary, path)
+    with replaced(Path(path)) as temporary:
+        # Not save_file, whose files only their owner may read.
+        temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
-    """What torch.save wrote, if tensors and plain values only; else WeightsError with the file."""
+    """The content of a torch.save file of tensors and plain values. Raises WeightsError, with the
+    path, for any other file."""
     try:
         return torch.load(path, map_location=device, weights_only=True)
     except pickle.UnpicklingError as error:
-        # torch's own message advises to load the file as code, which we never do.
+        # torch's own message advises to load the file as code: unsafe.
         raise WeightsError(f"{path}: not a checkpoint of tensors and plain values") from error
     except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
         raise WeightsError(f"{path}: not a checkpoint that can be read ({_line(error)})") from error
@@ -122,7 +121,7 @@ def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
 
 
 def _check(path: Path, name: str, state: dict[str, Tensor], wanted: dict[str, Tensor]) -> None:
-    """Raise WeightsError at the first keys or shapes that differ."""
+    """Raise WeightsError if keys or shapes differ, naming the first ones."""
     expected = {key: value for key, value in wanted.items() if not key.endswith(_COUNTER)}
     missing = [key for key in expected if key not in state]
     unexpected = [key for key in state if key not in expected]

@@ -1,4 +1,4 @@
-"""The options of refinement, with defaults and units. docs/accuracy.md has the measurements."""
+"""The options of refinement, with defaults and units. docs/experiments.md has the measurements."""
 
 from __future__ import annotations
 

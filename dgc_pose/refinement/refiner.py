@@ -12,7 +12,7 @@ from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.options import AlignmentOptions
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
-# Error of an aligned match along one axis, pixels of the originals; see docs/accuracy.md.
+# Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
 _SHIFT = 5.0  # largest shift by alignment, in units of the error that the match came with
 

@@ -1,47 +1,45 @@
-"""Real scenes of known depth in memory: frames squared, and the pairs of them worth training on."""
+"""Real scenes of known depth in memory: frames as squares, and which of them make pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
+from dgc_pose.options import check_options, option
+from dgc_pose.synthesis.batches import changed, joined
+from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.posed_depth import PosedFrame
 
 SIDE = 288  # pixels; frames are kept as squares, as the network squares its input
 # Four neighbouring depths further apart than this (of the nearest) lie on several surfaces.
 _STRADDLES = 0.05
-# Depth that was measured elsewhere and moved here leaves cracks: places without depth are filled
-# from both sides where known depth of one surface lies within so many pixels.
+# Depth that was measured by another sensor and reprojected has cracks: pixels without depth are
+# filled if there is known depth of one surface on both sides within so many pixels.
 _CRACK_REACH = 3
-_AGREES = 0.03  # of the depth, where overlap is counted
+_AGREES = 0.03  # tolerance of the depth in the count of overlap, relative
 _PROBE = 16  # overlap is counted on so many pixels squared
 
 
 @dataclass(frozen=True)
 class PairChoice:
-    """Which two frames of a scene make a pair."""
+    """The ranges of two frames of a scene that make a pair."""
 
-    # Share of the target's pixels of known depth that the source sees.
-    overlap: tuple[float, float] = (0.3, 0.98)
+    # Share of the target's pixels of known depth that are visible in the source.
+    overlap: tuple[float, float] = option((0.3, 0.98), min=0, max=1)
     # Between the cameras, of the target's median depth.
-    baseline: tuple[float, float] = (0.03, 1.5)
-    rotation_deg: float = 60.0  # at most
+    baseline: tuple[float, float] = option((0.03, 1.5), min=0)
+    rotation_deg: float = option(60.0, above=0, max=180)  # at most
 
     def __post_init__(self) -> None:
-        if not 0 <= self.overlap[0] <= self.overlap[1] <= 1:
-            raise InputError(f"overlap must be two shares, the lower first, not {self.overlap}")
-        if not 0 <= self.baseline[0] <= self.baseline[1]:
-            raise InputError(f"baseline must be (low, high), not {self.baseline}")
-        if not 0 < self.rotation_deg <= 180:
-            raise InputError(f"rotation_deg must lie in (0, 180], not {self.rotation_deg}")
+        check_options(self)
 
 
 @dataclass(frozen=True)
@@ -49,26 +47,20 @@ class DepthScenes:
     """The frames of all scenes, and pairs of them. A scene's unit of length is its median depth."""
 
     images: Tensor  # (N, 3, side, side) uint8, RGB
-    depth: Tensor  # (N, side, side) float16, along the optical axis, 0 where unknown
+    depth: Tensor  # (N, side, side) float16, along the optical axis, 0: unknown
     K: Tensor  # (N, 3, 3) float32, pixels of the squares
     pairs: Tensor  # (P, 2) int64, source and target
     source_from_target: Tensor  # (P, 3, 4) float32, X1 = R X2 + t
 
     def to(self, device: torch.device | str) -> DepthScenes:
-        """The scenes on another device; `pairs` stays on the CPU, where it is drawn from."""
-        return replace(
-            self,
-            images=self.images.to(device),
-            depth=self.depth.to(device),
-            K=self.K.to(device),
-            source_from_target=self.source_from_target.to(device),
-        )
+        """The scenes on another device; `pairs` stays on the CPU, which draws from it."""
+        return replace(changed(self, lambda values: values.to(device)), pairs=self.pairs)
 
 
 def hold_back(
     frames: Sequence[PosedFrame], share: float = 0.1
 ) -> tuple[Sequence[PosedFrame], Sequence[PosedFrame]]:
-    """The frames that train, and the last `share` of the walk, which validates."""
+    """The frames that train, and the last `share` of the sequence, which validates."""
     if not 0 < share < 1:
         raise InputError(f"share must lie between 0 and 1, not {share}")
     first = len(frames) - round(share * len(frames))
@@ -77,59 +69,47 @@ def hold_back(
 
 def load_depth_scenes(
     scenes: Sequence[Sequence[PosedFrame]],
-    choice: PairChoice | None = None,
+    choice: PairChoice = PairChoice(),
     side: int = SIDE,
 ) -> DepthScenes:
     """Read the frames of scenes and choose their pairs.
 
-    Raises ImageError where a file cannot be read, InputError where no two frames make a pair.
+    Raises ImageError if a file cannot be read, InputError if no two frames make a pair.
     """
-    choice = choice or PairChoice()
-    images: list[Tensor] = []
-    depths: list[Tensor] = []
-    matrices: list[Tensor] = []
-    pairs: list[Tensor] = []
-    poses: list[Tensor] = []
-    bar = tqdm(total=sum(map(len, scenes)), desc="frames", unit="", disable=None, leave=False)
-    with bar:
-        for frames in scenes:
-            first = len(images)
-            for frame in frames:
-                image, depth, K = _square(frame, side)
-                images.append(image)
-                depths.append(depth)
-                matrices.append(K)
-                bar.update()
-            if not frames:
-                continue
-            cam_from_world = torch.tensor(np.stack([f.cam_from_world for f in frames]))
-            unit = _median_depth(torch.stack(depths[first:]))
-            depths[first:] = [depth / unit for depth in depths[first:]]
-            cam_from_world[:, :3, 3] /= unit
-            found, pose = _choose(
-                torch.stack(depths[first:]),
-                torch.stack(matrices[first:]),
-                cam_from_world,
-                choice,
-            )
-            pairs.append(found + first)
-            poses.append(pose)
-    if sum(map(len, pairs)) == 0:
-        raise InputError(f"of {len(images)} frames no two overlap as they should to make a pair")
-    return DepthScenes(
-        images=torch.stack(images),
-        depth=torch.stack(depths).half(),
-        K=torch.stack(matrices).float(),
-        pairs=torch.cat(pairs),
-        source_from_target=torch.cat(poses).float(),
-    )
+    total = sum(map(len, scenes))
+    with tqdm(total=total, desc="frames", unit="", disable=None, leave=False) as bar:
+        parts = [_load_scene(frames, choice, side, bar) for frames in scenes if frames]
+    if sum(len(part.pairs) for part in parts) == 0:
+        raise InputError(f"of {total} frames no two overlap as they should to make a pair")
+    first = 0
+    for k, part in enumerate(parts):
+        parts[k] = replace(part, pairs=part.pairs + first)
+        first += len(part.images)
+    return joined(parts)
+
+
+def _load_scene(
+    frames: Sequence[PosedFrame], choice: PairChoice, side: int, bar: tqdm
+) -> DepthScenes:
+    squares = []
+    for frame in frames:
+        squares.append(_square(frame, side))
+        bar.update()
+    images, depth, K = map(torch.stack, zip(*squares, strict=True))
+    cam_from_world = torch.tensor(np.stack([frame.cam_from_world for frame in frames]))
+    unit = _median_depth(depth)
+    depth = depth / unit
+    cam_from_world[:, :3, 3] /= unit
+    pairs, poses = _choose(depth, K, cam_from_world, choice)
+    return DepthScenes(images, depth.half(), K.float(), pairs, poses.float())
 
 
 def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Depth (B, n) at points (B, n, 2), pixels, of frames (B,) of (N, h, w), and where it is known.
+    """Depth (B, n) at points (B, n, 2), pixels, of frames (B,) of (N, h, w), and a mask of the
+    points of known depth.
 
-    Linear in the inverse depth, which is exact on planes. Not known outside, and where one of the
-    four neighbours is not or they lie on several surfaces; 1 there.
+    Linear in the inverse depth, which is exact on planes. The depth is not known, and 1, outside
+    the frame, if one of the four neighbours is not known, or if they lie on several surfaces.
     """
     height, width = depth.shape[1:]
     x, y = points.unbind(-1)
@@ -149,28 +129,30 @@ def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tens
 
 
 def close_cracks(depth: Tensor, reach: int) -> Tensor:
-    """Depth (h, w), 0 where unknown, filled where two or more lines through a place agree.
+    """Depth (h, w), 0 if unknown, with the pixels filled that two or more lines through them agree
+    on.
 
-    A line, level, upright or diagonal, tells the inverse depth linearly between the nearest known
-    places on both sides, each within `reach` pixels, where those are of one surface.
+    Along a line, horizontal, vertical or diagonal, the inverse depth is interpolated linearly
+    between the nearest known pixels on both sides, if both are within `reach` pixels and on one
+    surface.
     """
     padded = torch.nn.functional.pad(depth, (reach,) * 4)
     flat, width = padded.reshape(-1), padded.shape[1]
     rows, columns = (depth <= 0).nonzero().unbind(1)
-    place = (rows + reach) * width + columns + reach
+    pixel = (rows + reach) * width + columns + reach
 
     def nearest(step: int) -> tuple[Tensor, Tensor]:
-        """The first known depth that way and how many steps off; 0 and 1 where there is none."""
-        found = torch.zeros_like(place, dtype=depth.dtype)
+        """The first known depth in that direction and its distance in steps; 0 and 1 if none."""
+        found = torch.zeros_like(pixel, dtype=depth.dtype)
         distance = torch.ones_like(found)
         for steps in range(reach, 0, -1):
-            there = flat[place + steps * step]
+            there = flat[pixel + steps * step]
             known = there > 0
             found = torch.where(known, there, found)
             distance.masked_fill_(known, steps)
         return found, distance
 
-    total, count = torch.zeros_like(flat[place]), torch.zeros_like(flat[place])
+    total, count = torch.zeros_like(flat[pixel]), torch.zeros_like(flat[pixel])
     lowest, highest = torch.full_like(total, torch.inf), torch.zeros_like(total)
     for step in (1, width, width + 1, width - 1):
         (before, back), (after, ahead) = nearest(-step), nearest(step)
@@ -190,28 +172,20 @@ def close_cracks(depth: Tensor, reach: int) -> Tensor:
 def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
     """Image (3, side, side) uint8, depth (side, side) float32 and K (3, 3) float64 of a square."""
     pixels = load_image(frame.image).pixels
-    height, width = pixels.shape[:2]
-    interpolation = cv2.INTER_AREA if min(height, width) >= side else cv2.INTER_LINEAR
-    image = cv2.resize(pixels, (side, side), interpolation=interpolation)
-    K = frame.image_K.copy()
-    for axis, length in enumerate((width, height)):
-        scale = side / length
-        K[axis, axis] *= scale
-        K[axis, 2] = (K[axis, 2] + 0.5) * scale - 0.5
+    K = Camera(frame.K, (pixels.shape[1], pixels.shape[0])).resized((side, side)).K
     pixel = torch.arange(side, dtype=torch.float64)
     x, y = (
-        (pixel - K[axis, 2]) / K[axis, axis] * frame.depth_K[axis, axis] + frame.depth_K[axis, 2]
+        (pixel - K[axis, 2]) / K[axis, axis] * frame.K[axis, axis] + frame.K[axis, 2]
         for axis in (0, 1)
     )
-    places = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)
+    points = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)
     stored = torch.from_numpy(frame.read_depth())
     if min(stored.shape) < 2:
         raise InputError(f"{frame.depth}: a depth image must have 2 pixels a side at least")
     stored = close_cracks(stored, _CRACK_REACH)[None]
-    depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), places)
+    depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), points)
     squared = torch.where(known, depth, 0.0).view(side, side).float()
-    planes = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
-    return planes, squared, torch.tensor(K)
+    return resized_planes(pixels, (side, side)), squared, torch.tensor(K)
 
 
 def _median_depth(depth: Tensor) -> float:
@@ -240,8 +214,8 @@ def _choose(
         moved = (rays * z[..., None])[known] @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
         in_front = moved[..., 2] > 1e-6
         flat = moved @ K.mT
-        place = flat[..., :2] / flat[..., 2:].clamp(min=1e-6)
-        there, sees = depth_at(depth, frames, place)
+        projected = flat[..., :2] / flat[..., 2:].clamp(min=1e-6)
+        there, sees = depth_at(depth, frames, projected)
         sees &= in_front & ((there / moved[..., 2].clamp(min=1e-6) - 1).abs() < _AGREES)
         overlap = sees.sum(1) / total
         baseline = relative[:, :3, 3].norm(dim=1) / z[known].median()

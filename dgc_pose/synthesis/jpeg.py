@@ -1,8 +1,8 @@
-"""JPEG's losses without its bytes: batches of views as they come back from a JPEG file.
+"""The losses of JPEG compression on batches of views, without a file.
 
-What ITU-T T.81 and JFIF prescribe and libjpeg does by default: full-range YCbCr, chroma at half the
-width and height, 8x8 DCT, the standard's example tables scaled by libjpeg's quality, chroma brought
-back by its triangle filter. Entropy coding loses nothing and is left out.
+Follows ITU-T T.81, JFIF and libjpeg's defaults: full-range YCbCr, chroma at half the width and
+height, 8x8 DCT, the standard's example tables scaled by libjpeg's quality, chroma upsampled by its
+triangle filter. Entropy coding is lossless and left out.
 """
 
 from __future__ import annotations

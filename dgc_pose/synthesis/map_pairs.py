@@ -1,24 +1,25 @@
-"""A batch of training pairs, whatever they were made of."""
+"""Batches of image pairs with their true maps."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
+from dgc_pose.synthesis.batches import changed
+
 
 @dataclass(frozen=True)
 class MapPairs:
-    """A batch of pairs with the truth; pixels as everywhere, (0, 0) the centre of the first."""
+    """A batch of pairs with the truth; pixel (0, 0) is the centre of the top-left pixel."""
 
     image1: Tensor  # (B, 3, S, S) source in [0, 1]
     image2: Tensor  # (B, 3, S, S) target in [0, 1]
-    map: Tensor  # (B, S, S, 2) for each pixel of the target its x and y in the source, pixels
-    valid: Tensor  # (B, S, S) bool, True where the target's pixel is visible in the source
-    # (B, S, S) bool, True where `valid` is the truth; where False, `valid` is False and neither the
-    # map nor the mask is to be learnt. Left out: the truth is known everywhere.
+    map: Tensor  # (B, S, S, 2) x and y in the source of each target pixel, pixels
+    valid: Tensor  # (B, S, S) bool, the target's pixel is visible in the source
+    # (B, S, S) bool, `valid` is the truth; else `valid` is False and neither map nor mask is
+    # learnt. Left out: the truth is known everywhere.
     known: Tensor = field(default=None)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -27,18 +28,8 @@ class MapPairs:
 
     def to(self, device: torch.device | str) -> MapPairs:
         """The batch on another device."""
-        return self._each(lambda values: values.to(device))
+        return changed(self, lambda values: values.to(device))
 
     def chosen(self, which: slice | Tensor) -> MapPairs:
-        """Some of the pairs: a slice of the batch, or those where a (B,) bool mask holds."""
-        return self._each(lambda values: values[which])
-
-    def _each(self, change: Callable[[Tensor], Tensor]) -> MapPairs:
-        names = [field.name for field in fields(self)]
-        return MapPairs(**{name: change(getattr(self, name)) for name in names})
-
-    @classmethod
-    def joined(cls, parts: Sequence[MapPairs]) -> MapPairs:
-        """The pairs of several batches, one after the other."""
-        names = [field.name for field in fields(cls)]
-        return cls(**{name: torch.cat([getattr(part, name) for part in parts]) for name in names})
+        """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
+        return changed(self, lambda values: values[which])

@@ -1,4 +1,4 @@
-"""Photographs for training, decoded once and kept in memory."""
+"""Photographs, decoded once and kept in memory."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dgc_pose.synthesis.render import TextureBank
 
 SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
-_HELD_BACK = 20  # one photograph in so many validates and never trains
+_HELD_BACK = 20  # one photograph in so many is held back for validation
 
 
 @dataclass(frozen=True)
 class Photos:
-    """Photographs in memory, as they are for the warps and packed for the ray-caster."""
+    """Photographs in memory: pixels for the warps, textures for the ray-caster."""
 
     pixels: Tensor  # (N, 3, side, side) uint8, RGB
     textures: TextureBank
@@ -40,8 +40,8 @@ def load_photos(
 ) -> tuple[Photos, Photos]:
     """All photographs below a folder, squared: those that train, and those held back.
 
-    Which photographs are held back depends on their names alone, so that a photograph that
-    validated one run never trains another. Raises ImageError where the folder holds none.
+    A photograph's name alone decides whether it is held back: one that validates a run never
+    trains another. Raises ImageError if the folder holds none.
     """
     paths = _paths(Path(root), limit)
     held_back = [path for path in paths if _is_held_back(path)]
@@ -53,7 +53,7 @@ def load_photos(
 def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
     """The photographs that `load_photos` holds back, without decoding the others.
 
-    Raises ImageError where there is none.
+    Raises ImageError if there is none.
     """
     paths = _paths(Path(root))
     held_back = [path for path in paths if _is_held_back(path)]
@@ -64,6 +64,14 @@ def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
 def held_back_paths(root: str | Path) -> list[Path]:
     """The files below a folder that `load_photos` holds back, sorted."""
     return [path for path in _paths(Path(root)) if _is_held_back(path)]
+
+
+def resized_planes(pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
+    """Pixels (h, w, 3) uint8 resized to (width, height), as planes (3, height, width)."""
+    shrinks = pixels.shape[1] >= size[0] and pixels.shape[0] >= size[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    resized = cv2.resize(pixels, size, interpolation=interpolation)
+    return torch.from_numpy(np.ascontiguousarray(resized.transpose(2, 0, 1)))
 
 
 def _paths(root: Path, limit: int | None = None) -> list[Path]:
@@ -81,10 +89,7 @@ def _decode(paths: list[Path], side: int, lacking: str) -> Photos:
         pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
         if pixels is None:
             continue  # one damaged photograph in thousands is no reason to stop
-        shrinks = min(pixels.shape[:2]) >= side
-        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        square = cv2.resize(pixels, (side, side), interpolation=interpolation)[..., ::-1]
-        squares.append(torch.from_numpy(square.transpose(2, 0, 1).copy()))
+        squares.append(resized_planes(pixels, (side, side)).flip(0))  # from BGR
     if not squares:
         raise ImageError(lacking)
     return Photos.of(torch.stack(squares))

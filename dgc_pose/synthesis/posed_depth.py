@@ -1,14 +1,13 @@
-"""Frames with depth and pose, and the folders of posed RGB-D that they come from.
+"""Frames with depth and pose, and the posed RGB-D folders they are read from.
 
 A folder holds `images/`, `depth/`, `K.txt` (3x3, pixels of the images) and `poses.txt`, line i the
 4x4 world-from-camera matrix, row by row, of the i-th file in sorted order. Depth is 16-bit PNG of
-the images' size, along the optical axis, 0 where there is none; a millimetre a step, where the
-poses are in metres.
+the images' size, along the optical axis, 0 if unknown; a step is a millimetre if the poses are in
+metres.
 """
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +18,6 @@ import PIL.Image
 from dgc_pose.errors import ImageError, InputError
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-_PFM = re.compile(rb"Pf\s+(\d+)\s+(\d+)\s")
 _DEPTH_STEP = 1e-3  # metres
 
 
@@ -28,14 +26,12 @@ class PosedFrame:
     """A view whose depth and pose are known. Pixels have (0, 0) at the top-left one's centre."""
 
     image: Path
-    depth: Path  # .png or .pfm: z along the optical axis; not positive or not finite: unknown
-    depth_step: float  # the poses' unit of length for a step of the depth
-    image_K: np.ndarray  # (3, 3) float64, pixels of the image as stored
-    depth_K: np.ndarray  # (3, 3) float64, pixels of the depth as stored
+    depth: Path  # z along the optical axis in millimetres, of the image's size; 0: unknown
+    K: np.ndarray  # (3, 3) float64, pixels of the image as stored
     cam_from_world: np.ndarray  # (4, 4) float64
 
     def read_depth(self) -> np.ndarray:
-        """(h, w) float32 in the poses' unit, 0 where unknown. Raises ImageError with the path."""
+        """(h, w) float32, metres, 0 if unknown. Raises ImageError with the path."""
         if not self.depth.is_file():
             raise ImageError(f"{self.depth} does not exist")
         data = np.fromfile(self.depth, np.uint8)
@@ -45,35 +41,34 @@ class PosedFrame:
             stored = None
         if stored is None or stored.ndim != 2:
             raise ImageError(f"{self.depth} is corrupt, or not a depth image of one channel")
-        depth = stored.astype(np.float32) * np.float32(self.depth_step)
-        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+        return stored.astype(np.float32) * np.float32(_DEPTH_STEP)
 
 
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
     """The frames of a posed RGB-D folder, in order.
 
-    Raises InputError, with the path, where the folder is not of that layout, its files' numbers
-    differ or its matrices are none; ImageError where a file is no image.
+    Raises InputError, with the path, if the folder has another layout, the numbers of its files
+    differ or a matrix is malformed; ImageError if a file is not an image.
     """
     root = Path(root)
     images = _files(root / "images", _IMAGE_SUFFIXES)
     depths = _files(root / "depth", (".png",))
-    K = read_matrix(root / "K.txt", (3, 3))
-    check_intrinsics(K, root / "K.txt")
-    poses = read_matrix(root / "poses.txt", (-1, 16)).reshape(-1, 4, 4)
+    K = _read_matrix(root / "K.txt", (3, 3))
+    _check_intrinsics(K, root / "K.txt")
+    poses = _read_matrix(root / "poses.txt", (-1, 16)).reshape(-1, 4, 4)
     if not len(images) == len(depths) == len(poses):
         counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
         raise InputError(f"{root}: {counts}; there must be as many of each")
     frames = []
     for line, (image, depth, pose) in enumerate(zip(images, depths, poses, strict=True), start=1):
-        check_rigid(pose, f"{root / 'poses.txt'}:{line}")
-        if (stored_size(image) != stored_size(depth)).any():
+        _check_rigid(pose, f"{root / 'poses.txt'}:{line}")
+        if _stored_size(image) != _stored_size(depth):
             raise InputError(f"{depth} is not of the size of {image.name}")
-        frames.append(PosedFrame(image, depth, _DEPTH_STEP, K, K, np.linalg.inv(pose)))
+        frames.append(PosedFrame(image, depth, K, np.linalg.inv(pose)))
     return frames
 
 
-def read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
+def _read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """A text file's numbers in that shape, float64. Raises InputError with the path."""
     try:
         values = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
@@ -88,32 +83,26 @@ def read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
     return matrix
 
 
-def check_intrinsics(K: np.ndarray, where: str | Path) -> None:
-    """Raise InputError where K (3, 3) is no intrinsic matrix without skew."""
+def _check_intrinsics(K: np.ndarray, where: str | Path) -> None:
+    """Raise InputError if K (3, 3) is not an intrinsic matrix without skew."""
     plain = np.array([[K[0, 0], 0, K[0, 2]], [0, K[1, 1], K[1, 2]], [0, 0, 1]])
     if min(K[0, 0], K[1, 1]) <= 0 or not np.allclose(K, plain, atol=1e-6 * abs(K[0, 0])):
         raise InputError(f"{where}: K must be fx 0 cx, 0 fy cy, 0 0 1 with fx, fy > 0")
 
 
-def check_rigid(pose: np.ndarray, where: str | Path) -> None:
-    """Raise InputError where a pose (4, 4) is no rotation and translation."""
+def _check_rigid(pose: np.ndarray, where: str | Path) -> None:
+    """Raise InputError if a pose (4, 4) is not a rotation and a translation."""
     R = pose[:3, :3]
     is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0
     if not is_rotation or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
         raise InputError(f"{where}: a pose must be a rotation and a translation, [R t; 0 0 0 1]")
 
 
-def stored_size(path: Path) -> np.ndarray:
-    """(width, height) of an image or depth file by its header. Raises ImageError with the path."""
+def _stored_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image by its header. Raises ImageError with the path."""
     try:
-        if path.suffix == ".pfm":
-            with path.open("rb") as stream:
-                header = _PFM.match(stream.read(64))
-            if header is None:
-                raise ImageError(f"{path} is not a PFM image of one channel")
-            return np.array([int(header[1]), int(header[2])], dtype=np.float64)
         with PIL.Image.open(path) as image:
-            return np.array(image.size, dtype=np.float64)
+            return image.size
     except OSError:
         raise ImageError(f"{path} is missing, corrupt or not an image") from None
 

@@ -1,46 +1,25 @@
-"""Training pairs made on the fly: two views, the true map between them, and where it holds."""
+"""Random pairs with a known map, from photographs, ray-cast scenes and real scenes."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.errors import InputError
-from dgc_pose.synthesis.depth_pairs import DepthOptions, depth_pairs
+from dgc_pose.synthesis.batches import joined
+from dgc_pose.synthesis.depth_pairs import depth_pairs
 from dgc_pose.synthesis.depth_scenes import DepthScenes
+from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.synthesis.photometric import PhotometricOptions, random_photometric
+from dgc_pose.synthesis.options import PairOptions
+from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.render import SceneOptions, render_pairs
-from dgc_pose.synthesis.warps import WIDE, WarpOptions, random_warp
-
-
-@dataclass(frozen=True)
-class PairOptions:
-    """What the training pairs are made of."""
-
-    # Of the pairs: ray-cast 3D scenes, and real scenes of known depth; the rest are warped photos.
-    scene_share: float = 0.5
-    real_share: float = 0.0
-    warps: WarpOptions = WIDE
-    scenes: SceneOptions = field(default_factory=SceneOptions)
-    real: DepthOptions = field(default_factory=DepthOptions)
-    # None: both views in the photograph's own light.
-    photometric: PhotometricOptions | None = field(default_factory=PhotometricOptions)
-    view_scale: tuple[float, float] = (0.5, 1.0)  # a warped pair's view, of the photograph's side
-    view_roll_deg: float = 20.0  # standard deviation of the view's rotation in the photograph
-    occluder_share: float = 0.3  # of the views of warped pairs that something stands before
-
-    def __post_init__(self) -> None:
-        for name in ("scene_share", "real_share", "occluder_share"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"{name} must be a share of one, not {getattr(self, name)}")
-        if self.scene_share + self.real_share > 1:
-            raise InputError("scene_share and real_share must be shares of one")
+from dgc_pose.synthesis.render import render_pairs
+from dgc_pose.synthesis.warps import random_warp
 
 
 def make_pairs(
@@ -53,8 +32,8 @@ def make_pairs(
 ) -> MapPairs:
     """A batch of random pairs of views of `size` pixels a side, on the device of `photos`.
 
-    generator: a CPU one; all draws come from it. real: on the device of `photos`; needed, else
-    InputError is raised, where `real_share` is not zero.
+    All draws come from `generator`, which is on the CPU. `real` is on the device of `photos`.
+    Raises InputError if `real_share` is not zero and there is no `real`.
     """
     if options.real_share > 0 and real is None:
         raise InputError("real_share is not zero, and there are no real scenes")
@@ -70,7 +49,7 @@ def make_pairs(
         parts.append(_scene_pairs(photos, scenes, size, generator, options))
     if reals and real is not None:
         parts.append(depth_pairs(real, reals, size, generator, options.real))
-    pairs = parts[0] if len(parts) == 1 else MapPairs.joined(parts)
+    pairs = parts[0] if len(parts) == 1 else joined(parts)
     if options.photometric is None:
         return pairs
     return replace(
@@ -91,53 +70,50 @@ def _warped_pairs(
     photos: Photos, batch: int, size: int, generator: torch.Generator, options: PairOptions
 ) -> MapPairs:
     pixels = photos.pixels
-    chosen = torch.randint(len(pixels), (batch,), generator=generator)
-    # Draws are made on the CPU; from pageable memory the copy is taken before a call returns.
-    textures = pixels[chosen.to(pixels.device, non_blocking=True)].float() / 255
+    chosen = Draw(generator, pixels.device).integers(batch, count=len(pixels))
+    textures = pixels[chosen].float() / 255
     axis = (2 * torch.arange(size, device=pixels.device) + 1) / size - 1
     grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
     grid = grid.expand(batch, -1, -1)
-    place = random_warp(batch, options.warps, generator)(grid)
+    source = random_warp(batch, options.warps, generator)(grid)
     linear, shift = _random_views(batch, generator, options)
     linear, shift = linear.to(grid, non_blocking=True), shift.to(grid, non_blocking=True)
 
-    def look(points: Tensor) -> Tensor:
+    def view(points: Tensor) -> Tensor:
         in_photo = (points @ linear.transpose(1, 2) + shift[:, None]).view(batch, size, size, 2)
-        return F.grid_sample(
-            textures, in_photo, padding_mode="reflection", align_corners=False
-        )
+        return F.grid_sample(textures, in_photo, padding_mode="reflection", align_corners=False)
 
-    image1, image2 = look(grid), look(place)
-    valid = (place.abs() <= 1).all(-1).view(batch, size, size)
+    image1, image2 = view(grid), view(source)
+    valid = (source.abs() <= 1).all(-1).view(batch, size, size)
     others = textures.roll(1, 0)
     image1, hidden1 = _occlude(image1, others, generator, options.occluder_share)
     image2, hidden2 = _occlude(image2, others, generator, options.occluder_share)
-    place = place.view(batch, size, size, 2)
-    behind = F.grid_sample(hidden1.float(), place, mode="nearest", align_corners=False) > 0.5
+    source = source.view(batch, size, size, 2)
+    behind = F.grid_sample(hidden1.float(), source, mode="nearest", align_corners=False) > 0.5
     valid &= ~behind[:, 0] & ~hidden2[:, 0]
-    return MapPairs(image1, image2, ((place + 1) * size - 1) / 2, valid)
+    return MapPairs(image1, image2, ((source + 1) * size - 1) / 2, valid)
 
 
 def _random_views(
     batch: int, generator: torch.Generator, options: PairOptions
 ) -> tuple[Tensor, Tensor]:
-    """Where the source view lies in its photograph: (B, 2, 2) and (B, 2), normalised."""
-    low, high = options.view_scale
-    scale = low + (high - low) * torch.rand(batch, generator=generator)
-    roll = math.radians(options.view_roll_deg) * torch.randn(batch, generator=generator)
-    mirrored = 1 - 2 * (torch.rand(batch, generator=generator) < 0.5).float()
+    """Source views as maps to their photographs: (B, 2, 2) and (B, 2), normalised."""
+    draw = Draw(generator)
+    scale = draw.uniform(batch, low=options.view_scale[0], high=options.view_scale[1])
+    roll = math.radians(options.view_roll_deg) * draw.normal(batch)
+    mirrored = 1 - 2 * draw.chance(batch, share=0.5).float()
     cos, sin = scale * roll.cos(), scale * roll.sin()
     linear = torch.stack([cos * mirrored, -sin, sin * mirrored, cos], -1).view(batch, 2, 2)
-    room = (1 - scale)[:, None]
-    return linear, room * (2 * torch.rand(batch, 2, generator=generator) - 1)
+    return linear, (1 - scale)[:, None] * (2 * draw.uniform(batch, 2) - 1)
 
 
 def _occlude(
     images: Tensor, others: Tensor, generator: torch.Generator, share: float
 ) -> tuple[Tensor, Tensor]:
-    """Put an ellipse cut from another photograph before some views; also (B, 1, S, S) where."""
+    """A `share` of the views behind an ellipse cut from another photograph, and the ellipses'
+    masks (B, 1, S, S)."""
     batch, _, size, _ = images.shape
-    random = torch.rand(batch, 7, generator=generator).to(images, non_blocking=True)
+    random = Draw(generator, images.device, images.dtype).uniform(batch, 7)
     axis = torch.linspace(-1, 1, size, device=images.device)
     y, x = torch.meshgrid(axis, axis, indexing="ij")
     centre = 2 * random[:, :2] - 1

@@ -1,11 +1,11 @@
-"""The DGC-Net authors' lists of warps, so that their training and test pairs can be made.
+"""The DGC-Net authors' lists of warps, which define their training and test pairs.
 
 A list is a CSV of `fname,aff/tps/homo,t1,...,t18`, zero-padded. By the second column:
 
-- 0, affine: t1 to t6 are the 2x3 matrix, row by row; it takes places of the target view to places
+- 0, affine: t1 to t6 are the 2x3 matrix, row by row; it maps points of the target view to points
   of the source view, normalised to -1 and +1 at the centres of the outermost pixels.
-- 1, thin-plate spline: t1 to t9 the x and t10 to t18 the y of the places that the control points
-  of a 3x3 grid go to, x = -1 -1 -1 0 0 0 1 1 1 and y = -1 0 1 repeated; in the same coordinates.
+- 1, thin-plate spline: t1 to t9 the x and t10 to t18 the y of the points that the control points
+  of a 3x3 grid map to, x = -1 -1 -1 0 0 0 1 1 1 and y = -1 0 1 repeated; in the same coordinates.
 - 2, homography: t1 to t9, row by row, from source to target in pixels of a 768x576 photograph.
 
 Views of 0 and 1 are the middle 9/16 of a 640x480 photograph, mirrored beyond its edges; those of 2
@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -30,13 +29,13 @@ from torch import Tensor
 
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
-from dgc_pose.synthesis.random_pairs import MapPairs
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline
 
 WarpKind = Literal["affine", "tps", "homography"]
 _KINDS: tuple[WarpKind, ...] = get_args(WarpKind)  # in the order of their numbers in a list
 _PARAMETERS = 18
-_USED = {"affine": 6, "tps": 18, "homography": 9}
 
 _BENT_SIZE = (640, 480)  # width, height of the photograph that affine and spline views are cut from
 _VIEW = 9 / 16  # of its width and height
@@ -63,7 +62,7 @@ class WarpList:
 
     @classmethod
     def read(cls, path: str | Path) -> WarpList:
-        """Raises InputError, with the path and the line, for what is no such list; OSError."""
+        """Raises InputError, with the path and the line, for a malformed list; OSError."""
         path = Path(path)
         with path.open(newline="", encoding="utf-8") as stream:
             reader = csv.reader(stream)
@@ -87,25 +86,26 @@ def list_pairs(
 ) -> MapPairs:
     """The pairs of rows, `size` pixels a side, of photographs below `root`.
 
-    `valid` is the authors': both coordinates of the true place in [-1, 1]. Raises ImageError where
-    a photograph cannot be read, InputError where there is no row.
+    `valid` is the authors': both coordinates of the true point in [-1, 1]. Raises ImageError if a
+    photograph cannot be read, InputError if there is no row.
     """
     if not rows:
         raise InputError("rows must not be empty")
-    places: list[int] = []
+    order: list[int] = []
     parts: list[tuple[Tensor, Tensor, Tensor]] = []
     for bent in (True, False):
         chosen = [i for i, row in enumerate(rows) if (row.kind != "homography") == bent]
         if not chosen:
             continue
-        places += chosen
+        order += chosen
         photo_size = _BENT_SIZE if bent else _PLANE_SIZE
-        photos = torch.stack([_read(Path(root) / rows[i].file, photo_size) for i in chosen])
+        files = [load_image(Path(root) / rows[i].file).pixels for i in chosen]
+        photos = torch.stack([resized_planes(pixels, photo_size) for pixels in files])
         photos = photos.to(device).float() / 255
         make = _bent_pairs if bent else _plane_pairs
         parts.append(make([rows[i] for i in chosen], photos, size))
-    order = torch.tensor(places, device=device).argsort()
-    image1, image2, truth = (torch.cat(p)[order] for p in zip(*parts, strict=True))
+    sort = torch.tensor(order, device=device).argsort()
+    image1, image2, truth = (torch.cat(p)[sort] for p in zip(*parts, strict=True))
     valid = ((truth >= 0) & (truth <= size - 1)).all(-1)
     return MapPairs(image1, image2, truth, valid)
 
@@ -128,17 +128,7 @@ def _parse(fields: list[str], where: str) -> WarpRow:
     return WarpRow(fields[0], kind, parameters)
 
 
-def _read(path: Path, size: tuple[int, int]) -> Tensor:
-    pixels = load_image(path).pixels
-    shrinks = pixels.shape[1] >= size[0] and pixels.shape[0] >= size[1]
-    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    resized = cv2.resize(pixels, size, interpolation=interpolation)
-    return torch.from_numpy(np.ascontiguousarray(resized.transpose(2, 0, 1)))
-
-
-def _bent_pairs(
-    rows: list[WarpRow], photos: Tensor, size: int
-) -> tuple[Tensor, Tensor, Tensor]:
+def _bent_pairs(rows: list[WarpRow], photos: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """Images of both views and the map (B, S, S, 2) in pixels, of affine and spline rows."""
     axis = torch.linspace(-1, 1, size, device=photos.device)
     grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
@@ -150,24 +140,22 @@ def _bent_pairs(
     knots = torch.cartesian_prod(*[torch.tensor([-1.0, 0.0, 1.0])] * 2)
     targets = values.view(-1, 2, 9).transpose(1, 2).cpu()
     spline = thin_plate_spline(knots, targets)
-    place = torch.where(bends[:, None, None], spline(grid), apply_homography(affine, grid))
+    source = torch.where(bends[:, None, None], spline(grid), apply_homography(affine, grid))
 
     width, height = _BENT_SIZE
     side = photos.new_tensor([width, height])
 
-    def look(points: Tensor) -> Tensor:
+    def view(points: Tensor) -> Tensor:
         # -1 and +1 are the outermost pixels of the photograph mirrored to twice its size.
         pixels = (points * _VIEW / 2 + 1) * (2 * side - 1) / 2 - side / 2
         normalised = ((2 * pixels + 1) / side - 1).view(len(rows), size, size, 2)
         return F.grid_sample(photos, normalised, padding_mode="reflection", align_corners=False)
 
-    pixels = ((place + 1) * (size - 1) / 2).view(len(rows), size, size, 2)
-    return look(grid), look(place), pixels
+    pixels = ((source + 1) * (size - 1) / 2).view(len(rows), size, size, 2)
+    return view(grid), view(source), pixels
 
 
-def _plane_pairs(
-    rows: list[WarpRow], photos: Tensor, size: int
-) -> tuple[Tensor, Tensor, Tensor]:
+def _plane_pairs(rows: list[WarpRow], photos: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
     """Images of both views and the map (B, S, S, 2) in pixels, of homography rows."""
     step = _CROP_SIDE / size
     axis = (torch.arange(size, device=photos.device) + 0.5) * step - 0.5
@@ -178,12 +166,12 @@ def _plane_pairs(
     inverse = torch.linalg.inv(H)
     middle = torch.tensor([(side - 1) / 2 for side in _PLANE_SIZE] + [1.0], dtype=torch.float64)
     inverse = inverse / (inverse[:, 2] @ middle)[:, None, None]  # depths positive in the middle
-    place = apply_homography(inverse.to(photos), grid)
+    source = apply_homography(inverse.to(photos), grid)
     side = photos.new_tensor(_PLANE_SIZE)
 
-    def look(points: Tensor) -> Tensor:
+    def view(points: Tensor) -> Tensor:
         normalised = ((2 * points + 1) / side - 1).view(len(rows), size, size, 2)
         return F.grid_sample(photos, normalised, align_corners=False)
 
-    pixels = (place - crop + 0.5) / step - 0.5
-    return look(grid), look(place), pixels.view(len(rows), size, size, 2)
+    pixels = (source - crop + 0.5) / step - 0.5
+    return view(grid), view(source), pixels.view(len(rows), size, size, 2)

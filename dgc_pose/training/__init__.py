@@ -1,1 +1,1 @@
-"""Training from photographs: pairs made on the fly, staged losses, runs that survive a kill."""
+"""Training on synthetic pairs: stages, losses, and runs that resume from checkpoints."""

@@ -1,4 +1,4 @@
-"""The exponential moving average of a module's weights, which is what a run validates and ships."""
+"""The exponential moving average of a module's weights, which a run validates and writes."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Module = TypeVar("Module", bound=nn.Module)
 class MovingAverage(Generic[Module]):
     """A copy of a module, in evaluation mode, whose weights and buffers follow it at `update`.
 
-    The decay grows with the updates n as min(decay, (1 + n) / (10 + n)), so that the random
-    weights of a run's start are soon forgotten. Counters are copied. Unlike torch's
-    AveragedModel it counts on the processor: an update waits for no GPU.
+    The decay grows with the updates n as min(decay, (1 + n) / (10 + n)), so that a run's random
+    initial weights soon lose their influence. Counters are copied. Unlike torch's AveragedModel it
+    counts on the processor: an update waits for no GPU.
     """
 
     def __init__(self, module: Module, decay: float) -> None:

@@ -1,13 +1,11 @@
-"""From easy pairs to full ones over a run: narrow warps and small camera motion first."""
+"""Curriculum learning: narrow warps and small camera motion first, full ranges later."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 from dgc_pose.errors import InputError
-from dgc_pose.synthesis.random_pairs import PairOptions
-from dgc_pose.synthesis.render import SceneOptions
-from dgc_pose.synthesis.warps import WarpOptions
+from dgc_pose.synthesis.options import PairOptions, SceneOptions, WarpOptions
 
 
 @dataclass(frozen=True)
@@ -23,9 +21,9 @@ class Curriculum:
                 raise InputError(f"{name} must lie in (0, 1], not {getattr(self, name)}")
 
     def at(self, progress: float, options: PairOptions) -> PairOptions:
-        """The options of pairs at a progress of the run from 0 to 1; `options` are the full ones.
+        """The options of pairs at a progress of the run from 0 to 1, from the full `options`.
 
-        Photometric changes, occluders and the kinds' shares stay as they are.
+        Photometric changes, occluders and the kinds' shares are unchanged.
         """
         reach = min(1.0, self.start + (1 - self.start) * max(0.0, progress) / self.ramp)
         if reach == 1:

@@ -1,8 +1,9 @@
-"""What a run says of itself: a row every few steps, and the files that keep the rows."""
+"""Rates and figures of a run's steps, and the CSV files that keep them."""
 
 from __future__ import annotations
 
 import csv
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,9 @@ import torch
 from torch import Tensor
 
 from dgc_pose.training.processes import joint_sum
-from dgc_pose.training.stopwatch import Mark, mark, seconds_between
 
 Row = dict[str, Any]
+Mark = float | torch.cuda.Event
 
 
 class Meter:
@@ -25,7 +26,12 @@ class Meter:
         self._figures: dict[str, Tensor] = {}
 
     def mark(self) -> Mark:
-        return mark(self._device)
+        """A moment, on the GPU's own clock if the work is there."""
+        if self._device.type != "cuda":
+            return time.perf_counter()
+        event = torch.cuda.Event(enable_timing=True)
+        event.record()
+        return event
 
     def add(self, pairs: int, marks: tuple[Mark, Mark, Mark], figures: dict[str, Tensor]) -> None:
         """A step: its pairs over all processes; when it began, had them, and ended; its figures."""
@@ -35,8 +41,8 @@ class Meter:
 
     def row(self) -> Row:
         """Rates of all processes together since the last row, the last step's figures."""
-        making = sum(seconds_between(began, made) for began, made, _ in self._marks)
-        training = sum(seconds_between(made, ended) for _, made, ended in self._marks)
+        making = sum(_seconds_between(began, made) for began, made, _ in self._marks)
+        training = sum(_seconds_between(made, ended) for _, made, ended in self._marks)
         row: Row = {
             "pairs_per_second": _rate(self._pairs, making + training),
             "made_per_second": _rate(self._pairs, making),
@@ -47,19 +53,28 @@ class Meter:
         return row
 
 
-def _rate(pairs: int, seconds: float) -> float:
-    return pairs / seconds if seconds > 0 else float("nan")
-
-
 def append(path: Path, row: Row) -> None:
-    """Add a row to a CSV file, which is made with the row's columns where it is not there."""
-    columns = list(row)
-    if path.exists():
+    """Add a row to a CSV file; a new file gets the row's columns."""
+    columns, is_new = list(row), not path.exists()
+    if not is_new:
         with path.open(newline="") as file:
             columns = next(csv.reader(file), columns)
-    is_new = not path.exists()
     with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore")
         if is_new:
             writer.writeheader()
         writer.writerow(row)
+
+
+def _seconds_between(first: Mark, second: Mark) -> float:
+    """Waits until the GPU's work before the second mark is done."""
+    if isinstance(first, torch.cuda.Event):
+        assert isinstance(second, torch.cuda.Event)
+        second.synchronize()
+        return first.elapsed_time(second) / 1000
+    assert isinstance(second, float)
+    return second - first
+
+
+def _rate(pairs: int, seconds: float) -> float:
+    return pairs / seconds if seconds > 0 else float("nan")

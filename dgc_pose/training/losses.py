@@ -1,7 +1,6 @@
 """The losses: contrastive for the encoder; map and mask at each level for the decoders.
 
-Means are over the batches of all processes: each process gets its part of the mean, and the parts
-sum to it.
+Means are over the batches of all processes: each process gets its part, and the parts add up.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from dgc_pose.training.processes import joint_sum
 
 
 def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
-    """This process's part of the mean of `values` where `inside` holds; 0 where it never does.
+    """This process's part of the mean of the `values` that are `inside`; 0 if there are none.
 
-    NaN or infinity at the other places does not reach the sum.
+    NaN and infinity of the other values do not reach the sum.
     """
     count = joint_sum(inside.sum())
     return torch.where(inside, values, 0).sum() / count.clamp(min=1)
@@ -31,18 +30,18 @@ def contrastive_loss(
 ) -> tuple[Tensor, Tensor]:
     """InfoNCE on true correspondences, in both directions, and the share found.
 
-    logits: (B, h * w, Q): every source cell, column-major, against Q target cells; truth:
-    (B, Q, 2) source pixels of those, `valid` (B, Q) where. Each valid target cell must find its
-    place among all source cells (the four around the true place share it, bilinearly), and that
-    place must find the cell among all target cells given. Returns the loss and the share of valid
-    cells whose best source cell lies within 1.5 cells of the truth.
+    logits: (B, h * w, Q), every source cell, column-major, against Q target cells; truth:
+    (B, Q, 2), their true points in source pixels; valid: (B, Q). Each valid target cell is
+    classified among all source cells (its true point shared bilinearly by the four cells around
+    it), and that point among all target cells given. Returns the loss and the share of valid cells
+    whose best source cell lies within 1.5 cells of the truth.
 
-    passes: where Q is the whole grid, each target cell must find its place once more, after so
-    many rounds of `consensus`.
+    passes: if positive, Q is the whole grid, and the target cells are classified once more after
+    so many rounds of `consensus`.
     """
     size = math.isqrt(logits.shape[1])
     truth = torch.where(valid[..., None], truth, 0)
-    cells = (truth + 0.5) / stride - 0.5  # the true place in source cells
+    cells = (truth + 0.5) / stride - 0.5  # the true point in source cells
     scores = match_scores(logits)
     index, weight = _bilinear_cells(cells, size)
     likely = scores / 2
@@ -57,7 +56,7 @@ def contrastive_loss(
 
 
 def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """The four cells around places (B, N, 2): column-major indices (B, 4, N), and their weights."""
+    """The four cells around points (B, N, 2): column-major indices (B, 4, N), and their weights."""
     cells = cells.clamp(0, size - 1)
     low = cells.floor().clamp(max=size - 2)
     fraction = cells - low
@@ -73,7 +72,7 @@ def map_loss(error_cells: Tensor, valid: Tensor, robust_cells: float | None) -> 
     """Mean over valid cells of |dx| + |dy| (paper, equation 3), here in cells of the level.
 
     error_cells: (B, H, W, 2). With `robust_cells` = c the sum e is taken as c log(1 + e / c): a
-    level cannot mend what the level before it lost, and should not be pulled by it.
+    level cannot correct large errors of the level before it, which should not dominate.
     """
     error = error_cells.abs().sum(-1)
     if robust_cells is not None:
@@ -84,7 +83,7 @@ def map_loss(error_cells: Tensor, valid: Tensor, robust_cells: float | None) -> 
 def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:
     """Mean binary cross-entropy of matchability logits (B, 1, H, W) (paper, equation 4).
 
-    target: (B, H, W) bool; it counts where `known`, likewise, holds.
+    target: (B, H, W) bool; only the cells that are `known` (B, H, W) count.
     """
     entropy = F.binary_cross_entropy_with_logits(logits[:, 0], target.to(logits), reduction="none")
     return joint_mean(entropy, known)

@@ -1,6 +1,6 @@
 """Several processes that train one network, one a GPU, as torchrun starts them.
 
-Everything here is harmless in a process that trains alone.
+A process that trains alone may call everything here.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from dgc_pose.errors import InputError
 
 @contextmanager
 def process_group(device: torch.device) -> Iterator[torch.device]:
-    """Join the other processes where torchrun started several; yields this process's device.
+    """Join the other processes if torchrun started several; yields this process's device.
 
-    Of "cuda", each process on a host gets a GPU of its own. Raises InputError where the host has
+    For "cuda", each process of a host gets a GPU of its own. Raises InputError if the host has
     fewer.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
@@ -58,17 +58,17 @@ def joint_sum(value: Tensor) -> Tensor:
     return total
 
 
-def agreed(value: float) -> float:
-    """What the first process says. Goes by the CPU, so that no GPU waits for it."""
+def from_first(value: float) -> float:
+    """The first process's value, in all of them. Sent between the CPUs: no GPU waits for it."""
     if process_count() == 1:
         return value
-    said = torch.tensor([value], dtype=torch.float64)
-    dist.broadcast(said, 0)
-    return float(said)
+    sent = torch.tensor([value], dtype=torch.float64)
+    dist.broadcast(sent, 0)
+    return float(sent)
 
 
 class _JointSum(torch.autograd.Function):
-    """The sum over all processes, with its gradient: what reaches the sum in any process."""
+    """The sum over all processes, with a gradient: the sum of the gradients of all processes."""
 
     @staticmethod
     def forward(ctx: Any, value: Tensor) -> Tensor:
@@ -94,13 +94,14 @@ class JointBatchNorm2d(nn.BatchNorm2d):
         own = torch.stack([own_mean, own_variance + own_mean.square()])
         mean, square = (_JointSum.apply(own) / count).unbind()
         variance = (square - mean.square()).clamp(min=0)
-        self._follow(mean.detach(), variance.detach(), count * values.numel() // len(mean))
+        total = count * values.numel() // len(mean)
+        self._update_statistics(mean.detach(), variance.detach(), total)
         scale = self.weight * torch.rsqrt(variance + self.eps)
         shift = self.bias - mean * scale
         return (values * scale[:, None, None] + shift[:, None, None]).to(values.dtype)
 
-    def _follow(self, mean: Tensor, variance: Tensor, values: int) -> None:
-        """Move the running statistics; the variance is the unbiased one, as in torch."""
+    def _update_statistics(self, mean: Tensor, variance: Tensor, values: int) -> None:
+        """Update the running statistics, by the unbiased variance, as torch does."""
         assert self.running_mean is not None and self.running_var is not None
         assert self.momentum is not None and self.num_batches_tracked is not None
         self.num_batches_tracked.add_(1)
@@ -109,7 +110,7 @@ class JointBatchNorm2d(nn.BatchNorm2d):
 
 
 def join_batch_norms(module: nn.Module) -> None:
-    """Make every batch norm inside `module` a joint one, with the parameters that it has."""
+    """Replace every batch norm inside `module` by a joint one with the same parameters."""
     for name, child in module.named_children():
         if type(child) is nn.BatchNorm2d:
             joint = JointBatchNorm2d(child.num_features, child.eps)

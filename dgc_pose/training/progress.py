@@ -1,11 +1,11 @@
-"""The line that a run prints of itself now and then."""
+"""The progress line of a run."""
 
 from __future__ import annotations
 
 import sys
 
 from dgc_pose.training.log import Row
-from dgc_pose.training.run import RunOptions
+from dgc_pose.training.options import RunOptions
 
 
 class ProgressLine:

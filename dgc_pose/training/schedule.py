@@ -1,4 +1,4 @@
-"""Which stage a run is in, and its learning rate, from the time trained so far."""
+"""The stages of a run, their shares of its length, and their learning rates."""
 
 from __future__ import annotations
 
@@ -16,21 +16,29 @@ _WARM_UP = 0.02  # of a stage
 class StageOptions:
     """One stage's batches and rates."""
 
-    batch: int  # pairs a step on a CPU
-    gpu_batch: int  # pairs a step on GPUs, all together
-    size: int  # pixels a side of the views
-    learning_rate: float  # at its highest
-    weight_decay: float
+    batch: int = 8  # pairs a step on a CPU
+    gpu_batch: int = 64  # pairs a step on GPUs, all together
+    size: int = 240  # pixels a side of the views
+    learning_rate: float = 1e-3  # at its highest
+    weight_decay: float = 1e-4
+
+
+STAGES: dict[StageName, StageOptions] = {
+    "encoder": StageOptions(batch=16, gpu_batch=128, size=160, learning_rate=2e-3),
+    "coarsest": StageOptions(),
+    "decoders": StageOptions(),
+    "polish": StageOptions(learning_rate=1e-4),
+}
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Shares of a run's time for each stage: a run of M minutes is a complete schedule."""
+    """Each stage's share of a run's length: a run of M minutes is a complete schedule."""
 
     encoder: float = 0.45
     decoders: float = 0.45
     polish: float = 0.10
-    coarsest: float = 0.0  # comes after the encoder's
+    coarsest: float = 0.0  # between the encoder and the decoders
 
     def __post_init__(self) -> None:
         shares = tuple(getattr(self, name) for name in STAGES)
@@ -41,7 +49,7 @@ class Schedule:
     def parse(cls, text: str) -> Schedule:
         """From percentages: "45,45,10" of encoder, decoders and polish, or "0,50,40,10" of all.
 
-        Raises InputError where the text is neither.
+        Raises InputError for any other text.
         """
         try:
             shares = [float(part) / 100 for part in text.split(",")]
@@ -66,20 +74,6 @@ class Schedule:
             start += share
         last = [name for name, share in stages if share > 0][-1]
         return last, 1.0
-
-
-STAGES: dict[StageName, StageOptions] = {
-    "encoder": StageOptions(
-        batch=16, gpu_batch=128, size=160, learning_rate=2e-3, weight_decay=1e-4
-    ),
-    "coarsest": StageOptions(
-        batch=8, gpu_batch=64, size=240, learning_rate=1e-3, weight_decay=1e-4
-    ),
-    "decoders": StageOptions(
-        batch=8, gpu_batch=64, size=240, learning_rate=1e-3, weight_decay=1e-4
-    ),
-    "polish": StageOptions(batch=8, gpu_batch=64, size=240, learning_rate=1e-4, weight_decay=1e-4),
-}
 
 
 def learning_rate(options: StageOptions, progress: float) -> float:

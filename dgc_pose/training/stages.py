@@ -1,9 +1,8 @@
-"""The stages of a run: the encoder, its coarsest levels, the decoders on it, polish."""
+"""The stages of a run: the encoder, its coarsest levels, the decoders, the decoders end to end."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -16,30 +15,34 @@ from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_
 from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
+from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.level_truth import level_known, level_truth
 from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.training.draws import Draws
 from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mask_loss
+from dgc_pose.training.options import Unfrozen
 
-Thawed = Literal["coarsest", "encoder"]
-_ALONE = (3, 2)  # levels that the contrastive loss runs on beside the coarsest
-_QUERIES = 400  # target cells a pair at level 2, where all would be thousands
+_CONTRASTED = (3, 2)  # levels with a contrastive loss of their own, beside the coarsest
+_QUERIES = 400  # target cells a pair at level 2, which has thousands
+_SIZE = (INPUT_SIZE, INPUT_SIZE)
+
+Window = tuple[slice, slice]  # rows and columns of a level
+Loss = tuple[Tensor, dict[str, Tensor]]  # with figures: this process's parts of joint means
 
 
 @dataclass(frozen=True)
-class Lesson:
-    """What a teacher says of a batch of pairs, as a further target of the map."""
+class TeacherTarget:
+    """A teacher's map of a batch of pairs, as a further target."""
 
     map: Tensor  # (B, 240, 240, 2) pixels
-    sure: Tensor  # (B, 240, 240) bool, where it is to be believed
+    confident: Tensor  # (B, 240, 240) bool, pixels that count
     weight: float  # of the loss, beside that of the truth
 
 
 class EncoderStage(nn.Module):
     """The pyramid with batch norm, trained contrastively at levels 4, 3 and 2.
 
-    Trained so, an encoder is usable after minutes where the whole network end to end learns next
-    to nothing; the inverse temperatures of level 4's evidence go on into the soft-argmax.
+    An encoder trained so is usable after minutes; trained end to end, it learns next to nothing in
+    that time. The soft-argmax takes over the inverse temperatures of level 4.
     """
 
     def __init__(self, net: DGCNet) -> None:
@@ -49,17 +52,12 @@ class EncoderStage(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         self.half_precision = net.half_precision
-        # Of the levels that the coarsest's evidence is made of, then of those contrasted alone.
+        # Of the correlated levels, then of those with a contrastive loss of their own.
         self.correlated = net.config.correlated_levels
-        self.log_scales = nn.Parameter(torch.full((self.correlated + len(_ALONE),), 2.5))
+        self.log_scales = nn.Parameter(torch.full((self.correlated + len(_CONTRASTED),), 2.5))
 
-    def forward(
-        self, pairs: MapPairs, draws: Draws
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The contrastive loss of a batch, and the share of cells found at each level.
-
-        As all figures of the stages, they are this process's parts of the joint means.
-        """
+    def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
+        """The contrastive loss of a batch, and the share of cells found at each level."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.half_precision):
             features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
@@ -68,16 +66,16 @@ class EncoderStage(nn.Module):
         halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
         correlations = cell_correlations(*zip(*halves, strict=True))
         evidence = match_evidence(correlations, scales[: self.correlated])
-        total, share = _contrast_evidence(evidence, pairs)
+        total, share = _coarsest_loss(evidence, pairs)
         shares = {f"found{COARSEST}": share}
-        for level, scale in zip(_ALONE, scales[self.correlated :], strict=True):
-            part, share = _contrast(level, features[level], pairs, scale, draws)
+        for level, scale in zip(_CONTRASTED, scales[self.correlated :], strict=True):
+            part, share = _level_contrast(level, features[level], pairs, scale, draw)
             total = total + part
             shares[f"found{level}"] = share
         return total, shares
 
     def write(self, net: DGCNet) -> None:
-        """Put the trained pyramid, batch norm folded, and the temperature into the network."""
+        """Copy the trained pyramid, batch norm folded, and the temperatures into the network."""
         fold_batch_norm(self.pyramid, net.pyramid)
         if net.config.soft_argmax:
             scales = self.log_scales[: self.correlated].detach()
@@ -85,52 +83,44 @@ class EncoderStage(nn.Module):
 
 
 class CoarsestStage(nn.Module):
-    """The encoder, or those levels of it that the correlation is made of, without any decoder.
+    """The encoder, or only its correlated levels, without any decoder.
 
-    By the contrastive loss of the coarsest level, over whole views and with the neighbours heard.
-    What goes wrong there no decoder mends, and a step takes half the time of one with decoders.
-    Raises InputError for a network whose correlation is local.
+    Trained by the contrastive loss of the coarsest level over whole views, after belief
+    propagation. No decoder can correct errors of that level, and a step takes half the time of one
+    with decoders. Raises InputError for a network whose correlation is local.
     """
 
-    def __init__(self, net: DGCNet, thawed: Thawed | None = "coarsest") -> None:
+    def __init__(self, net: DGCNet, unfrozen: Unfrozen | None = "coarsest") -> None:
         super().__init__()
-        if thawed is not None and net.config.correlation == "local":
-            raise InputError(f"{net.config.name} has nothing to thaw: its correlation is local")
+        if unfrozen is not None and net.config.correlation == "local":
+            raise InputError(f"{net.config.name} has nothing to unfreeze: its correlation is local")
         self.net = net
-        self.thawed = thawed
+        self.unfrozen = unfrozen
         net.requires_grad_(False)
-        moving = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
+        count = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
         for level, module in enumerate(net.pyramid.children()):
-            module.requires_grad_(level > COARSEST - moving[thawed])
+            module.requires_grad_(level > COARSEST - count[unfrozen])
 
     def train(self, mode: bool = True) -> CoarsestStage:
         super().train(mode)
         self.net.pyramid.eval()
         return self
 
-    def trainable(self) -> list[nn.Parameter]:
-        """Every parameter but the frozen ones."""
-        return [p for p in self.net.parameters() if p.requires_grad]
-
-    def forward(
-        self, pairs: MapPairs, draws: Draws
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
         """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
         return self._contrast(self.net.correlate(*self._features(pairs)), pairs)
 
     def _features(self, pairs: MapPairs) -> tuple[list[Tensor], list[Tensor]]:
-        """Those of the first images and of the second."""
+        """Features of the first images and of the second."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         features = self.net.features(images.contiguous(memory_format=torch.channels_last))
         halves = [f.chunk(2) for f in features]
         return [half[0] for half in halves], [half[1] for half in halves]
 
-    def _contrast(
-        self, correlation: Correlation, pairs: MapPairs
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def _contrast(self, correlation: Correlation, pairs: MapPairs) -> Loss:
         assert correlation.evidence is not None
         passes = self.net.config.consensus_passes
-        loss, found = _contrast_evidence(correlation.evidence, pairs, passes)
+        loss, found = _coarsest_loss(correlation.evidence, pairs, passes)
         return loss, {f"found{COARSEST}": found}
 
 
@@ -138,11 +128,11 @@ class DecoderStage(CoarsestStage):
     """All decoders at once on the frozen pyramid, each fed with its predecessor's detached map.
 
     A share of the pairs gets the true map plus smooth noise instead, so that the fine decoders
-    learn before the coarse ones have; that share falls over the stage. The two finest levels are
-    decoded on a random quarter of the view, where nearly all the time would go otherwise.
+    learn before the coarse ones have; that share falls over the stage. The two finest levels,
+    which cost the most time, are decoded on a random quarter of the view.
 
-    thawed: what of the encoder goes on learning too, as in `CoarsestStage`; the decoders' losses
-    do not reach it.
+    unfrozen: the part of the encoder that continues to learn, as in `CoarsestStage`; the decoders'
+    losses do not reach it. end_to_end: maps are not detached (the polish stage).
     """
 
     def __init__(
@@ -150,9 +140,9 @@ class DecoderStage(CoarsestStage):
         net: DGCNet,
         end_to_end: bool = False,
         robust_cells: float | None = 4.0,
-        thawed: Thawed | None = None,
+        unfrozen: Unfrozen | None = None,
     ) -> None:
-        super().__init__(net, thawed)
+        super().__init__(net, unfrozen)
         for name, module in net.named_children():
             if name != "pyramid":
                 module.requires_grad_(True)
@@ -162,22 +152,22 @@ class DecoderStage(CoarsestStage):
     def forward(
         self,
         pairs: MapPairs,
-        draws: Draws,
+        draw: Draw,
         noise_share: float = 0.0,
-        lesson: Lesson | None = None,
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+        teacher: TeacherTarget | None = None,
+    ) -> Loss:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
         source, target = self._features(pairs)
         correlation = self.net.correlate(source, target)
         total: Tensor = pairs.image1.new_zeros(())
         figures: dict[str, Tensor] = {}
-        if self.thawed is not None:
+        if self.unfrozen is not None:
             total, figures = self._contrast(correlation, pairs)
         source, target = [f.detach() for f in source], [f.detach() for f in target]
-        noisy = draws.uniform(len(pairs.map)) < noise_share
-        offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)
+        noisy = draw.chance(len(pairs.map), share=noise_share)
+        offset = draw.common_integers(2, LEVEL_SIZES[1] // 2 + 1)
         state = self.net.start(correlation.detached())
-        part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), lesson)
+        part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), teacher)
         total = total + part
         figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error
         for level in range(COARSEST - 1, -1, -1):
@@ -186,12 +176,12 @@ class DecoderStage(CoarsestStage):
             if level == 1:
                 previous = previous[:, :, window[0], window[1]]
             if noise_share > 0:
-                noised = self._noisy_truth(level, previous, pairs, window, draws)
+                noised = self._noisy_truth(level, previous, pairs, window, draw)
                 previous = torch.where(noisy[:, None, None, None], noised, previous)
             warped = self.net.warp(source[level], previous)
             seen = target[level][:, :, window[0], window[1]]
             state = self.net.refine(level, warped, seen, previous, window)
-            part, error = self._level_loss(level, state, pairs, window, lesson)
+            part, error = self._level_loss(level, state, pairs, window, teacher)
             total = total + part
             figures[f"epe{LEVEL_SIZES[level]}"] = error
         if self.net.config.matchability == "network":
@@ -205,22 +195,22 @@ class DecoderStage(CoarsestStage):
         level: int,
         state: Tensor,
         pairs: MapPairs,
-        window: tuple[slice, slice],
-        lesson: Lesson | None,
+        window: Window,
+        teacher: TeacherTarget | None,
     ) -> tuple[Tensor, Tensor]:
         """The loss of a level's state, and its mean error in pixels."""
         config = self.net.config
         stride = INPUT_SIZE // LEVEL_SIZES[level]
-        found = to_pixels(state[:, :2].movedim(1, -1), (INPUT_SIZE,) * 2, config.align_corners)
+        found = to_pixels(state[:, :2].movedim(1, -1), _SIZE, config.align_corners)
         error, valid = _error(level, found, pairs.map, pairs.valid, window)
         total = map_loss(error / stride, valid, self.robust_cells)
-        if lesson is not None:
-            off, sure = _error(level, found, lesson.map, lesson.sure, window)
-            total = total + lesson.weight * map_loss(off / stride, sure, self.robust_cells)
+        if teacher is not None:
+            off, counts = _error(level, found, teacher.map, teacher.confident, window)
+            total = total + teacher.weight * map_loss(off / stride, counts, self.robust_cells)
         distance = error.detach().norm(dim=-1)
         if config.matchability == "decoder":
-            # A match is as good as its place: visible, and found to within what the next level
-            # (or, at the end, an estimator) can use.
+            # Matchable: visible, and found to within what the next level (or, at the finest, an
+            # estimator) can use.
             good = valid & (distance < max(4.0, 1.5 * stride))
             known = level_known(pairs.known, LEVEL_SIZES[level])[:, window[0], window[1]]
             total = total + mask_loss(state[:, 2:], good, known)
@@ -231,45 +221,42 @@ class DecoderStage(CoarsestStage):
         level: int,
         previous: Tensor,
         pairs: MapPairs,
-        window: tuple[slice, slice],
-        draws: Draws,
+        window: Window,
+        draw: Draw,
     ) -> Tensor:
-        """The true map plus smooth noise of up to two cells, the mask channel as it was.
+        """The true map plus smooth noise of up to two cells, with the previous mask channel.
 
-        Where the truth is not known, the previous map plus that noise.
+        The previous map plus that noise for cells of unknown truth.
         """
         config = self.net.config
-        size = (INPUT_SIZE, INPUT_SIZE)
         batch, _, height, width = previous.shape
-        coarse = draws.normal(batch, 2, height // 4, width // 4)
+        coarse = draw.normal(batch, 2, height // 4, width // 4)
         smooth = F.interpolate(coarse, (height, width), mode="bicubic", align_corners=False)
-        extent = 0.2 + 1.3 * draws.uniform(batch, 1, 1, 1)
+        extent = 0.2 + 1.3 * draw.uniform(batch, 1, 1, 1)
         noise = (smooth * extent).movedim(1, -1) * (INPUT_SIZE / LEVEL_SIZES[level])
         rows, columns = window
         cells = LEVEL_SIZES[level]
         truth = level_truth(pairs.map, pairs.valid, cells)[0][:, rows, columns]
         known = level_known(pairs.known, cells)[:, rows, columns, None]
-        place = to_pixels(previous.detach()[:, :2].movedim(1, -1), size, config.align_corners)
-        bounded = (torch.where(known, truth, place) + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
-        place = to_normalised(bounded, size, config.align_corners)
-        return torch.cat([place.movedim(-1, 1), previous[:, 2:].detach()], 1)
+        found = to_pixels(previous.detach()[:, :2].movedim(1, -1), _SIZE, config.align_corners)
+        bounded = (torch.where(known, truth, found) + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
+        noised = to_normalised(bounded, _SIZE, config.align_corners)
+        return torch.cat([noised.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
 
-def _contrast_evidence(
-    evidence: Tensor, pairs: MapPairs, passes: int = 0
-) -> tuple[Tensor, Tensor]:
+def _coarsest_loss(evidence: Tensor, pairs: MapPairs, passes: int = 0) -> tuple[Tensor, Tensor]:
     """The contrastive loss of the coarsest level's evidence, and the share of its cells found."""
     truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
     logits, stride = evidence.flatten(2), 2**COARSEST
     return contrastive_loss(logits, truth.flatten(1, 2), valid.flatten(1), stride, passes)
 
 
-def _contrast(
-    level: int, features: Tensor, pairs: MapPairs, scale: Tensor, draws: Draws
+def _level_contrast(
+    level: int, features: Tensor, pairs: MapPairs, scale: Tensor, draw: Draw
 ) -> tuple[Tensor, Tensor]:
     """The contrastive loss of a level alone, and the share of its cells found.
 
-    features: (2B, C, n, n). At level 2 some random target cells stand for all.
+    features: (2B, C, n, n). Level 2 takes a random sample of the target cells.
     """
     source, target = l2_normalise(features.float()).chunk(2)
     truth, valid = level_truth(pairs.map, pairs.valid, source.shape[-1])
@@ -277,7 +264,7 @@ def _contrast(
     columns, target = source.transpose(2, 3).flatten(2), target.flatten(2)
     batch, channels, count = target.shape
     if level == 2 and count > _QUERIES:
-        chosen = draws.uniform(batch, count).topk(_QUERIES, 1).indices
+        chosen = draw.uniform(batch, count).topk(_QUERIES, 1).indices
         target = target.gather(2, chosen[:, None].expand(-1, channels, -1))
         truth = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
         valid = valid.gather(1, chosen)
@@ -286,19 +273,19 @@ def _contrast(
 
 
 def _error(
-    level: int, found: Tensor, truth: Tensor, valid: Tensor, window: tuple[slice, slice]
+    level: int, found: Tensor, truth: Tensor, valid: Tensor, window: Window
 ) -> tuple[Tensor, Tensor]:
-    """Of a level's places (B, H, W, 2): what they are off by, pixels, and where that counts.
+    """Errors of a level's map (B, H, W, 2) in pixels, and the cells (B, H, W) that count.
 
-    It is 0 elsewhere: what stands there in `truth` must reach no gradient.
+    The error is 0 elsewhere, so that undefined values of `truth` reach no gradient.
     """
     truth, valid = level_truth(truth, valid, LEVEL_SIZES[level])
     truth, valid = truth[:, window[0], window[1]], valid[:, window[0], window[1]]
     return torch.where(valid[..., None], found - truth, 0), valid
 
 
-def _window(level: int, offset: list[int]) -> tuple[slice, slice]:
-    """Rows and columns that a level is decoded on: all; at 120 and 240 the half from `offset`."""
+def _window(level: int, offset: list[int]) -> Window:
+    """The part of a level that is decoded: all; at 120 and 240 cells the half from `offset`."""
     if level > 1:
         return slice(None), slice(None)
     scale = 2 if level == 0 else 1

@@ -1,4 +1,4 @@
-"""Pairs with known homographies: found in every layout, and with the map that they say."""
+"""Pairs with known homographies: found in every layout, with their true maps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from dgc_pose.benchmarks.homographies import (
     VIEWPOINTS,
     HomographyPair,
-    find_pairs,
+    find_homography_pairs,
     load_pair,
     true_map,
 )
@@ -57,7 +57,7 @@ def test_nothing_beyond_the_horizon_is_valid() -> None:
 
 def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
     scene.write_annotated(tmp_path, "wall")
-    (pair,) = find_pairs(tmp_path).pairs
+    (pair,) = find_homography_pairs(tmp_path).pairs
     pairs = load_pair(pair)
     assert pairs.image1.shape == pairs.image2.shape == (1, 3, 240, 240)
     normalised = (2 * pairs.map + 1) / 240 - 1
@@ -77,7 +77,7 @@ def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
 def test_hpatches_gives_five_viewpoints_a_sequence(tmp_path) -> None:
     for name in ("v_wall", "v_adam", "i_dome"):
         scene.write_sequence(tmp_path / name)
-    found = find_pairs(tmp_path)
+    found = find_homography_pairs(tmp_path)
     assert [pair.name for pair in found.pairs[:2]] == ["v_adam 1-2", "v_adam 1-3"]
     assert [pair.group for pair in found.pairs] == 2 * list(VIEWPOINTS)
     assert found.missing == ()
@@ -87,19 +87,20 @@ def test_hpatches_gives_five_viewpoints_a_sequence(tmp_path) -> None:
 def test_other_layouts_have_no_viewpoint(tmp_path) -> None:
     scene.write_vgg(tmp_path / "graf")
     scene.write_annotated(tmp_path / "graf" / "homogr", "tower", "city")
-    found = find_pairs(tmp_path / "graf")
+    found = find_homography_pairs(tmp_path / "graf")
     names = ["graf 1-2", "graf 1-3", "homogr/city", "homogr/tower"]
     assert [pair.name for pair in found.pairs] == names
     assert {pair.group for pair in found.pairs} == {""}
     assert found.missing == ("graf 1-4", "graf 1-5", "graf 1-6")
-    assert [pair.name for pair in find_pairs(tmp_path / "graf" / "homogr").pairs] == names[2:]
+    below = find_homography_pairs(tmp_path / "graf" / "homogr")
+    assert [pair.name for pair in below.pairs] == names[2:]
 
 
-def test_what_is_not_on_the_disk_is_told(tmp_path) -> None:
+def test_pairs_without_files_are_missing(tmp_path) -> None:
     folder = scene.write_sequence(tmp_path / "v_wall")
     (folder / "3.ppm").unlink()
     (folder / "H_1_5").unlink()
-    found = find_pairs(tmp_path)
+    found = find_homography_pairs(tmp_path)
     assert [pair.group for pair in found.pairs] == ["I", "III", "V"]
     assert found.missing == ("v_wall 1-3", "v_wall 1-5")
 
@@ -119,28 +120,28 @@ def test_a_matrix_that_is_none_is_named(tmp_path, text: str, words: str) -> None
     scene.write_annotated(tmp_path, "wall")
     (tmp_path / "wall_H.txt").write_text(text)
     with pytest.raises(InputError, match=words) as error:
-        find_pairs(tmp_path)
+        find_homography_pairs(tmp_path)
     assert str(tmp_path / "wall_H.txt") in str(error.value)
 
 
 def test_a_folder_without_pairs_or_no_folder_is_refused(tmp_path) -> None:
     scene.write_sequence(tmp_path / "i_dome")
     with pytest.raises(InputError, match="no pairs; expected HPatches"):
-        find_pairs(tmp_path)
+        find_homography_pairs(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
-        find_pairs(tmp_path / "nowhere")
+        find_homography_pairs(tmp_path / "nowhere")
 
 
 def test_an_image_that_cannot_be_read_is_named(tmp_path) -> None:
     scene.write_annotated(tmp_path, "wall")
     (tmp_path / "wall_B.png").write_bytes(b"no image")
     with pytest.raises(ImageError, match="wall_B.png"):
-        load_pair(find_pairs(tmp_path).pairs[0])
+        load_pair(find_homography_pairs(tmp_path).pairs[0])
 
 
 def test_a_matrix_for_another_size_is_refused(tmp_path) -> None:
     scene.write_annotated(tmp_path, "wall")
-    pair = find_pairs(tmp_path).pairs[0]
+    pair = find_homography_pairs(tmp_path).pairs[0]
     wrong = HomographyPair(pair.name, "", pair.path1, pair.path2, pair.H, (640, 480))
     with pytest.raises(InputError, match="320x240 and the list was made for 640x480"):
         load_pair(wrong)

@@ -8,7 +8,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.benchmarks.map_run import Case
+from dgc_pose.benchmarks.map_run import MapCase
 from dgc_pose.benchmarks.synthetic import SETS, synthetic_cases
 from dgc_pose.errors import InputError
 from dgc_pose.synthesis.photos import Photos
@@ -21,22 +21,22 @@ def photos() -> Photos:
 
 
 @pytest.fixture(scope="module")
-def cases(photos: Photos) -> dict[str, Case]:
+def cases(photos: Photos) -> dict[str, MapCase]:
     """The first batch of every set."""
     return {name: next(synthetic_cases(photos, name, 4, 0)) for name in SETS}
 
 
 def affine_fit(truth: np.ndarray) -> tuple[np.ndarray, float]:
     """(3, 2) that takes (x, y, 1) nearest to the map, and the largest distance left, pixels."""
-    places = np.arange(0, 240, 20)
-    x, y = np.meshgrid(places, places)
+    steps = np.arange(0, 240, 20)
+    x, y = np.meshgrid(steps, steps)
     design = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
-    values = truth[np.ix_(places, places)].reshape(-1, 2)
+    values = truth[np.ix_(steps, steps)].reshape(-1, 2)
     solution = np.linalg.lstsq(design, values, rcond=None)[0]
     return solution, float(np.linalg.norm(design @ solution - values, axis=1).max())
 
 
-def test_the_source_at_the_map_is_the_target_pixel_by_pixel(cases: dict[str, Case]) -> None:
+def test_the_source_at_the_map_is_the_target_pixel_by_pixel(cases: dict[str, MapCase]) -> None:
     """No change of light and no occluders: what is left is the sampling."""
     for name in ("affine", "affine-tps", "homography"):
         pairs = cases[name].pairs
@@ -69,7 +69,7 @@ def test_half_of_affine_tps_is_no_affine_map_and_homographies_are_homographies(
     assert 4 <= bent <= 20
     for case in synthetic_cases(photos, "homography", 4, 0):
         for truth, valid in zip(case.pairs.map.double().numpy(), case.pairs.valid, strict=True):
-            # A straight line stays one: of any row, places and their chord are in line.
+            # A straight line stays one: the points of a row lie on their chord.
             y = int(valid.sum(1).argmax())
             row = truth[y][valid[y].numpy()]
             chord = row[-1] - row[0]
@@ -79,7 +79,7 @@ def test_half_of_affine_tps_is_no_affine_map_and_homographies_are_homographies(
 
 
 def test_names_say_which_homographies_look_past_the_horizon(photos: Photos) -> None:
-    """Where the denominator of the homography, fitted to the map, changes sign in the view."""
+    """The denominator of the homography fitted to the map changes sign in those views."""
     said, found = [], []
     y, x = np.mgrid[0:240, 0:240].astype(float)
     for case in synthetic_cases(photos, "homography", 64, 2):
@@ -105,7 +105,7 @@ def test_the_same_seed_gives_the_same_pairs_and_more_only_add(photos: Photos) ->
     assert not torch.equal(first[0].pairs.map, other.pairs.map)
 
 
-def test_scenes_have_parallax_and_hidden_pixels(cases: dict[str, Case]) -> None:
+def test_scenes_have_parallax_and_hidden_pixels(cases: dict[str, MapCase]) -> None:
     case = cases["scenes"]
     assert case.group == "scenes" and len(case.names) == len(case.pairs.map) <= 4
     inside = ((case.pairs.map >= -0.5) & (case.pairs.map <= 239.5)).all(-1)

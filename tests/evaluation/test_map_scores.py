@@ -12,9 +12,8 @@ from dgc_pose.evaluation.map_comparison import Comparison, LevelMap
 from dgc_pose.evaluation.map_scores import (
     PCK_THRESHOLDS,
     PairScores,
-    pooled_reliability,
-    score,
-    summarise,
+    score_map,
+    summarise_maps,
 )
 
 
@@ -47,7 +46,7 @@ def offsets(pair: Comparison) -> list[tuple[int, int, float, float]]:
 @pytest.mark.parametrize("per_axis", [False, True])
 def test_a_pairs_errors_are_those_of_its_valid_pixels(per_axis: bool) -> None:
     pair = comparison()
-    found = score("net", "I", "wall", pair, per_axis)
+    found = score_map("net", "I", "wall", pair, per_axis)
     distances = [math.hypot(dx, dy) for _, _, dx, dy in offsets(pair)]
     assert (found.method, found.group, found.name) == ("net", "I", "wall")
     assert found.valid == len(distances) > 50
@@ -65,7 +64,7 @@ def test_the_thresholds_are_the_papers() -> None:
 
 def test_the_mask_is_scored_against_both_meanings() -> None:
     pair = comparison()
-    found = score("net", "", "wall", pair)
+    found = score_map("net", "", "wall", pair)
     near = {(y, x): math.hypot(dx, dy) for y, x, dx, dy in offsets(pair)}
     assert pair.matchability is not None
     said = {(y, x) for y, x in np.ndindex(12, 12) if pair.matchability[y, x] > 0.5}
@@ -78,7 +77,7 @@ def test_the_mask_is_scored_against_both_meanings() -> None:
 
 def test_a_match_is_right_within_3_px_and_wrong_where_there_is_nothing() -> None:
     pair = comparison()
-    reliability = score("net", "", "wall", pair).reliability
+    reliability = score_map("net", "", "wall", pair).reliability
     assert reliability is not None
     assert reliability.counts.sum() == 144
     right = sum(math.hypot(dx, dy) <= 3 for _, _, dx, dy in offsets(pair))
@@ -88,25 +87,25 @@ def test_a_match_is_right_within_3_px_and_wrong_where_there_is_nothing() -> None
 def test_a_mask_is_not_judged_where_nothing_is_known() -> None:
     pair = comparison()
     known = pair.finest.valid | (np.arange(12) < 4)
-    found = score("net", "", "wall", comparison(known=known))
+    found = score_map("net", "", "wall", comparison(known=known))
     assert pair.mask is not None
     both, either = (pair.mask & pair.finest.valid)[known], (pair.mask | pair.finest.valid)[known]
     assert found.jaccard == pytest.approx(both.sum() / either.sum())
-    assert found.jaccard > score("net", "", "wall", pair).jaccard
+    assert found.jaccard > score_map("net", "", "wall", pair).jaccard
     assert found.reliability is not None and found.reliability.counts.sum() == known.sum() < 144
 
 
 def test_without_a_mask_there_are_no_figures_of_one() -> None:
-    found = score("net", "", "wall", comparison(masked=False))
+    found = score_map("net", "", "wall", comparison(masked=False))
     assert math.isnan(found.jaccard) and math.isnan(found.jaccard_found)
-    assert found.reliability is None and pooled_reliability([found]) is None
-    assert math.isnan(summarise([found]).jaccard)
+    assert found.reliability is None and summarise_maps([found]).reliability is None
+    assert math.isnan(summarise_maps([found]).jaccard)
 
 
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     pairs = [comparison(0), comparison(1)]
-    own = [score("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
-    found = summarise(own)
+    own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
+    found = summarise_maps(own)
     assert (found.method, found.group, found.pairs) == ("net", "I", 2)
     assert found.aepe == pytest.approx((own[0].aepe + own[1].aepe) / 2)
     for level in range(5):
@@ -117,26 +116,26 @@ def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     np.testing.assert_allclose(found.pck, expected)
     assert found.within[1] == pytest.approx(np.mean([d <= 3 for d in distances]))
     assert found.jaccard == pytest.approx((own[0].jaccard + own[1].jaccard) / 2)
-    pooled = pooled_reliability(own)
+    pooled = found.reliability
     assert pooled is not None and pooled.counts.sum() == 2 * 144
-    assert summarise(own, "all").group == "all"
+    assert summarise_maps(own, "all").group == "all"
 
 
 def test_a_pair_with_nothing_to_find_has_no_error() -> None:
-    blind = score("net", "I", "blind", comparison(2, blind=True))
+    blind = score_map("net", "I", "blind", comparison(2, blind=True))
     assert blind.valid == 0 and math.isnan(blind.aepe)
-    seen = score("net", "I", "seen", comparison(3))
-    both = summarise([blind, seen])
+    seen = score_map("net", "I", "seen", comparison(3))
+    both = summarise_maps([blind, seen])
     assert both.pairs == 2
     assert both.aepe == seen.aepe
-    np.testing.assert_array_equal(both.pck, summarise([seen]).pck)
-    assert np.isnan(summarise([blind]).pck).all()
+    np.testing.assert_array_equal(both.pck, summarise_maps([seen]).pck)
+    assert np.isnan(summarise_maps([blind]).pck).all()
 
 
 def test_a_summary_is_of_one_method() -> None:
-    own = [score(name, "I", "wall", comparison()) for name in ("a", "b")]
+    own = [score_map(name, "I", "wall", comparison()) for name in ("a", "b")]
     with pytest.raises(InputError, match="not of 2"):
-        summarise(own)
+        summarise_maps(own)
     none: list[PairScores] = []
     with pytest.raises(InputError, match="not of 0"):
-        summarise(none)
+        summarise_maps(none)

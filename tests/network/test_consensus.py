@@ -1,4 +1,4 @@
-"""Consensus of neighbouring cells against belief propagation written out in loops."""
+"""Neighbourhood consensus against belief propagation written out in loops."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _loops(scores: np.ndarray, passes: int) -> np.ndarray:
 
     belief = normalised(scores)
     for _ in range(passes):
-        votes = np.empty_like(belief)
+        messages = np.empty_like(belief)
         for yt, xt in cells:
             for ys, xs in cells:
                 total = 0.0
@@ -31,19 +31,19 @@ def _loops(scores: np.ndarray, passes: int) -> np.ndarray:
                     square = ((y - ys) ** 2 + (x - xs) ** 2) / module._REACH**2
                     density = math.exp(-square / 2) / (2 * math.pi * module._REACH**2)
                     total += density * math.exp(belief[x, y, yt, xt])
-                votes[xs, ys, yt, xt] = math.log(total + module._DOUBT)
-        heard = scores.copy()
+                messages[xs, ys, yt, xt] = math.log(total + module._FLOOR)
+        updated = scores.copy()
         for yt, xt in cells:
             for ys, xs in cells:
                 for dy in (-1, 0, 1):
                     for dx in (-1, 0, 1):
                         if (dy, dx) == (0, 0) or (yt + dy, xt + dx) not in cells:
                             continue
-                        vote = math.log(module._DOUBT)
+                        message = math.log(module._FLOOR)
                         if (ys + dy, xs + dx) in cells:
-                            vote = votes[xs + dx, ys + dy, yt + dy, xt + dx]
-                        heard[xs, ys, yt, xt] += module._WEIGHT * vote
-        belief = normalised(heard)
+                            message = messages[xs + dx, ys + dy, yt + dy, xt + dx]
+                        updated[xs, ys, yt, xt] += module._WEIGHT * message
+        belief = normalised(updated)
     return belief
 
 
@@ -57,13 +57,13 @@ def test_belief_is_that_of_the_loops(passes: int) -> None:
         np.testing.assert_allclose(found[pair].view(4, 3, 3, 4).numpy(), expected, atol=1e-9)
 
 
-def _scores(turns: int, lost: tuple[slice, slice]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Scores of a view turned by quarter turns, and the truth (2, 15, 15).
+def _scores(rotations: int, lost: tuple[slice, slice]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Scores of a view rotated by multiples of 90 degrees, and the truth (2, 15, 15).
 
-    The cells in `lost` see nothing but a faint wrong match in a corner.
+    The cells in `lost` have only a weak wrong match in a corner.
     """
     rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
-    x, y = torch.rot90(columns, turns), torch.rot90(rows, turns)
+    x, y = torch.rot90(columns, rotations), torch.rot90(rows, rotations)
     scores = torch.zeros(1, 225, 15, 15)
     scores.scatter_(1, (x * 15 + y)[None, None], 8.0)
     scores[:, :, lost[0], lost[1]] = 0
@@ -71,10 +71,10 @@ def _scores(turns: int, lost: tuple[slice, slice]) -> tuple[torch.Tensor, torch.
     return scores, torch.stack([x, y])
 
 
-@pytest.mark.parametrize(("turns", "within"), [(0, 0.5), (1, 2.0), (2, 3.5), (3, 2.0)])
-def test_neighbours_bring_lost_cells_home(turns: int, within: float) -> None:
-    """As near as the blur allows: it is centred on where neighbours lie in upright views."""
-    scores, truth = _scores(turns, (slice(6, 9), slice(6, 9)))
+@pytest.mark.parametrize(("rotations", "within"), [(0, 0.5), (1, 2.0), (2, 3.5), (3, 2.0)])
+def test_neighbours_correct_wrong_cells(rotations: int, within: float) -> None:
+    """Within what the blur allows: it is centred on the neighbours' matches in upright views."""
+    scores, truth = _scores(rotations, (slice(6, 9), slice(6, 9)))
     before = (peaks(scores)[0][0] - truth).norm(dim=0)
     after = (peaks(consensus(scores, 4))[0][0] - truth).norm(dim=0)
     assert (before[6:9, 6:9] > 5).all()
@@ -83,12 +83,12 @@ def test_neighbours_bring_lost_cells_home(turns: int, within: float) -> None:
 
 
 def test_two_surfaces_stay_two() -> None:
-    """A step between two motions is no reason to move either side of it."""
+    """A step between two motions moves neither side of it."""
     rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
     x = (columns + torch.where(columns < 7, 0, 4)).clamp(max=14)
     scores = torch.zeros(1, 225, 15, 15).scatter_(1, (x * 15 + rows)[None, None], 8.0)
-    places = peaks(consensus(scores, 4))[0][0]
-    assert (places - torch.stack([x, rows])).norm(dim=0)[:, :11].max() < 1
+    found = peaks(consensus(scores, 4))[0][0]
+    assert (found - torch.stack([x, rows])).norm(dim=0)[:, :11].max() < 1
 
 
 def test_the_gradient_is_finite() -> None:

@@ -49,7 +49,7 @@ def test_global_correlation_is_column_major_over_the_source() -> None:
                         )
 
 
-def test_local_correlation_looks_around_each_cell() -> None:
+def test_local_correlation_is_around_each_cell() -> None:
     warped, target = _features(3, 1, 5, 6, 7), _features(4, 1, 5, 6, 7)
     radius = 2
     found = local_correlation(warped, target, radius)
@@ -68,7 +68,7 @@ def test_local_correlation_looks_around_each_cell() -> None:
                     )
 
 
-def test_evidence_sums_what_the_levels_say() -> None:
+def test_evidence_is_the_weighted_sum_of_the_levels() -> None:
     """Of a finer level: the best inside the source's cell, on the mean inside the target's."""
     scales = (2.0, 5.0, 0.5)
     source = [_features(7 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
@@ -93,26 +93,26 @@ def test_evidence_sums_what_the_levels_say() -> None:
 
 
 def test_peaks_are_where_the_features_came_from() -> None:
-    """A target that is the source turned by 90 degrees finds every cell's true place."""
+    """A target that is the source rotated by 90 degrees: every cell finds its true point."""
     source = l2_normalise(_features(5, 1, 64, 15, 15))
     target = torch.rot90(source, 1, (2, 3))
     scores = match_scores(60.0 * global_correlation(source, target))
-    places, clear = peaks(scores)
+    points, probability = peaks(scores)
     rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
     truth_x, truth_y = torch.rot90(columns, 1), torch.rot90(rows, 1)
-    torch.testing.assert_close(places[0, 0], truth_x.double(), atol=1e-3, rtol=0)
-    torch.testing.assert_close(places[0, 1], truth_y.double(), atol=1e-3, rtol=0)
-    assert clear.min() > 0.999
+    torch.testing.assert_close(points[0, 0], truth_x.double(), atol=1e-3, rtol=0)
+    torch.testing.assert_close(points[0, 1], truth_y.double(), atol=1e-3, rtol=0)
+    assert probability.min() > 0.999
 
 
 def test_a_far_second_peak_does_not_move_the_place() -> None:
     correlation = torch.zeros(1, 225, 15, 15, dtype=torch.float64)
     correlation[0, 3 * 15 + 4, 7, 7] = 1.0
     correlation[0, 12 * 15 + 10, 7, 7] = 0.98
-    places, clear = peaks(match_scores(40.0 * correlation))
+    points, probability = peaks(match_scores(40.0 * correlation))
     expected = torch.tensor([3.0, 4.0], dtype=torch.float64)
-    torch.testing.assert_close(places[0, :, 7, 7], expected, atol=1e-3, rtol=0)
-    assert 0.5 < clear[0, 7, 7] < 0.9  # two peaks, the higher one the clearer
+    torch.testing.assert_close(points[0, :, 7, 7], expected, atol=1e-3, rtol=0)
+    assert 0.5 < probability[0, 7, 7] < 0.9  # two peaks, the higher one the clearer
 
 
 def test_scores_are_the_product_of_both_softmaxes() -> None:

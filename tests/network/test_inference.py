@@ -53,7 +53,7 @@ def test_the_same_map(name: str) -> None:
     apart = _apart_px(found, wanted)
     assert wanted.maps[-1].std() > 1e-3  # a map that is the same everywhere would show nothing
     assert apart.median() < 1e-3 and apart.quantile(0.99) < 0.05
-    # As probabilities: a logit of -10 carries a hundredth of rounding, which says nothing.
+    # As probabilities: a logit of -10 carries a hundredth of rounding, which means nothing.
     found_mask, wanted_mask = found.logits[-1].sigmoid(), wanted.logits[-1].sigmoid()
     off = (found_mask - wanted_mask).abs()[:, 0]
     # On image 1's border warped features fade, and their norm magnifies it.
@@ -81,7 +81,7 @@ def test_any_size_of_image_is_encoded_the_same() -> None:
 
 
 def test_half_precision_comes_near() -> None:
-    """bfloat16 convolutions, places in single precision: within a cell in the median."""
+    """bfloat16 convolutions, coordinates in single precision: within a cell in the median."""
     net = _net("dgcm-lite")
     exact = for_inference(net)
     net.half_precision = True

@@ -114,7 +114,7 @@ def test_a_second_look_follows_the_levels_on_their_grids() -> None:
     torch.testing.assert_close(features[5][..., 7, 7], middle)
 
 
-def test_evidence_is_the_most_that_any_two_looks_say() -> None:
+def test_evidence_is_the_maximum_over_pairs_of_scales() -> None:
     net = DGCNet(preset("dgcm-lite"))
     net.correlation_scales = torch.tensor([3.0, 0.0])
     generator = torch.Generator().manual_seed(2)
@@ -127,21 +127,21 @@ def test_evidence_is_the_most_that_any_two_looks_say() -> None:
     ]
     for xs, ys, xt, yt in ((0, 0, 0, 0), (3, 7, 11, 2), (14, 1, 5, 14)):
         own, smaller = unit[0][0][:, ys, xs], unit[0][1][:, ys, xs]
-        says = [
+        products = [
             float(own @ unit[1][0][:, yt, xt]),
             float(smaller @ unit[1][0][:, yt, xt]),
             float(own @ unit[1][1][:, yt, xt]),
         ]
         assert float(correlation.coarsest[0, xs * 15 + ys, yt, xt]) == pytest.approx(
-            says[0], abs=1e-5
+            products[0], abs=1e-5
         )
         assert correlation.evidence is not None
         found = float(correlation.evidence[0, xs * 15 + ys, yt, xt])
-        assert found == pytest.approx(3 * max(says), abs=1e-4)
+        assert found == pytest.approx(3 * max(products), abs=1e-4)
 
 
-def test_a_second_look_finds_what_the_other_view_enlarges() -> None:
-    """Views of shipped weights' usual kind, one 1.9 times closer: more cells find their place."""
+def test_a_second_scale_finds_what_the_other_view_enlarges() -> None:
+    """Views of shipped weights' usual kind, one 1.9 times closer: more cells find their match."""
     net = load_network("dgcm-lite")
     one_size = DGCNet(preset("dgcm-lite+one-size")).eval()
     one_size.load_state_dict(net.state_dict())
@@ -215,7 +215,7 @@ def test_without_dilation_keeps_the_parameters() -> None:
     assert all(m.dilation == (1, 1) for m in plain.modules() if isinstance(m, torch.nn.Conv2d))
 
 
-def test_align_corners_modes_sample_where_they_say() -> None:
+def test_align_corners_modes_sample_at_their_points() -> None:
     """A map made from pixels by either convention fetches exactly those pixels' features."""
     features = torch.randn(1, 4, 60, 60, generator=torch.Generator().manual_seed(0))
     pixels = torch.tensor([[3.0, 5.0], [0.0, 59.0], [17.0, 41.0]])

@@ -91,7 +91,7 @@ def test_missing_and_unreadable_files_are_named(tmp_path: Path) -> None:
             assert "\n" not in str(caught.value)
 
 
-def test_a_preset_without_weights_says_which_there_are() -> None:
+def test_a_preset_without_weights_lists_those_that_are_shipped() -> None:
     with pytest.raises(WeightsError, match="no weights are shipped for dgc "):
         load_network("dgc")
 

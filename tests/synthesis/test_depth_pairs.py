@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from depth_folder import rendered, write_rgbd
 
 from dgc_pose.errors import InputError
-from dgc_pose.synthesis.depth_pairs import DepthOptions, depth_pairs, random_views
+from dgc_pose.synthesis.depth_pairs import depth_pairs, random_views
 from dgc_pose.synthesis.depth_scenes import (
     DepthScenes,
     PairChoice,
@@ -22,9 +22,10 @@ from dgc_pose.synthesis.depth_scenes import (
     load_depth_scenes,
 )
 from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.options import DepthOptions, PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
-from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
+from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.scene_pair import RenderedPair
 
@@ -156,7 +157,7 @@ def test_the_source_fetched_by_the_map_looks_like_the_target(scenes: DepthScenes
 
 
 def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
-    """K changes by each axis' own factor, and the depth's place goes with it."""
+    """K changes by each axis' own factor, and so do the points of the depth."""
     pair = rendered(4, (96, 64))
     scenes = load_depth_scenes([read_rgbd(write_rgbd(tmp_path / "a", pair))], _ALL, side=48)
     found = depth_pairs(_only_forward(scenes), 1, 48, torch.Generator().manual_seed(0), _WHOLE)
@@ -188,7 +189,7 @@ def test_depth_between_pixels_is_exact_on_a_plane() -> None:
 def test_cracks_close_on_a_surface_and_not_between_two() -> None:
     y, x = torch.meshgrid(torch.arange(30.0), torch.arange(40.0), indexing="ij")
     plane = 1 / (0.5 + 0.004 * x - 0.003 * y)
-    inner = (slice(3, -3), slice(3, -3))  # at the border only one line has known places on it
+    inner = (slice(3, -3), slice(3, -3))  # at the border only one line has known pixels on it
     for crack in ((slice(None), slice(10, 13)), (slice(20, 22), slice(None))):
         cracked = plane.clone()
         cracked[crack] = 0
@@ -205,7 +206,7 @@ def test_cracks_close_on_a_surface_and_not_between_two() -> None:
 
 
 def test_pairs_are_chosen_by_overlap_baseline_and_rotation(tmp_path: Path) -> None:
-    """The rendered truth says how much of each view the other sees."""
+    """The overlap of each view with the other by the rendered truth."""
     pair = rendered(5, (64, 64), rotation_deg=15.0)
     frames = read_rgbd(write_rgbd(tmp_path / "a", pair))
     overlap = float(pair.visible.mean())

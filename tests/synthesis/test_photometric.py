@@ -12,7 +12,8 @@ from still_light import STILL
 
 from dgc_pose.errors import InputError
 from dgc_pose.synthesis.jpeg import jpeg_round_trip
-from dgc_pose.synthesis.photometric import PhotometricOptions, random_photometric
+from dgc_pose.synthesis.options import PhotometricOptions
+from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.render.procedural import procedural_textures
 
 

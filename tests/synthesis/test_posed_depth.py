@@ -28,7 +28,7 @@ def test_rgbd_is_read_in_order_and_in_metres(pair: RenderedPair, tmp_path: Path)
     for frame, depth, pose in zip(frames, (pair.depth1, pair.depth2), poses(pair), strict=True):
         np.testing.assert_allclose(frame.read_depth(), METRES * depth, atol=6e-4)
         np.testing.assert_allclose(frame.cam_from_world, pose, atol=1e-9)
-        np.testing.assert_allclose(frame.image_K, pair.K1)
+        np.testing.assert_allclose(frame.K, pair.K1)
 
 
 def _damage(root: Path, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Training pairs: the map says where each pixel comes from, and where it is to be believed."""
+"""Random pairs: the map and its valid pixels agree with the images."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import torch.nn.functional as F
 from still_light import STILL
 
 from dgc_pose.errors import InputError
-from dgc_pose.synthesis.photometric import PhotometricOptions, random_photometric
+from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.options import PairOptions, PhotometricOptions
+from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.random_pairs import MapPairs, PairOptions, make_pairs
+from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render.procedural import procedural_textures
 
 

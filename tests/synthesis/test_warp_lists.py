@@ -168,7 +168,7 @@ def test_homography_rows_are_as_the_authors_cut_them(root: Path) -> None:
         np.testing.assert_allclose(pairs.image1[0, :, line, column], first, atol=1e-3)
         second = _bilinear(image, *place, mirrors=False)
         np.testing.assert_allclose(pairs.image2[0, :, line, column], second, atol=2e-3)
-    # The same view as OpenCV's, which rounds places to 1/32 pixel.
+    # The same view as OpenCV's, which rounds points to 1/32 pixel.
     warped = cv2.warpPerspective(image, np.reshape(_HOMOGRAPHY, (3, 3)), (768, 576))
     crop = warped[168:408, 264:504].transpose(2, 0, 1)
     assert np.abs(pairs.image2[0].numpy() - crop).mean() < 2e-3

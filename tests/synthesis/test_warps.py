@@ -11,10 +11,8 @@ import torch
 from scipy.interpolate import RBFInterpolator
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.options import PAPER, WIDE, WarpOptions
 from dgc_pose.synthesis.warps import (
-    PAPER,
-    WIDE,
-    WarpOptions,
     apply_homography,
     homography_from_corners,
     random_warp,
@@ -119,10 +117,10 @@ def test_the_same_seed_gives_the_same_warp() -> None:
 
 def test_wide_includes_any_rotation() -> None:
     linear = _linear_parts(replace(WIDE, affine_share=1.0, tps_share=0.0), 1000)
-    turned = (torch.linalg.det(linear) > 0).all()
+    proper = (torch.linalg.det(linear) > 0).all()
     sine, cosine = linear[:, 1, 0] - linear[:, 0, 1], linear[:, 0, 0] + linear[:, 1, 1]
     angle = torch.rad2deg(torch.atan2(sine, cosine))
-    assert turned and float((angle.abs() > 40).float().mean()) > 0.05
+    assert proper and float((angle.abs() > 40).float().mean()) > 0.05
 
 
 def test_wrong_options_are_refused() -> None:

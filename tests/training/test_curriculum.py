@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from dgc_pose.errors import InputError
-from dgc_pose.synthesis.random_pairs import PairOptions
-from dgc_pose.synthesis.warps import PAPER_AFFINE, WARPS, random_warp
+from dgc_pose.synthesis.options import PAPER_AFFINE, WARPS, PairOptions
+from dgc_pose.synthesis.warps import random_warp
 from dgc_pose.training.curriculum import Curriculum
 
 

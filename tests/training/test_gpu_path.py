@@ -1,4 +1,4 @@
-"""What a GPU runs, on a device that pretends: no mixed devices, no waiting, the CPU's numbers."""
+"""Training on a simulated GPU: no mixed devices, no waiting, the CPU's numbers."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
 from dgc_pose.synthesis.depth_scenes import DepthScenes, load_depth_scenes
+from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
-from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
-from dgc_pose.training.compact import compacted, expanded
-from dgc_pose.training.run import RunOptions, Trainer
+from dgc_pose.synthesis.random_pairs import make_pairs
+from dgc_pose.training.options import RunOptions
+from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import Schedule
 
-# Without changes of light: their noise is drawn on the device, by a generator of its own.
+# Without changes of light: their noise is drawn on the device, by its own generator.
 _STILL = PairOptions(scene_share=0.4, real_share=0.3, photometric=None)
 _MAY_WAIT = "overlap.py: overlapping"  # for whether a scene's views overlap, once a draw
 
@@ -75,7 +76,7 @@ def test_light_is_changed_there(photos: Photos) -> None:
 
 
 def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path: Path) -> None:
-    """All stages, with weights to start from and a teacher; the state is compacted there too."""
+    """All stages, with weights to initialise from and a teacher."""
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
     options = RunOptions(
@@ -99,10 +100,6 @@ def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path
         steps = [trainer.train_step(step / 4)["loss"] for step in range(4)]
         seen.update(waits)
         found = [float(loss) for loss in steps]
-        state = trainer.state()
-        second = expanded(compacted(state))["optimizer"]["state"][0]["exp_avg_sq"]
-        expected = state["optimizer"]["state"][0]["exp_avg_sq"]
-        torch.testing.assert_close(second.cpu(), expected.cpu(), rtol=0.1, atol=1e-9)
         validated = trainer.validate()
         shares = [validated.pop(f"val_{key}") for key in ("pck3", "sure3", "jaccard")]
         return [*found, *validated.values()], shares

@@ -15,8 +15,9 @@ from photo_folder import drawn_photos
 from torch import nn
 
 from dgc_pose.errors import InputError
+from dgc_pose.training.options import RunOptions
 from dgc_pose.training.processes import join_batch_norms
-from dgc_pose.training.run import RunOptions, Trainer
+from dgc_pose.training.run import Trainer
 
 
 def _torchrun(script: str, *words: str) -> None:
@@ -80,9 +81,12 @@ def test_joint_norms_alone_are_the_norms_they_were() -> None:
         assert torch.equal(joint.state_dict()[key], value)
 
 
-def test_a_batch_that_does_not_divide_is_refused(tmp_path: Path) -> None:
+def test_a_batch_that_does_not_divide_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dgc_pose.training.run.process_count", lambda: 2)
     photos = drawn_photos(4, 64)
-    options = RunOptions("dgcm-lite", 1.0, validation_count=1, batch=3, parts=2)
+    options = RunOptions("dgcm-lite", 1.0, validation_count=1, batch=3)
     with pytest.raises(InputError, match="3 pairs do not divide into 2 parts"):
         Trainer((photos, photos), tmp_path / "run", options)
     assert not (tmp_path / "run").exists()

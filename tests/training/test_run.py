@@ -1,4 +1,4 @@
-"""A training run: losses fall, stages follow each other, a killed run goes on as it would have."""
+"""A training run: losses fall, stages follow each other, a killed run resumes exactly."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from typing import Any
 import pytest
 import torch
 from photo_folder import drawn_photos
-from torch import Tensor
+from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos, load_photos
-from dgc_pose.synthesis.random_pairs import PairOptions, make_pairs
-from dgc_pose.training.draws import Draws
-from dgc_pose.training.run import RunOptions, Trainer
+from dgc_pose.synthesis.random_pairs import make_pairs
+from dgc_pose.training.options import RunOptions, Unfrozen
+from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
-from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage, Thawed
+from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
 from dgc_pose.training.validation import validate, validation_pairs
 
 _WARPS_ONLY = PairOptions(scene_share=0.0)
@@ -42,8 +44,12 @@ def _options(**changes: object) -> RunOptions:
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def _draws(seed: int = 1) -> Draws:
-    return Draws(torch.Generator().manual_seed(seed), torch.device("cpu"))
+def _draws(seed: int = 1) -> Draw:
+    return Draw(torch.Generator().manual_seed(seed), torch.device("cpu"))
+
+
+def _trainable(stage: nn.Module) -> list[nn.Parameter]:
+    return [parameter for parameter in stage.parameters() if parameter.requires_grad]
 
 
 def test_encoder_loss_falls_on_a_fixed_batch(photos: Photos) -> None:
@@ -71,7 +77,7 @@ def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> 
     stage.train()
     before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
     pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
-    optimizer = torch.optim.AdamW(stage.trainable(), lr=1e-3)
+    optimizer = torch.optim.AdamW(_trainable(stage), lr=1e-3)
     losses = []
     for _ in range(6 if name == "dgcm-lite" else 3):
         loss, errors = stage(pairs, _draws(), noise_share=1.0)
@@ -85,23 +91,23 @@ def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> 
         assert torch.equal(value, before[key])
 
 
-@pytest.mark.parametrize("thawed", ["coarsest", "encoder"])
-def test_what_is_thawed_learns_by_its_own_loss_alone(
-    photos: Photos, thawed: Thawed
+@pytest.mark.parametrize("unfrozen", ["coarsest", "encoder"])
+def test_what_is_unfrozen_learns_by_its_own_loss_alone(
+    photos: Photos, unfrozen: Unfrozen
 ) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite"))
-    stage = DecoderStage(net, thawed=thawed)
+    stage = DecoderStage(net, unfrozen=unfrozen)
     stage.train()
     before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
     pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
-    optimizer = torch.optim.AdamW(stage.trainable(), lr=1e-3)
+    optimizer = torch.optim.AdamW(_trainable(stage), lr=1e-3)
     loss, figures = stage(pairs, _draws())
     assert 0 <= figures["found4"] <= 1
     loss.backward()
     gradients = _gradients(net)
     optimizer.step()
-    learning = ("level_3.", "level_4.") if thawed == "coarsest" else ("level_",)
+    learning = ("level_3.", "level_4.") if unfrozen == "coarsest" else ("level_",)
     for key, value in net.pyramid.state_dict().items():
         assert torch.equal(value, before[key]) != key.startswith(learning), key
     # The same whatever the decoders make of the features.
@@ -113,7 +119,7 @@ def test_what_is_thawed_learns_by_its_own_loss_alone(
     again = _gradients(net)
     # And without them.
     net.zero_grad()
-    loss, alone = CoarsestStage(net, thawed).train()(pairs, _draws())
+    loss, alone = CoarsestStage(net, unfrozen).train()(pairs, _draws())
     loss.backward()
     assert alone == {"found4": figures["found4"]}
     assert {n for n, p in net.named_parameters() if p.requires_grad} == {
@@ -238,14 +244,14 @@ def test_a_run_begins_with_the_weights_it_is_given(photos: Photos, tmp_path: Pat
         for level in range(5):
             for key, value in given.get_submodule(f"reg_{level}").state_dict().items():
                 assert torch.equal(net.get_submodule(f"reg_{level}").state_dict()[key], value)
-        trainer.train_step(0.9)  # with a lesson
+        trainer.train_step(0.9)  # with a teacher
         for key, value in given.named_parameters():
             torch.testing.assert_close(
                 dict(trainer.averaged().named_parameters())[key], value, rtol=0.05, atol=2e-3
             )
 
 
-def test_a_run_stops_when_told_and_goes_on_later(
+def test_a_run_stops_after_its_minutes_and_resumes(
     photos: Photos, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ticks = itertools.count()
@@ -323,7 +329,7 @@ def test_runs_are_not_overwritten_or_mixed(photos: Photos, tmp_path: Path) -> No
 
 
 def test_validation_of_a_perfect_net_would_be_perfect(photos: Photos) -> None:
-    """The figures follow the map: of maps that are off by 2 px in x, every level says 2."""
+    """The figures follow the map: of maps that are off by 2 px in x, every level has 2."""
     pairs = validation_pairs(photos, 2, 2, _WARPS_ONLY)
 
     class Off(DGCNet):

@@ -1,4 +1,4 @@
-"""Learning from a teacher: its map is a target where it is sure, and the truth where none is."""
+"""Distillation: the teacher's map is a target where confident, and a truth where none is known."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
+from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.training.draws import Draws
-from dgc_pose.training.stages import DecoderStage, Lesson
+from dgc_pose.training.stages import DecoderStage, TeacherTarget
 from dgc_pose.training.teacher import Teacher
 
 
@@ -31,24 +31,24 @@ def pairs() -> MapPairs:
 
 
 def _strided(images: torch.Tensor) -> torch.Tensor:
-    # Laid out as the teacher has them, since an untrained net's peaks hang on the last digit.
+    # Laid out as the teacher has them, since an untrained network's peaks depend on the last digit.
     return normalise(images).contiguous(memory_format=torch.channels_last)
 
 
 def test_the_teacher_fills_in_what_is_not_known(pairs: MapPairs) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite")).eval()
-    taught, lesson = Teacher(net, 0.7).teach(pairs)
+    taught, target = Teacher(net, 0.7).target(pairs)
     with torch.no_grad():
         prediction = net(_strided(pairs.image1), _strided(pairs.image2))
     place = to_pixels(prediction.maps[-1].movedim(1, -1), (240, 240), align_corners=False)
     sure = prediction.logits[-1][:, 0].sigmoid() > 0.5
-    torch.testing.assert_close(lesson.map, place, atol=1e-2, rtol=1e-3)
-    assert lesson.weight == 0.7 and torch.equal(lesson.sure, sure)
+    torch.testing.assert_close(target.map, place, atol=1e-2, rtol=1e-3)
+    assert target.weight == 0.7 and torch.equal(target.confident, sure)
     assert taught.known.all()
     assert torch.equal(taught.map[:, :, :120], pairs.map[:, :, :120])
     assert torch.equal(taught.valid[:, :, :120], pairs.valid[:, :, :120])
-    assert torch.equal(taught.map[:, :, 120:], lesson.map[:, :, 120:])
+    assert torch.equal(taught.map[:, :, 120:], target.map[:, :, 120:])
     assert torch.equal(taught.valid[:, :, 120:], sure[:, :, 120:])
 
 
@@ -60,7 +60,7 @@ def test_what_is_not_known_teaches_nothing(pairs: MapPairs) -> None:
     for value in (torch.nan, 7.0):
         truth = torch.where(pairs.known[..., None], pairs.map, value)
         stage = DecoderStage(net).eval()
-        draws = Draws(torch.Generator().manual_seed(0), torch.device("cpu"))
+        draws = Draw(torch.Generator().manual_seed(0), torch.device("cpu"))
         loss, _ = stage(replace(pairs, map=truth), draws, noise_share=1.0)
         net.zero_grad()
         loss.backward()
@@ -69,8 +69,8 @@ def test_what_is_not_known_teaches_nothing(pairs: MapPairs) -> None:
     assert losses[0] == losses[1] and torch.equal(*gradients)
 
 
-def test_a_lesson_adds_its_weight_times_its_own_loss(pairs: MapPairs) -> None:
-    """On pairs without any truth the map's loss is the lesson's: double the weight, double it."""
+def test_a_target_adds_its_weight_times_its_own_loss(pairs: MapPairs) -> None:
+    """On pairs without any truth the map's loss is the target's: double the weight, double it."""
     torch.manual_seed(0)
     net = DGCNet(preset("dgc"))
     nothing = torch.zeros_like(pairs.valid)
@@ -78,10 +78,10 @@ def test_a_lesson_adds_its_weight_times_its_own_loss(pairs: MapPairs) -> None:
     place = torch.full((1, 240, 240, 2), 60.0)
     losses = []
     for weight in (0.0, 0.5, 1.0):
-        draws = Draws(torch.Generator().manual_seed(0), torch.device("cpu"))
+        draws = Draw(torch.Generator().manual_seed(0), torch.device("cpu"))
         with torch.no_grad():
-            lesson = Lesson(place, ~nothing, weight)
-            losses.append(float(DecoderStage(net).eval()(blank, draws, 0.0, lesson)[0]))
+            target = TeacherTarget(place, ~nothing, weight)
+            losses.append(float(DecoderStage(net).eval()(blank, draws, 0.0, target)[0]))
     assert losses[0] == 0 and losses[1] > 0
     assert losses[2] == pytest.approx(2 * losses[1], rel=1e-5)
 

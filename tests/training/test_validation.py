@@ -33,7 +33,7 @@ def net() -> MapNet:
 
 
 def loop(pairs: MapPairs, index: int) -> list[tuple[int, int, float]]:
-    """Row, column and distance of the valid pixels of a pair, for the net that says "no shift"."""
+    """Row, column and distance of the valid pixels of a pair, for the net with the identity map."""
     rows = []
     for y, x in pairs.valid[index].nonzero().tolist():
         u, v = pairs.map[index, y, x].tolist()
@@ -97,7 +97,7 @@ def test_a_pair_without_valid_pixels_does_not_count(pairs: MapPairs, net: MapNet
 
 
 def test_the_mask_is_not_judged_where_nothing_is_known(pairs: MapPairs, net: MapNet) -> None:
-    """All that the mask says wrongly, to the right of nothing visible, is taken out."""
+    """All errors of the mask lie in pixels that are not known."""
     left = (torch.arange(240) < 120).expand(2, 240, 240)
     known = (pairs.valid & left) | ~(pairs.valid | left)
     part = replace(pairs, valid=pairs.valid & left, known=known)

@@ -1,8 +1,7 @@
-"""A bank of textures with mip levels, sampled at any place of any texture at once."""
+"""A bank of textures with mip levels, sampled at any points of any textures in one call."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -19,7 +18,7 @@ _CHUNK = 256  # photographs reduced at a time, so that no float copy of the whol
 class TextureBank:
     """N textures of one size at several mip levels, each texel packed into an int32 as 0BGR.
 
-    Packed texels cost one look-up for three channels. Level k has size // 2**k.
+    A packed texel is one memory access for three channels. Level k has size // 2**k.
     """
 
     texels: Tensor  # (T,) int32, level after level, photo after photo, row by row
@@ -28,15 +27,11 @@ class TextureBank:
     levels: int
 
     @staticmethod
-    def from_photos(photos: Tensor | Sequence[Tensor]) -> TextureBank:
-        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1], or a list.
+    def from_photos(photos: Tensor) -> TextureBank:
+        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1].
 
-        Raises InputError where photos are of another shape or of several sizes.
+        Raises InputError for another shape or photos below 4 pixels.
         """
-        if not isinstance(photos, Tensor):
-            if len({photo.shape for photo in photos}) != 1:
-                raise InputError("photos must be a non-empty list of images of one size")
-            photos = torch.stack(tuple(photos))
         if photos.ndim != 4 or photos.shape[1] != 3 or len(photos) == 0:
             raise InputError(f"photos must have shape (N, 3, h, w), not {tuple(photos.shape)}")
         height, width = photos.shape[2:]
@@ -97,14 +92,14 @@ def _pack(images: Tensor) -> Tensor:
     return (values[:, 0] | (values[:, 1] << 8) | (values[:, 2] << 16)).reshape(-1)
 
 
-def _mirrored(place: Tensor, size: int) -> Tensor:
-    """Places on an endless strip of mirrored copies, brought to [0, size]."""
-    return size - (place.remainder(2 * size) - size).abs()
+def _mirrored(coordinate: Tensor, size: int) -> Tensor:
+    """Coordinates on an endless strip of mirrored copies, reduced to [0, size]."""
+    return size - (coordinate.remainder(2 * size) - size).abs()
 
 
-def _neighbours(place: Tensor, size: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The two texels around a place in [0, 1] of a row of `size`, and the second one's weight."""
-    texel = (place * size - 0.5).clamp(min=0)
+def _neighbours(at: Tensor, size: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The two texels around `at`, 0 to 1 along a row of `size`, and the second one's weight."""
+    texel = (at * size - 0.5).clamp(min=0)
     first = torch.minimum(texel.long(), size - 1)
     second = torch.minimum(first + 1, size - 1)
     return first, second, (texel - first).float()

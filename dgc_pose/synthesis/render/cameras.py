@@ -39,7 +39,7 @@ class Cameras:
         return torch.stack((x, y, torch.ones_like(x)), dim=1)
 
     def project(self, points: Tensor) -> Tensor:
-        """Pixels (B, 2, n) of points (B, 3, n) of the camera frame; meaningless where z <= 0."""
+        """Pixels (B, 2, n) of points (B, 3, n) of the camera frame; meaningless for z <= 0."""
         focal = self.K.diagonal(dim1=1, dim2=2)[:, :2, None]
         centre = self.K[:, :2, 2][..., None]
         return points[:, :2] / points[:, 2:] * focal + centre

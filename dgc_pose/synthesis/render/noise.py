@@ -1,4 +1,4 @@
-"""Noise and colours that the procedural textures are made of."""
+"""Noise and colours of the procedural textures."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def shades(
     base = float(rng.choice(_HUES)) if hue is None else hue
     colours = []
     for _ in range(count):
-        turned = base + 0.06 * rng.standard_normal() + (0.5 if rng.uniform() < 0.15 else 0.0)
+        shifted = base + 0.06 * rng.standard_normal() + (0.5 if rng.uniform() < 0.15 else 0.0)
         strength = float(np.clip(saturation * rng.uniform(0.4, 1.5), 0, 1))
-        colours.append(colorsys.hsv_to_rgb(turned % 1, strength, rng.uniform(0.25, 0.95)))
+        colours.append(colorsys.hsv_to_rgb(shifted % 1, strength, rng.uniform(0.25, 0.95)))
     return np.array(colours)

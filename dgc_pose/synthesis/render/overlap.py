@@ -1,4 +1,4 @@
-"""Draw scenes and cameras again until the two views overlap."""
+"""Random scenes and cameras, drawn until the two views overlap."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Candidate(NamedTuple):
 def overlapping(
     draw_candidate: Callable[[], Candidate], *, min_overlap: float, tries: int
 ) -> Candidate:
-    """B pairs of which each overlaps enough, or else is the best of `tries` that were drawn."""
+    """B pairs, each with enough overlap, or else the best of `tries` draws."""
     best = draw_candidate()
     best_share = overlap(*best)
     for _ in range(tries - 1):
@@ -48,7 +48,7 @@ def overlapping(
 def overlap(scene: Scene, first: Cameras, second: Cameras) -> Tensor:
     """Share (B,) of a coarse grid of image 2's pixels that are visible in image 1.
 
-    -1 where a camera is in an object or too near to it.
+    -1 if a camera is in an object or too near to it.
     """
     grid = (torch.arange(_PROBE, dtype=second.K.dtype, device=second.K.device) + 0.5) / _PROBE
     width, height = second.size

@@ -3,7 +3,7 @@
 A scene maps every primitive to a unit shape (the cube or the ball of half size 1, or the square of
 half size 1 in the plane z = 0), which leaves the ray parameter unchanged. All functions take the
 ray origin (..., 3, 1) and directions (..., 3, n) in that frame, and return the parameter (..., n)
-of the first surface met in front of the origin, infinity where there is none.
+of the first surface in front of the origin, infinity without any.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ _TINY = 1e-30  # added to directions, so that a component of exactly zero gives 
 
 
 def intersect_room(origin: Tensor, direction: Tensor) -> Tensor:
-    """The cube seen from inside: where a ray leaves it, infinity where it misses."""
+    """The cube seen from inside: the exit of a ray, infinity if it misses."""
     near, far = _slabs(origin, direction)
     return far.masked_fill((near > far) | (far <= 0), math.inf)
 
 
 def intersect_box(origin: Tensor, direction: Tensor) -> Tensor:
-    """The cube seen from outside: where a ray enters it; an origin inside sees nothing of it."""
+    """The cube seen from outside: the entry of a ray; infinity from inside."""
     near, far = _slabs(origin, direction)
     return near.masked_fill((near > far) | (near <= 0), math.inf)
 
@@ -56,7 +56,7 @@ def intersect_quad(origin: Tensor, direction: Tensor) -> Tensor:
 
 
 def _slabs(origin: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
-    """Parameters at which the rays' lines enter and leave the cube; near > far where they miss."""
+    """Parameters at which the rays' lines enter and leave the cube; near > far if they miss."""
     inverse = (direction + _TINY).reciprocal_()
     middle = -origin * inverse
     half = inverse.abs_()

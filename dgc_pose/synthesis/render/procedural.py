@@ -1,4 +1,4 @@
-"""Procedural textures, seeded: what a scene is papered with where no photograph may be used."""
+"""Seeded procedural textures for scenes without photographs."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _brick(rng: np.random.Generator, size: int) -> np.ndarray:
 
 
 def _checker(rng: np.random.Generator, size: int) -> np.ndarray:
-    """Tiles of two shades, each a little different, so that no two places look the same."""
+    """Tiles of two shades, each a little different, so that no two points look the same."""
     cells = int(rng.integers(5, 9))
     x, y = _grid(size)
     row = np.minimum((y * cells).astype(int), cells - 1)
@@ -108,8 +108,8 @@ def _checker(rng: np.random.Generator, size: int) -> np.ndarray:
 def _stripes(rng: np.random.Generator, size: int) -> np.ndarray:
     x, y = _grid(size)
     bounds = np.cumsum(rng.uniform(0.01, 0.09, 40))
-    place = x + 0.15 * y + 0.01 * fractal_noise(rng, size, first=6)
-    image = shades(rng, 41)[np.searchsorted(bounds, place)]
+    across = x + 0.15 * y + 0.01 * fractal_noise(rng, size, first=6)
+    image = shades(rng, 41)[np.searchsorted(bounds, across)]
     weave = 1 + 0.1 * fractal_noise(rng, size, first=32, octaves=2, stretch=4)[..., None]
     return image * weave
 
@@ -119,8 +119,8 @@ def _pebbles(rng: np.random.Generator, size: int) -> np.ndarray:
     count = 140
     x, y = _grid(size)
     warp = 0.006 * fractal_noise(rng, size, first=12)
-    places = torch.from_numpy(np.stack((x + warp, y - warp), axis=-1).reshape(-1, 2))
-    distances = torch.cdist(places, torch.from_numpy(rng.uniform(0, 1, (count, 2))))
+    points = torch.from_numpy(np.stack((x + warp, y - warp), axis=-1).reshape(-1, 2))
+    distances = torch.cdist(points, torch.from_numpy(rng.uniform(0, 1, (count, 2))))
     nearest, cell = distances.topk(2, dim=1, largest=False)
     gap = (nearest[:, 1] - nearest[:, 0]).numpy().reshape(size, size)
     colours = shades(rng, count, saturation=0.3)[cell[:, 0].numpy().reshape(size, size)]

@@ -1,4 +1,4 @@
-"""Random pairs of cameras that look at about the same place."""
+"""Random pairs of cameras that look at about the same point."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import math
 import torch
 from torch import Tensor
 
+from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.synthesis.render.draw import Draw
-from dgc_pose.synthesis.render.options import SceneOptions
 
 _FIRST_ROLL_DEG = 5.0  # sigma
 
@@ -27,7 +27,7 @@ def random_intrinsics(draw: Draw, batch: int, size: int, options: SceneOptions) 
 def random_camera_pair(
     draw: Draw, batch: int, size: int, options: SceneOptions
 ) -> tuple[Cameras, Cameras]:
-    """B pairs around the origin of the world, the second one turned as the options say."""
+    """B pairs around the origin of the world, by the ranges of the options."""
     first_K, second_K = (random_intrinsics(draw, batch, size, options) for _ in range(2))
     focal1, focal2 = first_K[:, 0, 0] / size, second_K[:, 0, 0] / size
     distance1 = focal1 * draw.uniform(batch, low=options.distance[0], high=options.distance[1])
@@ -58,7 +58,7 @@ def _viewpoints(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
 
 
 def _relative_rotation(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
-    """Camera 2 from camera 1 (B, 3, 3): the optical axis turned sideways, then a roll."""
+    """Camera 2 from camera 1 (B, 3, 3): the optical axis tilted, then a roll."""
     low, high = (math.radians(angle) for angle in options.rotation_deg)
     tilt = draw.uniform(batch, low=low, high=high)
     heading = draw.uniform(batch, high=2 * math.pi)

@@ -1,4 +1,4 @@
-"""Random scenes around the origin: a room, a table, a background, and things on and above them."""
+"""Random scenes around the origin: a room, a table, a background, and objects."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle
-from dgc_pose.synthesis.render.draw import Draw
-from dgc_pose.synthesis.render.options import SceneOptions
 from dgc_pose.synthesis.render.scene import FACES, Layout, Scene
 
-_UPRIGHT_SHARE = 0.6  # of the boxes and ellipsoids, which then stand on the table
+_UPRIGHT_SHARE = 0.6  # of the boxes and ellipsoids: upright on the table
 _PLANE_HALF_SIZE = 20.0
 _PLANE_SPAN = (1.0, 1.3)  # fields of view that the photo on a single plane covers
 _LARGE_ONES = 3  # room, background and table come first
-_LARGE_SPAN = 1.5  # and their photos are so much larger, or they would be seen again and again
+_LARGE_SPAN = 1.5  # and their photos are so much larger, to be repeated less often
 
 
 def random_scene(
@@ -61,9 +61,9 @@ def random_scene(
 
 
 def single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], photo: int) -> Scene:
-    """For each camera one plane through the origin that fills its view, turned by up to 30 deg.
+    """For each camera one plane through the origin that fills its view, tilted by up to 30 deg.
 
-    It wears texture `photo`, whose middle lies at the origin.
+    Its texture is `photo`, with the middle at the origin.
     """
     batch = len(first.K)
     towards = normalize(first.centre, dim=-1)[:, None]
@@ -99,7 +99,7 @@ def _room(
 
 
 def _background(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
-    """A large rectangle behind the look-at point, turned off the first view by up to 45 degrees."""
+    """A large rectangle behind the look-at point, tilted by up to 45 degrees to the first view."""
     batch = len(centre1)
     towards = normalize(centre1, dim=-1)
     axes = _facing(draw, towards[:, None], math.radians(45.0))
@@ -128,7 +128,7 @@ def _tilted_quads(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
 
 
 def _solids(draw: Draw, table_height: Tensor, options: SceneOptions) -> Parts:
-    """Boxes, then ellipsoids: standing on the table, turned about the vertical, or anyhow."""
+    """Boxes, then ellipsoids: upright on the table, or anywhere in any orientation."""
     batch, count = len(table_height), options.boxes + options.ellipsoids
     low, high = options.object_size
     half_size = draw.log_uniform(batch, count, 3, low=low, high=high)
@@ -143,22 +143,22 @@ def _solids(draw: Draw, table_height: Tensor, options: SceneOptions) -> Parts:
 
 
 def _light(draw: Draw, room: Parts) -> Tensor:
-    """A light (B, 3) in the upper half of the room, so that no wall stands before it."""
+    """A light (B, 3) in the upper half of the room, so that no wall shadows it."""
     centre, _, half_size = (part[:, 0] for part in room)
-    place = draw.uniform(len(centre), 3, low=-0.9, high=0.9)
-    place[:, 1] = -place[:, 1].abs()
-    return centre + place * half_size
+    offset = draw.uniform(len(centre), 3, low=-0.9, high=0.9)
+    offset[:, 1] = -offset[:, 1].abs()
+    return centre + offset * half_size
 
 
 def _around(draw: Draw, batch: int, count: int, options: SceneOptions) -> Tensor:
-    """Places (B, n, 3) around the look-at point."""
-    places = draw.uniform(batch, count, 3, low=-options.spread, high=options.spread)
-    places[..., 1] *= 0.5
-    return places
+    """Points (B, n, 3) around the look-at point."""
+    points = draw.uniform(batch, count, 3, low=-options.spread, high=options.spread)
+    points[..., 1] *= 0.5
+    return points
 
 
 def _facing(draw: Draw, normal: Tensor, largest: float) -> Tensor:
-    """Axes (B, n, 3, 3) whose third is `normal` (B, n, 3), turned by up to `largest` radians."""
+    """Axes (B, n, 3, 3) whose third is `normal` (B, n, 3), tilted by up to `largest` radians."""
     shape = normal.shape[:-1]
     tilt = draw.uniform(*shape, high=1.0) * largest
     third = (axis_angle(_perpendicular(draw, normal), tilt) @ normal[..., None])[..., 0]
@@ -174,14 +174,14 @@ def _perpendicular(draw: Draw, vector: Tensor) -> Tensor:
 def _texture_maps(
     draw: Draw, batch: int, count: int, size: tuple[int, int], spans: tuple[float, float]
 ) -> Tensor:
-    """Affine maps (B, P, 6, 2, 3) from places on a face to texels: scale, stretch, turn, shift."""
+    """Affine maps (B, P, 6, 2, 3) from points on faces to texels: scale, aspect, angle, shift."""
     shape = (batch, count, FACES)
     span = draw.log_uniform(*shape, low=spans[0], high=spans[1])
     density = min(size) / span
     stretch = draw.log_uniform(*shape, low=0.8, high=1.25)
-    turn = draw.uniform(*shape, high=2 * math.pi)
-    mirror = 1 - 2 * draw.chance(*shape, share=0.5).to(turn.dtype)
-    cosine, sine = turn.cos(), turn.sin()
+    angle = draw.uniform(*shape, high=2 * math.pi)
+    mirror = 1 - 2 * draw.chance(*shape, share=0.5).to(angle.dtype)
+    cosine, sine = angle.cos(), angle.sin()
     rows = (
         density * stretch * cosine,
         -density * stretch * sine,

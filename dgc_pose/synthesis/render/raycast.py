@@ -19,12 +19,12 @@ class Lighting:
     """How a point light shows on surfaces; without both shares, textures appear as they are."""
 
     shading: float  # share of the light that depends on its angle (Lambert, wrapped: never black)
-    shadow: float  # share of the light that is lost where something stands before it
+    shadow: float  # share of the light that is lost in shadow
 
 
 @dataclass(frozen=True)
 class Hits:
-    """The first surface along each of n rays a scene; depth is infinite where there is none."""
+    """The first surface along each of n rays a scene; depth is infinite without any."""
 
     rays: Tensor  # (B, 3, n), in the camera, z = 1
     depth: Tensor  # (B, n), along the optical axis
@@ -33,13 +33,13 @@ class Hits:
 
 @dataclass(frozen=True)
 class Surface:
-    """What the rays met, all pixels of all scenes in one row of B * n."""
+    """The surfaces that the rays hit, all pixels of all scenes in one row of B * n."""
 
     primitive: Tensor  # (B * n,) int64, counted through all scenes
     face: Tensor  # (B * n,) int64
     point: Tensor  # (3, B * n), world
     normal: Tensor  # (3, B * n), unit, world, towards the camera
-    place: Tensor  # (2, B * n), units along the face
+    uv: Tensor  # (2, B * n), world units along the face
 
 
 def cast(scene: Scene, cameras: Cameras, pixels: Tensor) -> Hits:
@@ -51,7 +51,7 @@ def cast(scene: Scene, cameras: Cameras, pixels: Tensor) -> Hits:
 
 
 def describe(scene: Scene, cameras: Cameras, hits: Hits) -> Surface:
-    """Normal, face and place on the face of each hit; arbitrary where nothing was hit."""
+    """Normal, face and point on the face of each hit; arbitrary without a hit."""
     batch, count = scene.active.shape
     first = torch.arange(batch, device=hits.primitive.device)[:, None] * count
     primitive = (hits.primitive + first).reshape(-1)
@@ -66,7 +66,7 @@ def describe(scene: Scene, cameras: Cameras, hits: Hits) -> Surface:
     values = table.t().index_select(1, primitive)
     to_unit = values[3:12].unflatten(0, (3, 3))
     local = (to_unit * (point - values[:3])).sum(1)
-    place = local * values[12:15]
+    on_face = local * values[12:15]
 
     quad, ellipsoid = scene.layout.span("quad"), scene.layout.span("ellipsoid")
     index = hits.primitive.reshape(-1)
@@ -83,8 +83,8 @@ def describe(scene: Scene, cameras: Cameras, hits: Hits) -> Surface:
     normal = normal / normal.square().sum(0).sqrt().clamp(min=1e-30)
 
     positive = torch.where(is_quad, ~away, on_axis > 0)
-    u = torch.where(axis == 0, place[2], place[0])
-    v = torch.where(axis == 1, place[2], place[1])
+    u = torch.where(axis == 0, on_face[2], on_face[0])
+    v = torch.where(axis == 1, on_face[2], on_face[1])
     stretch = torch.where(is_ellipsoid, _azimuthal_stretch(local), 1.0)
     face = 2 * axis + positive
     return Surface(primitive, face, point, normal, torch.stack((u, v)) * stretch)
@@ -113,16 +113,16 @@ def shade(
     lighting: Lighting,
     samples: int = 1,
 ) -> Tensor:
-    """Colours (B, 3, n) in [0, 1]; black where nothing was hit.
+    """Colours (B, 3, n) in [0, 1]; black without a hit.
 
-    light: (B, 3), where the light is. samples: per pixel and direction, which sets the size of a
+    light: (B, 3), a point of the world. samples: per pixel and direction, which sets the size of a
     sample on the surface.
     """
     batch, count = scene.active.shape
     face = surface.primitive * FACES + surface.face
     photo = scene.photo.reshape(-1).index_select(0, face)
     a, b, c, d, e, f = scene.texture.reshape(-1, 6).t().index_select(1, face)
-    u, v = surface.place
+    u, v = surface.uv
     direction = (cameras.rotation.mT @ hits.rays).transpose(0, 1).flatten(1)
     length = direction.square().sum(0).sqrt()
     cosine = (direction * surface.normal).sum(0).abs() / length
@@ -156,32 +156,33 @@ def _brightness(
 def correspond(
     scene: Scene, first: Cameras, second: Cameras, hits: Hits, surface: Surface
 ) -> tuple[Tensor, Tensor]:
-    """Where the points hit from the second cameras lie in the first: map (B, 2, n), visible (B, n).
+    """The points hit from the second cameras, projected into the first: map (B, 2, n), visible
+    (B, n).
 
-    The map is exact wherever the point is in front of camera 1, seen or not; elsewhere, and where
-    nothing was hit, it is -1. A point is visible when it is inside the frame ([0, w-1] x [0, h-1]),
-    its surface faces camera 1 on the same side (every primitive is convex, so this alone tells
-    whether it hides itself), and the ray from camera 1 meets no other primitive before it.
+    The map is exact for points in front of camera 1, visible or not; for others, and without a hit,
+    it is -1. A point is visible if it is inside the frame ([0, w-1] x [0, h-1]), its surface faces
+    camera 1 on the same side (every primitive is convex: this excludes occlusion by itself), and no
+    other primitive lies on the ray from camera 1 before it.
     """
     pose = relative_pose(second, first)
     depth = hits.depth.nan_to_num(posinf=1.0)[:, None]
     point = pose[..., :3] @ (hits.rays * depth) + pose[..., 3:]
     in_front = (point[:, 2] > 1e-6) & hits.depth.isfinite()
-    place = first.project(point).masked_fill(~in_front[:, None], -1.0)
+    projected = first.project(point).masked_fill(~in_front[:, None], -1.0)
     width, height = first.size
-    inside = in_front & (place >= 0).all(1) & (place[:, 0] <= width - 1)
-    inside &= place[:, 1] <= height - 1
+    inside = in_front & (projected >= 0).all(1) & (projected[:, 0] <= width - 1)
+    inside &= projected[:, 1] <= height - 1
 
     ray = first.rotation.mT @ point
     normal = surface.normal.unflatten(1, depth.shape[::2]).transpose(0, 1)
     faces = (normal * ray).sum(1) < 0
-    return place, inside & faces & ~hidden(scene, first.centre, ray, hits.primitive)
+    return projected, inside & faces & ~hidden(scene, first.centre, ray, hits.primitive)
 
 
 def hidden(scene: Scene, origin: Tensor, direction: Tensor, primitive: Tensor) -> Tensor:
     """(B, n) bool: another primitive lies between origin (B, 3) and origin + direction (B, 3, n).
 
-    primitive: (B, n), the one that the far end lies on, which is left out.
+    primitive: (B, n), the one that the far end lies on, which is ignored.
     """
     parameters = intersect_all(scene, origin, direction)
     parameters.scatter_(1, primitive[:, None], torch.inf)

@@ -1,19 +1,19 @@
-"""Batches of training pairs: two views of random 3D scenes, with all that is true of them."""
+"""Batches of pairs of views of random 3D scenes, with their exact geometry."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Tensor
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.batches import joined
+from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, relative_pose
-from dgc_pose.synthesis.render.draw import Draw
-from dgc_pose.synthesis.render.options import SceneOptions
 from dgc_pose.synthesis.render.overlap import Candidate, overlapping
 from dgc_pose.synthesis.render.random_cameras import random_camera_pair
 from dgc_pose.synthesis.render.random_scene import random_scene
@@ -28,9 +28,8 @@ from dgc_pose.synthesis.render.raycast import (
 )
 from dgc_pose.synthesis.render.scene import Scene, part
 
-_CHUNK = 16384  # pixels of each view supersampled at a time: what stays in a processor's cache
+_CHUNK = 16384  # pixels of each view supersampled at a time: they fit a processor's cache
 _CPU_PIXELS = 102400  # of all views rendered at a time on a CPU, for the same reason
-_DEFAULT_OPTIONS = SceneOptions()
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class RenderedPairs:
     image2: Tensor  # (B, 3, h2, w2) float
     map: Tensor  # (B, h2, w2, 2) float, (x, y) in pixels of image 1; (-1, -1) behind camera 1
     visible: Tensor  # (B, h2, w2) bool, the surface point is seen in image 1
-    depth1: Tensor  # (B, h1, w1) float, along the optical axis, world units, inf where nothing is
+    depth1: Tensor  # (B, h1, w1) float, along the optical axis, world units, inf: nothing
     depth2: Tensor  # (B, h2, w2) float
     K1: Tensor  # (B, 3, 3) float, pixels
     K2: Tensor  # (B, 3, 3) float, pixels
@@ -49,25 +48,15 @@ class RenderedPairs:
 
 
 def render_pairs(
-    photos: TextureBank | Tensor | Sequence[Tensor],
-    batch: int,
-    size: int,
-    generator: torch.Generator,
-    options: SceneOptions = _DEFAULT_OPTIONS,
-    device: torch.device | str | None = None,
+    bank: TextureBank, batch: int, size: int, generator: torch.Generator, options: SceneOptions
 ) -> RenderedPairs:
-    """Two views, `size` pixels square, of each of `batch` random scenes textured with `photos`.
+    """Two views, `size` pixels square, of each of `batch` random scenes with textures of `bank`.
 
-    photos: (N, 3, h, w) uint8, or float in [0, 1], or a bank made of them once (much the faster
-    where many batches are rendered). All random numbers come from `generator`; the scenes do not
-    depend on `device` (default: that of the photos). Everything is float32.
-
-    Raises InputError where batch, size or photos cannot be used.
+    All random numbers come from `generator`: the scenes do not depend on the bank's device. All
+    values are float32. Raises InputError for a batch below 1 or a size below 2.
     """
     if batch < 1 or size < 2:
         raise InputError(f"batch and size must be at least 1 and 2, not {batch} and {size}")
-    bank = photos if isinstance(photos, TextureBank) else TextureBank.from_photos(photos)
-    bank = bank.to(torch.device(device) if device is not None else bank.texels.device)
     draw = Draw(generator, bank.texels.device)
 
     def draw_candidate() -> Candidate:
@@ -100,7 +89,7 @@ def render_views(
     lighting: Lighting,
     supersample: int = 1,
 ) -> RenderedPairs:
-    """Both views of given scenes; `lights` are the places (B, 3) of the light in each view."""
+    """Both views of given scenes; `lights` are the positions (B, 3) of the light in each view."""
     width, height = second.size
     together = max(1, _CPU_PIXELS // (width * height))
     if len(second.K) > together and second.K.device.type == "cpu":
@@ -117,8 +106,7 @@ def render_views(
             )
             for span in spans
         ]
-        names = [field.name for field in fields(RenderedPairs)]
-        return RenderedPairs(**{n: torch.cat([getattr(p, n) for p in parts]) for n in names})
+        return joined(parts)
     images, depths, seen = [], [], []
     for cameras, light in zip((first, second), lights, strict=True):
         hits = cast(scene, cameras, cameras.pixels())
@@ -127,11 +115,11 @@ def render_views(
         images.append(_as_grid(image, cameras))
         depths.append(_as_grid(hits.depth, cameras))
         seen.append((hits, surface))
-    place, visible = correspond(scene, first, second, *seen[1])
+    projected, visible = correspond(scene, first, second, *seen[1])
     return RenderedPairs(
         image1=images[0],
         image2=images[1],
-        map=_as_grid(place, second).permute(0, 2, 3, 1).contiguous(),
+        map=_as_grid(projected, second).permute(0, 2, 3, 1).contiguous(),
         visible=_as_grid(visible, second),
         depth1=depths[0],
         depth2=depths[1],

@@ -1,14 +1,14 @@
-"""Scenes: batches of textured primitives, and the rays cast into them."""
+"""Batches of scenes of textured primitives, and their intersection with rays."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from dgc_pose.synthesis.render.cameras import Cameras
+from dgc_pose.synthesis.batches import Batch, changed, combined
 from dgc_pose.synthesis.render.primitives import (
     intersect_box,
     intersect_ellipsoid,
@@ -19,8 +19,6 @@ from dgc_pose.synthesis.render.primitives import (
 Kind = Literal["room", "quad", "box", "ellipsoid"]
 KINDS: tuple[Kind, ...] = ("room", "quad", "box", "ellipsoid")
 FACES = 6  # -x +x -y +y -z +z of a box or room; -z and +z of a quad's sides, an ellipsoid's halves
-
-Batch = TypeVar("Batch", "Scene", Cameras)
 
 _INTERSECT = {
     "room": intersect_room,
@@ -51,7 +49,7 @@ class Scene:
     centre: Tensor  # (B, P, 3), world units
     axes: Tensor  # (B, P, 3, 3), rows are the primitive's axes in the world
     half_size: Tensor  # (B, P, 3), world units, along those axes; a quad's third is not used
-    active: Tensor  # (B, P) bool, False: the primitive is not there
+    active: Tensor  # (B, P) bool, False: the primitive is absent
     photo: Tensor  # (B, P, 6) int64, the texture of each face
     texture: Tensor  # (B, P, 6, 2, 3), texels of the photo from units along the face, affine
     light: Tensor  # (B, 3), a point light, world units
@@ -75,31 +73,22 @@ class Scene:
 
 
 def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
-    """Two like dataclasses of tensors joined: the first where mask (B,) is True, else the second.
+    """Two batches merged: rows of the first if mask (B,) is True, else of the second."""
 
-    Fields that are no tensors are the first's.
-    """
-    chosen: dict[str, Any] = {}
-    for field in fields(first):
-        value = getattr(first, field.name)
-        if isinstance(value, Tensor):
-            shape = (-1,) + (1,) * (value.ndim - 1)
-            chosen[field.name] = torch.where(mask.view(shape), value, getattr(second, field.name))
-    return replace(first, **chosen)
+    def merged(pair: list[Tensor]) -> Tensor:
+        one, other = pair
+        return torch.where(mask.view((-1,) + (1,) * (one.ndim - 1)), one, other)
+
+    return combined([first, second], merged)
 
 
 def part(batch: Batch, span: slice) -> Batch:
     """Some of a batch's scenes or cameras."""
-    chosen: dict[str, Any] = {}
-    for field in fields(batch):
-        value = getattr(batch, field.name)
-        if isinstance(value, Tensor):
-            chosen[field.name] = value[span]
-    return replace(batch, **chosen)
+    return changed(batch, lambda values: values[span])
 
 
 def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
-    """Ray parameters of every primitive's first hit: (B, P, n), infinity where there is none.
+    """Ray parameters of every primitive's first hit: (B, P, n), infinity without any.
 
     `origin` (B, 3) and `direction` (B, 3, n) are in the world; directions need no unit length.
     """

@@ -1,4 +1,4 @@
-"""One pair of views of a seeded scene with procedural textures, as numpy arrays: for tests."""
+"""One pair of views of a seeded scene with procedural textures, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.errors import InputError
+from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.synthesis.render.draw import Draw
-from dgc_pose.synthesis.render.options import SceneOptions
 from dgc_pose.synthesis.render.overlap import Candidate, overlapping
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.random_scene import random_scene, single_plane
@@ -33,12 +33,12 @@ _DISTANCE = 1.2  # from the look-at point, fields of view
 _ADVANCE = 0.3  # of that distance, for the forward kind
 _TEXTURES = 18
 _TEXTURE_SIZE = 384
-_PLANE_TEXTURE = 0  # leaves: no stripes or tiles, so a plane of it has no two places alike
+_PLANE_TEXTURE = 0  # leaves: not periodic, so that no two points of the plane look alike
 
 
 @dataclass(frozen=True)
 class RenderedPair:
-    """Two views with all that is true of them. Pixel (0, 0) is the top-left pixel's centre."""
+    """Two views with their exact geometry. Pixel (0, 0) is the top-left pixel's centre."""
 
     image1: np.ndarray  # (h1, w1, 3) uint8, RGB
     image2: np.ndarray  # (h2, w2, 3) uint8, RGB
@@ -64,7 +64,7 @@ def render_scene_pair(
     """A pair whose cameras differ by a rotation of exactly `rotation_deg` and have their own K.
 
     Sizes are (width, height). kind: "general", objects in a room, orbited; "planar", the same
-    motion before a single plane; "rotation_only", the room from one place; "forward", the room
+    motion before a single plane; "rotation_only", the room from one centre; "forward", the room
     with camera 2 ahead of camera 1 on its optical axis. The same seed gives the same pair.
     Raises InputError for an unknown kind, a size below 16 or a rotation outside 0 to 180 degrees.
     """
@@ -140,8 +140,8 @@ def _camera_pair(
 
     tilt = draw.normal(1, 3) * 0.3
     tilt[:, 1] = 1 - 2 * draw.chance(1, share=0.5).to(tilt.dtype)
-    turn = axis_angle(normalize(tilt, dim=-1), torch.full_like(azimuth, rotation))
-    rotation2 = turn @ rotation1
+    relative = axis_angle(normalize(tilt, dim=-1), torch.full_like(azimuth, rotation))
+    rotation2 = relative @ rotation1
     if kind == "rotation_only":
         centre2 = centre1
     elif kind == "forward":

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from demo_scene import demo_scene
+from render_demo import IMAGE_NAMES, LIST_NAME, pair_line, render_demo
 
 import dgc_pose
-from dgc_pose.synthesis.render.demo import IMAGE_NAMES, LIST_NAME, pair_line, render_demo
-from dgc_pose.synthesis.render.demo_scene import demo_scene
 from dgc_pose.synthesis.render.scene_pair import RenderedPair
 
 SHIPPED = Path(dgc_pose.__file__).parent / "data" / "demo"

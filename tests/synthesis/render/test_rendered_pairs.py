@@ -40,7 +40,7 @@ def points_of_view(K: torch.Tensor, depth: torch.Tensor) -> np.ndarray:
     return rays * depth.double().numpy()[..., None]
 
 
-def places_in_first(pairs: RenderedPairs, k: int) -> tuple[np.ndarray, np.ndarray]:
+def points_in_first(pairs: RenderedPairs, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Place (h, w, 2) in image 1 of each pixel of image 2, and depth there, from depth and pose."""
     pose = pairs.cam2_from_cam1[k].double().numpy()
     points2 = points_of_view(pairs.K2[k], pairs.depth2[k])
@@ -69,10 +69,10 @@ def test_rooms_leave_no_pixel_without_a_surface(pairs):
 
 def test_map_is_the_projection_of_the_surface_point(pairs):
     for k in range(BATCH):
-        places, depth = places_in_first(pairs, k)
+        points, depth = points_in_first(pairs, k)
         ahead = depth > 0.05
-        error = np.abs(pairs.map[k].numpy() - places)[ahead]
-        assert (error / np.maximum(1, np.abs(places[ahead]) / SIZE)).max() < 2e-3
+        error = np.abs(pairs.map[k].numpy() - points)[ahead]
+        assert (error / np.maximum(1, np.abs(points[ahead]) / SIZE)).max() < 2e-3
         assert (pairs.map[k].numpy()[depth < -0.05] == -1).all()
 
 
@@ -103,9 +103,9 @@ def test_poses_are_rotations_of_the_asked_size(bank):
     assert not torch.allclose(pairs.K1, pairs.K2)
 
 
-def nearest_depth_around(depth: torch.Tensor, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest_depth_around(depth: torch.Tensor, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest depth of image 1 over the four pixels around each place."""
-    corner = np.clip(np.floor(places).astype(int), 0, SIZE - 2)
+    corner = np.clip(np.floor(points).astype(int), 0, SIZE - 2)
     x, y = corner[:, 0], corner[:, 1]
     around = np.stack([depth.numpy()[y + i, x + j] for i in (0, 1) for j in (0, 1)])
     return around.min(0), around.max(0)
@@ -115,12 +115,12 @@ def test_visible_means_the_depth_of_image_1_agrees(pairs):
     """Visibility is decided by casting rays, and is checked here with the depth of image 1."""
     wrong_visible = wrong_hidden = total_visible = total_hidden = 0
     for k in range(BATCH):
-        places, depth = places_in_first(pairs, k)
+        points, depth = points_in_first(pairs, k)
         with np.errstate(invalid="ignore"):
-            inside = (depth > 0) & (places >= 0).all(-1) & (places <= SIZE - 1).all(-1)
+            inside = (depth > 0) & (points >= 0).all(-1) & (points <= SIZE - 1).all(-1)
         visible = pairs.visible[k].numpy()
         assert not (visible & ~inside).sum() > 2  # a place on the border to a rounding error
-        nearest, farthest = nearest_depth_around(pairs.depth1[k], places[inside])
+        nearest, farthest = nearest_depth_around(pairs.depth1[k], points[inside])
         shown, z = visible[inside], depth[inside]
         wrong_visible += (shown & ((z < 0.98 * nearest) | (z > 1.02 * farthest))).sum()
         total_visible += shown.sum()
@@ -179,12 +179,11 @@ def test_a_seed_reproduces_to_the_bit(bank):
     assert not torch.equal(first.image1[0], first.image1[1])
 
 
-def test_photos_may_be_a_tensor_or_a_list(bank):
+def test_photos_may_be_bytes_or_floats(bank):
     photos = (procedural_textures(9, 96) * 255).round().byte()
     first = rendered(bank, 2)
-    for given in (photos, list(photos), photos.float() / 255):
-        generator = torch.Generator().manual_seed(2)
-        pairs = render_pairs(given, BATCH, SIZE, generator)
+    for given in (photos, photos.float() / 255):
+        pairs = rendered(TextureBank.from_photos(given), 2)
         assert torch.allclose(pairs.image1, first.image1, atol=1 / 255)
 
 
@@ -251,9 +250,7 @@ def test_options_out_of_range_are_named(name, value):
 def test_unusable_input_is_refused(bank):
     generator = torch.Generator().manual_seed(0)
     with pytest.raises(InputError, match="batch"):
-        render_pairs(bank, 0, SIZE, generator)
+        render_pairs(bank, 0, SIZE, generator, SceneOptions())
     for photos in (torch.rand(3, 32, 32), torch.rand(2, 1, 32, 32), torch.rand(0, 3, 32, 32)):
         with pytest.raises(InputError, match="photos"):
-            render_pairs(photos, 1, SIZE, generator)
-    with pytest.raises(InputError, match="photos"):
-        render_pairs([torch.rand(3, 32, 32), torch.rand(3, 32, 40)], 1, SIZE, generator)
+            TextureBank.from_photos(photos)

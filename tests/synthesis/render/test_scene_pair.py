@@ -36,7 +36,7 @@ def test_pairs_carry_their_truth(kind, rotation_deg):
     assert np.allclose(seen[:, :2] / seen[:, 2:], pair.map[y, x], atol=1e-6)
 
 
-def test_kinds_are_what_they_say():
+def test_kinds_have_their_motion():
     pairs = {
         kind: render_scene_pair(1, size1=(96, 96), size2=(96, 96), kind=kind) for kind in KINDS
     }
@@ -54,7 +54,7 @@ def test_kinds_are_what_they_say():
 
 
 def test_pairs_can_be_matched():
-    """SIFT finds the true places: the textures have detail, and images agree with the map."""
+    """SIFT finds the true points: the textures have detail, and images agree with the map."""
     pair = render_scene_pair(0, size1=(320, 240), size2=(300, 260), rotation_deg=10.0)
     sift = cv2.SIFT_create()
     points, descriptors = zip(

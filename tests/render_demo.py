@@ -1,4 +1,4 @@
-"""Render the bundled demo pair: `python -m dgc_pose.synthesis.render.demo OUT_DIR`."""
+"""Render the bundled demo pair (dgc_pose/data/demo): `python tests/render_demo.py OUT_DIR`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from demo_scene import demo_scene, demo_textures
 from PIL import Image
 
-from dgc_pose.synthesis.render.demo_scene import demo_scene, demo_textures
 from dgc_pose.synthesis.render.raycast import Lighting
 from dgc_pose.synthesis.render.rendered_pairs import render_views
 from dgc_pose.synthesis.render.scene_pair import RenderedPair, as_arrays
@@ -20,7 +20,7 @@ _LIGHTING = Lighting(shading=0.45, shadow=0.4)
 
 
 def render_demo(*, supersample: int = 2) -> RenderedPair:
-    """The demo pair, with what is true of it; metres."""
+    """The demo pair with its exact geometry; metres."""
     scene, first, second = demo_scene()
     pairs = render_views(
         scene,
@@ -53,5 +53,5 @@ def write_demo(folder: Path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python -m dgc_pose.synthesis.render.demo OUT_DIR")
+        sys.exit("usage: python tests/render_demo.py OUT_DIR")
     write_demo(Path(sys.argv[1]))

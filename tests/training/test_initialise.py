@@ -1,4 +1,4 @@
-"""Starting from trained weights: features stay what they were, and the right weights are taken."""
+"""Initialising from trained weights: features stay the same, and the right weights are loaded."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
+from dgc_pose.training.initialise import initialise_from, initialise_stage
+from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
-from dgc_pose.training.start import InitPart, adopt, take_up
 
 
 @pytest.mark.parametrize("name", ["dgcm-lite", "dgcm"])
@@ -22,7 +23,7 @@ def test_an_unfolded_pyramid_gives_the_same_features(name: str, training: bool) 
     net = DGCNet(preset(name))
     stage = EncoderStage(net)
     images = torch.randn(2, 3, 48, 48)
-    take_up(net, stage, images)
+    initialise_stage(stage, net, images)
     stage.train(training)
     with torch.no_grad():
         expected, found = net.pyramid(images), stage.pyramid(images)
@@ -54,7 +55,7 @@ def test_an_ablation_takes_the_pyramid_and_a_twin_all_or_the_pyramid(tmp_path: P
     for name, part, decoders_differ in cases:
         net = DGCNet(preset(name))
         assert _differs(net, trained, "pyramid.")
-        adopt(net, tmp_path / "w.safetensors", part)
+        initialise_from(tmp_path / "w.safetensors", net, part)
         assert not _differs(net, trained, "pyramid.")
         assert _differs(net, trained, "reg_3.") == decoders_differ
         assert (net.get_buffer("correlation_scales") == 33.0).all()
@@ -63,4 +64,4 @@ def test_an_ablation_takes_the_pyramid_and_a_twin_all_or_the_pyramid(tmp_path: P
 def test_another_pyramid_is_refused(tmp_path: Path) -> None:
     save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
     with pytest.raises(WeightsError, match=r"w\.safetensors: weights of dgcm-lite.*dgc "):
-        adopt(DGCNet(preset("dgc")), tmp_path / "w.safetensors")
+        initialise_from(tmp_path / "w.safetensors", DGCNet(preset("dgc")))

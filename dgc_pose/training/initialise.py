@@ -1,10 +1,10 @@
-"""Starting a run from trained weights instead of random ones."""
+"""Initialising a run from trained weights instead of random ones."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -13,17 +13,16 @@ from dgc_pose.errors import WeightsError
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.weights import load_network
+from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
 
-InitPart = Literal["all", "encoder"]
 
+def initialise_from(weights: str | Path, net: DGCNet, part: InitPart = "all") -> None:
+    """Load the weights of a file (or of a shipped name) into `net`.
 
-def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
-    """Put the weights of a file (or a shipped name) into a net, in place.
-
-    Of the encoder alone, or of another preset with the same pyramid, an ablation for one, the net
-    takes the pyramid and the correlation's temperatures. Raises WeightsError where the pyramids
-    differ too.
+    With part "encoder", or weights of another preset with the same pyramid (an ablation), only the
+    pyramid and the correlation's temperatures are loaded. Raises WeightsError if the pyramids
+    differ, too.
     """
     other = load_network(weights)
     if part == "all" and other.config == net.config:
@@ -41,8 +40,11 @@ def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
 
 
 @torch.no_grad()
-def take_up(net: DGCNet, stage: EncoderStage, images: Tensor) -> None:
-    """Let the encoder's stage begin with the net's pyramid and temperatures; images: normalised."""
+def initialise_stage(stage: EncoderStage, net: DGCNet, images: Tensor) -> None:
+    """Load the net's pyramid and temperatures into the encoder's stage.
+
+    images: (B, 3, S, S), normalised, as for `unfold_batch_norm`.
+    """
     unfold_batch_norm(net.pyramid, stage.pyramid, images)
     if net.config.soft_argmax:
         scales = cast(Tensor, net.correlation_scales).log()
@@ -52,11 +54,11 @@ def take_up(net: DGCNet, stage: EncoderStage, images: Tensor) -> None:
 
 @torch.no_grad()
 def unfold_batch_norm(plain: Pyramid, trained: Pyramid, images: Tensor) -> None:
-    """The inverse of `fold_batch_norm`: give a pyramid with batch norm the weights of one without.
+    """The inverse of `fold_batch_norm`: load a pyramid without batch norm into one with.
 
-    Each norm gets the mean and deviation that its convolution's output has over `images`
-    (B, 3, S, S), normalised, as its statistics, and again as its shift and scale: it changes
-    nothing, neither in evaluation nor, on images like these, in training.
+    Each norm gets the mean and deviation of its convolution's output over `images` (B, 3, S, S),
+    normalised, both as its statistics and as its shift and scale. So it is the identity, in
+    evaluation and, on images like these, in training.
     """
     convolutions = [m for m in plain.modules() if isinstance(m, nn.Conv2d)]
     modules = [m for m in trained.modules() if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]
@@ -64,14 +66,14 @@ def unfold_batch_norm(plain: Pyramid, trained: Pyramid, images: Tensor) -> None:
     for source, target, norm in zip(convolutions, modules[::2], modules[1::2], strict=True):
         assert isinstance(norm, nn.BatchNorm2d)
         target.load_state_dict(source.state_dict())
-        hooks.append(source.register_forward_hook(partial(_settle, norm)))
+        hooks.append(source.register_forward_hook(partial(_neutralise, norm)))
     plain(images)
     for hook in hooks:
         hook.remove()
 
 
-def _settle(norm: nn.BatchNorm2d, module: nn.Module, inputs: object, output: Tensor) -> None:
-    """Set a norm so that it changes nothing in values like `output`."""
+def _neutralise(norm: nn.BatchNorm2d, module: nn.Module, inputs: object, output: Tensor) -> None:
+    """Make a norm the identity on values like `output`."""
     variance, mean = torch.var_mean(output.float(), (0, 2, 3), unbiased=False)
     norm.load_state_dict(
         {

@@ -34,9 +34,9 @@ class Thing:
 
     kind: Kind
     centre: tuple[float, float, float]  # metres
-    half_size: tuple[float, float, float]  # metres, before it is turned
+    half_size: tuple[float, float, float]  # metres, along its own axes
     textures: tuple[int, ...]  # of the faces -x +x -y +y -z +z, or one for all
-    turn_deg: float = 0.0  # about the vertical
+    yaw_deg: float = 0.0  # about the vertical
     covers: float | None = None  # metres that one texture covers; None: it fits each face
 
 
@@ -66,13 +66,13 @@ _THINGS = (
     Thing("box", (0.9, -0.355, 0.1), (0.04, 0.355, 0.04), (3,), covers=1.1),
     Thing("box", (-0.8, -0.355, 1.0), (0.04, 0.355, 0.04), (3,), covers=1.1),
     Thing("box", (0.9, -0.355, 1.0), (0.04, 0.355, 0.04), (3,), covers=1.1),
-    Thing("box", (-0.48, -0.97, 0.72), (0.15, 0.2, 0.08), (9, 9, 5, 5, 10, 10), turn_deg=24),
-    Thing("box", (0.2, -0.8, 0.28), (0.2, 0.03, 0.14), (5, 5, 5, 5, 5, 5), turn_deg=-18),
-    Thing("box", (0.22, -0.845, 0.29), (0.15, 0.02, 0.11), (9, 9, 12, 12, 9, 9), turn_deg=12),
-    Thing("box", (0.62, -0.93, 0.72), (0.15, 0.16, 0.15), (8, 8, 6, 6, 8, 8), turn_deg=35),
-    Thing("ellipsoid", (0.1, -0.95, 0.75), (0.13, 0.24, 0.13), (7,), turn_deg=10, covers=0.7),
-    Thing("ellipsoid", (-0.2, -0.88, 0.3), (0.13, 0.13, 0.13), (6,), turn_deg=20, covers=0.6),
-    Thing("ellipsoid", (0.63, -0.86, 0.2), (0.16, 0.12, 0.12), (10,), turn_deg=-15, covers=0.6),
+    Thing("box", (-0.48, -0.97, 0.72), (0.15, 0.2, 0.08), (9, 9, 5, 5, 10, 10), yaw_deg=24),
+    Thing("box", (0.2, -0.8, 0.28), (0.2, 0.03, 0.14), (5, 5, 5, 5, 5, 5), yaw_deg=-18),
+    Thing("box", (0.22, -0.845, 0.29), (0.15, 0.02, 0.11), (9, 9, 12, 12, 9, 9), yaw_deg=12),
+    Thing("box", (0.62, -0.93, 0.72), (0.15, 0.16, 0.15), (8, 8, 6, 6, 8, 8), yaw_deg=35),
+    Thing("ellipsoid", (0.1, -0.95, 0.75), (0.13, 0.24, 0.13), (7,), yaw_deg=10, covers=0.7),
+    Thing("ellipsoid", (-0.2, -0.88, 0.3), (0.13, 0.13, 0.13), (6,), yaw_deg=20, covers=0.6),
+    Thing("ellipsoid", (0.63, -0.86, 0.2), (0.16, 0.12, 0.12), (10,), yaw_deg=-15, covers=0.6),
 )
 
 
@@ -86,9 +86,9 @@ def demo_scene() -> Candidate:
 
 
 def demo_textures() -> TextureBank:
-    """What the scene is papered with."""
+    """The textures of the scene."""
     return TextureBank.from_photos(
-        [procedural_texture(style, _TEXTURE_SIZE, seed) for style, seed in _TEXTURES]
+        torch.stack([procedural_texture(style, _TEXTURE_SIZE, seed) for style, seed in _TEXTURES])
     )
 
 
@@ -117,12 +117,12 @@ def _six(textures: tuple[int, ...]) -> tuple[int, ...]:
 
 def _axes(thing: Thing) -> Tensor:
     vertical = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
-    angle = torch.tensor(math.radians(thing.turn_deg), dtype=torch.float64)
+    angle = torch.tensor(math.radians(thing.yaw_deg), dtype=torch.float64)
     return axis_angle(vertical, angle).mT
 
 
 def _texture_maps(thing: Thing) -> Tensor:
-    """Affine maps (6, 2, 3) from places on each face to texels, upright on every side."""
+    """Affine maps (6, 2, 3) from points of each face to texels, upright on every side."""
     x, y, z = thing.half_size
     maps = []
     for half_u, half_v in ((z, y), (z, y), (x, z), (x, z), (x, y), (x, y)):
@@ -143,8 +143,8 @@ def _camera(
 ) -> Cameras:
     fx, fy, cx, cy = intrinsics
     K = _tensor([(fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)])
-    place = torch.tensor([centre], dtype=torch.float64)
+    position = torch.tensor([centre], dtype=torch.float64)
     optical_axis = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
     roll = axis_angle(optical_axis, torch.tensor(math.radians(roll_deg), dtype=torch.float64))
-    rotation = roll @ look_at(place, torch.tensor([_LOOK_AT], dtype=torch.float64))
-    return Cameras(K, rotation, -(rotation @ place[..., None])[..., 0], size)
+    rotation = roll @ look_at(position, torch.tensor([_LOOK_AT], dtype=torch.float64))
+    return Cameras(K, rotation, -(rotation @ position[..., None])[..., 0], size)

@@ -1,0 +1,78 @@
+"""What a training run does: network, length, pairs, starting weights, what learns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from dgc_pose.errors import InputError
+from dgc_pose.network.config import preset
+from dgc_pose.options import check_options, option
+from dgc_pose.synthesis.options import PairOptions
+from dgc_pose.training.schedule import Schedule
+
+InitPart = Literal["all", "encoder"]
+Unfrozen = Literal["coarsest", "encoder"]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """One training run. Raises InputError, naming the field, for a value out of range."""
+
+    preset: str = option("dgcm-lite", "dgc, dgcm or dgcm-lite.")
+    # The schedule is complete after so many minutes of training, or after so many steps: then a
+    # run repeats exactly, whatever else the machine does. One of the two.
+    minutes: float | None = option(None, "Length of the training schedule.", above=0)
+    steps: int | None = option(None, "The same in steps; such a run repeats exactly.", min=1)
+    ablations: tuple[str, ...] = option(
+        (),
+        "no-l2, flow, no-dilation, local-correlation, no-consensus, coarsest-alone or one-size; "
+        "may be given several times.",
+        flag="--ablation",
+    )
+    seed: int = option(0, "Of all random draws.")
+    schedule: Schedule = option(
+        Schedule(),
+        "Shares of the time for encoder, decoders and polish, in percent; or for encoder, its "
+        "coarsest levels, decoders and polish.",
+        flag="--split",
+        parse=Schedule.parse,
+        text="45,45,10",
+    )
+    pairs: PairOptions = field(default_factory=PairOptions)
+    curriculum: bool = option(False, "From narrow ranges to full ones by half the run.")
+    init: str | None = option(None, "Weights to initialise from: a file, or a shipped name.")
+    init_part: InitPart = option("all", "Of the --init weights; the rest starts random.")
+    rate: float = option(
+        1.0, "Times the stages' own learning rates; less, 0.1 say, with --init.", above=0
+    )
+    unfreeze: Unfrozen | None = option(
+        None, "The encoder, or its coarsest levels, continues to learn while the decoders do."
+    )
+    teacher: str | None = option(
+        None, "Weights of a network with a mask to learn from (distillation), beside the truth."
+    )
+    teacher_weight: float = option(0.5, "Of the teacher's map in the loss.", min=0)
+    batch: int | None = option(
+        None, "Pairs a step, over all processes; default: the stage's own.", min=1
+    )
+    validation_count: int = option(
+        64, "Pairs of held-back photographs.", flag="--validation-pairs", min=1
+    )
+    validate_minutes: float = 5.0  # between validations
+    save_minutes: float = 1.0  # between checkpoints
+    half_precision: bool = False  # convolutions in bfloat16, all else in single precision
+    average_decay: float = 0.998  # at most, of the exponential moving average of the weights
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        preset(self.network)
+        if (self.minutes is None) == (self.steps is None):
+            raise InputError("a run needs its length, in minutes or in steps, and one of them only")
+        if not 0 <= self.average_decay < 1:
+            raise InputError(f"average_decay must lie in [0, 1), not {self.average_decay}")
+
+    @property
+    def network(self) -> str:
+        """The name of the network: the preset and its ablations, as `preset` takes it."""
+        return "+".join([self.preset, *self.ablations])

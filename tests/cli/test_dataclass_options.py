@@ -1,0 +1,153 @@
+"""Command-line options made of dataclass fields: their types, defaults, help and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.errors import InputError
+from dgc_pose.options import check_options, option
+
+
+def _pair(text: str) -> tuple[int, int]:
+    try:
+        first, second = map(int, text.split("x"))
+    except ValueError:
+        raise InputError(f"size must be WxH, not {text}") from None
+    return first, second
+
+
+@dataclass(frozen=True)
+class Inner:
+    share: float = option(0.5, "Of the pairs.", min=0, max=1)
+    hidden: int = 3
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True)
+class Options:
+    folder: Path = option(help="Where.")
+    kind: Literal["fast", "good"] = option("good", "Which.", flag="--how")
+    level: Literal[60, 240] = option(240, "Cells.")
+    limit_px: float | None = option(None, "At most.", flag="--limit", metavar="PX", above=0)
+    names: tuple[str, ...] = option((), "May be repeated.")
+    size: tuple[int, int] = option((4, 3), "Of views.", parse=_pair, text="4x3")
+    quick: bool = option(False, "Be quick.")
+    safe: bool = option(True, "Be safe.")
+    runs: int = option(5, "Of RANSAC.", min=1)
+    secret: int = option(7, min=0)
+    inner: Inner = field(default_factory=Inner)
+    plain: str = "as it is"
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def _invoke(*words: str, **settings: Any) -> tuple[Any, Any]:
+    got: list[Any] = []
+
+    @click.command()
+    @dataclass_options(Options, "options", **settings)
+    @click.option("--own", default=1)
+    def command(options: Options, own: int) -> None:
+        got.append(options)
+
+    result = CliRunner().invoke(command, words)
+    return result, got[0] if got else None
+
+
+def test_without_words_the_class_has_its_own_defaults() -> None:
+    result, options = _invoke("--folder", "there")
+    assert result.exit_code == 0, result.output
+    assert options == Options(Path("there"))
+
+
+def test_every_kind_of_field_is_read() -> None:
+    words = ["--folder", "f", "--how", "fast", "--level", "60", "--limit", "1.5", "--names", "a"]
+    words += ["--names", "b", "--size", "7x8", "--quick", "--no-safe", "--runs", "2"]
+    words += ["--share", "0.25"]
+    result, options = _invoke(*words)
+    assert result.exit_code == 0, result.output
+    assert options == Options(
+        folder=Path("f"),
+        kind="fast",
+        level=60,
+        limit_px=1.5,
+        names=("a", "b"),
+        size=(7, 8),
+        quick=True,
+        safe=False,
+        runs=2,
+        inner=Inner(0.25),
+    )
+    assert isinstance(options.level, int)
+
+
+def test_the_help_has_texts_choices_and_defaults() -> None:
+    text = " ".join(_invoke("--help")[0].output.split())
+    for part in ("Where. [required]", "--how [fast|good] Which. [default: good]", "--limit PX"):
+        assert part in text
+    for part in ("Cells. [default: 240]", "Of views. [default: 4x3]", "pairs. [default: 0.5"):
+        assert part in text
+    assert "--secret" not in text and "--plain" not in text and "--hidden" not in text
+
+
+def test_values_may_come_from_an_instance_and_some_fields_alone_be_options() -> None:
+    base = Options(Path("base"), runs=9, size=(1, 2), plain="else", inner=Inner(0.75, hidden=8))
+    result, options = _invoke("--level", "60", only=("level", "size"), defaults=base)
+    assert result.exit_code == 0, result.output
+    assert options.level == 60 and options.runs == 9 and options.size == (1, 2)
+    assert options.plain == "else" and options.inner == base.inner
+    refused, _ = _invoke("--runs", "2", only=("level",), defaults=base)
+    assert refused.exit_code == 2 and "--runs" in refused.output
+    result, options = _invoke("--share", "0.5", defaults=base)
+    assert options.inner == Inner(0.5, hidden=8) and options.folder == Path("base")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--runs", "0"], "runs must be at least 1, not 0"),
+        (["--limit", "0"], "limit_px must be positive and finite, not 0"),
+        (["--limit", "nan"], "limit_px must be positive and finite, not nan"),
+        (["--share", "1.5"], r"share must lie in \[0, 1\], not 1.5"),
+        (["--size", "big"], "size must be WxH, not big"),
+    ],
+)
+def test_what_the_class_refuses_is_an_input_error(words: list[str], message: str) -> None:
+    result, _ = _invoke("--folder", "f", *words)
+    assert isinstance(result.exception, InputError)
+    with pytest.raises(InputError, match=message):
+        raise result.exception
+
+
+@pytest.mark.parametrize("words", [["--how", "slow"], ["--level", "61"], ["--runs", "two"], []])
+def test_what_click_refuses_names_the_option(words: list[str]) -> None:
+    result, _ = _invoke(*words)
+    assert result.exit_code == 2
+    assert (words or ["--folder"])[0] in result.output
+
+
+def test_a_literal_and_a_range_are_checked_without_a_command_line() -> None:
+    with pytest.raises(InputError, match="kind must be one of fast, good, not 'slow'"):
+        Options(Path(), kind="slow")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="secret must not be negative, not -1"):
+        Options(Path(), secret=-1)
+    assert Options(Path(), limit_px=None).limit_px is None
+
+
+def test_a_field_of_no_known_type_needs_a_parse_function() -> None:
+    @dataclass(frozen=True)
+    class Odd:
+        sizes: dict[str, int] = option(None, "By name.")
+
+    with pytest.raises(TypeError, match="parse"):
+        dataclass_options(Odd, "odd")(lambda odd: None)
