@@ -22,7 +22,12 @@ if TYPE_CHECKING:
     help="Folder of photographs, searched through, or a pack of them (see docs/training.md); one "
     "in twenty is held back for validation.",
 )
-@click.option("--preset", default="dgcm-lite", show_default=True, help="dgc, dgcm or dgcm-lite.")
+@click.option(
+    "--preset",
+    default="dgcm-lite",
+    show_default=True,
+    help="dgc, dgcm, dgcm-lite or dgcm-lite0.",
+)
 @click.option(
     "--ablation",
     "ablations",
@@ -82,6 +87,10 @@ if TYPE_CHECKING:
     help="Of the --init weights; the rest starts from random numbers.",
 )
 @click.option(
+    "--body",
+    help="ImageNet's weights of EfficientNet-Lite0 (.pth), which dgcm-lite0's encoder starts from.",
+)
+@click.option(
     "--rate",
     default=1.0,
     show_default=True,
@@ -134,6 +143,7 @@ def train(
     curriculum: bool,
     init: str | None,
     init_part: InitPart,
+    body: str | None,
     rate: float,
     thaw: Thawed | None,
     teacher: str | None,
@@ -179,6 +189,7 @@ def train(
         curriculum=Curriculum() if curriculum else None,
         init=init,
         init_part=init_part,
+        body=body,
         rate=rate,
         thaw=thaw,
         teacher=teacher,

@@ -33,7 +33,7 @@ from dgc_pose.training.photos import Photos
 from dgc_pose.training.processes import agreed, join_batch_norms, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, Schedule, StageName, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage, Thawed
-from dgc_pose.training.start import InitPart, adopt, take_up
+from dgc_pose.training.start import InitPart, adopt, adopt_imagenet, rate_groups, take_up
 from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
 
@@ -68,6 +68,7 @@ class RunOptions:
     average_decay: float = 0.998  # at most, of the exponential moving average of the weights
     init: str | None = None  # weights to start from; None: random ones
     init_part: InitPart = "all"  # of them; the rest starts from random ones
+    body: str | None = None  # EfficientNet-Lite0's own weights, for the encoder to start from
     thaw: Thawed | None = None  # what of the encoder goes on learning beside the decoders
     teacher: str | None = None  # weights of a net to learn from, or none
     teacher_weight: float = 0.5  # of the teacher's map in the loss, beside the truth's 1
@@ -142,6 +143,8 @@ class Trainer:
             min(8, options.validation_count),
             replace(options.pairs, real_share=0.0),
         )
+        if options.body is not None:
+            adopt_imagenet(self.net, options.body, normalise(self._validation[0].image1))
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0
         self.stage: StageName | None = None
@@ -214,7 +217,7 @@ class Trainer:
             self._enter(stage)
         self._learning_rate = self.options.rate * learning_rate(STAGES[stage], within)
         for group in self._optimizer.param_groups:
-            group["lr"] = self._learning_rate
+            group["lr"] = self._learning_rate * group.get("share", 1.0)
         began = self._meter.mark()
         pairs = self._make_pairs(progress)
         made = self._meter.mark()
@@ -304,7 +307,7 @@ class Trainer:
             self._module = EncoderStage(self.net).to(self.device)
             if self.options.init is not None:
                 take_up(self.net, self._module, normalise(self._validation[0].image1))
-            self.parameters = list(self._module.parameters())
+            self.parameters = [p for p in self._module.parameters() if p.requires_grad]
         else:
             if stage == "coarsest":
                 self._module = CoarsestStage(self.net, self.options.thaw or "coarsest")
@@ -320,7 +323,9 @@ class Trainer:
             join_batch_norms(self._module)
             self._shared = DistributedDataParallel(self._module)
         self._optimizer = torch.optim.AdamW(
-            self.parameters, lr=options.learning_rate, weight_decay=options.weight_decay
+            rate_groups(self._module),
+            lr=options.learning_rate,
+            weight_decay=options.weight_decay,
         )
         self._average = MovingAverage(self._module, self.options.average_decay)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,6 +14,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
@@ -29,6 +31,7 @@ from dgc_pose.training.losses import (
 
 Thawed = Literal["coarsest", "encoder"]
 _ALONE = (3, 2)  # levels that the contrastive loss runs on beside the coarsest
+_SCALE = 15.0  # inverse temperature of those, where it is not learned
 _QUERIES = 400  # target cells a pair at level 2, where all would be thousands
 
 
@@ -42,7 +45,7 @@ class Lesson:
 
 
 class EncoderStage(nn.Module):
-    """The pyramid with batch norm, trained contrastively at levels 4, 3 and 2.
+    """The pyramid, with batch norm where it has any, trained contrastively at levels 4, 3 and 2.
 
     Trained so, an encoder is usable after minutes where the whole network end to end learns next
     to nothing; the inverse temperatures of level 4's evidence go on into the soft-argmax.
@@ -50,10 +53,16 @@ class EncoderStage(nn.Module):
 
     def __init__(self, net: DGCNet) -> None:
         super().__init__()
-        self.pyramid = Pyramid(replace(net.config, pyramid_batch_norm=True))
-        for module in self.pyramid.modules():
-            if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+        self.pyramid: Pyramid | EfficientPyramid
+        if isinstance(net.pyramid, EfficientPyramid):
+            # Its norms are folded for good: it goes on from trained weights.
+            self.pyramid = deepcopy(net.pyramid)
+            self.pyramid.thaw(len(_ALONE) + 1)
+        else:
+            self.pyramid = Pyramid(replace(net.config, pyramid_batch_norm=True))
+            for module in self.pyramid.modules():
+                if isinstance(module, nn.Conv2d):
+                    nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         self.half_precision = net.half_precision
         # Of the levels that the coarsest's evidence is made of, then of those contrasted alone.
         self.correlated = net.config.correlated_levels
@@ -68,7 +77,8 @@ class EncoderStage(nn.Module):
         """
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.half_precision):
-            features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
+            coarse = self.pyramid.coarse(images.contiguous(memory_format=torch.channels_last))
+        features = dict(enumerate(coarse, start=2))
         scales = self.log_scales.exp().clamp(max=60)
         levels = range(COARSEST, COARSEST - self.correlated, -1)
         halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
@@ -84,7 +94,11 @@ class EncoderStage(nn.Module):
 
     def write(self, net: DGCNet) -> None:
         """Put the trained pyramid, batch norm folded, and the temperature into the network."""
-        fold_batch_norm(self.pyramid, net.pyramid)
+        if isinstance(self.pyramid, EfficientPyramid):
+            net.pyramid.load_state_dict(self.pyramid.state_dict())
+        else:
+            assert isinstance(net.pyramid, Pyramid)
+            fold_batch_norm(self.pyramid, net.pyramid)
         if net.config.soft_argmax:
             scales = self.log_scales[: self.correlated].detach()
             net.correlation_scales = scales.exp().clamp(max=60).clone()
@@ -106,8 +120,7 @@ class CoarsestStage(nn.Module):
         self.thawed = thawed
         net.requires_grad_(False)
         moving = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
-        for level, module in enumerate(net.pyramid.children()):
-            module.requires_grad_(level > COARSEST - moving[thawed])
+        net.pyramid.thaw(moving[thawed])
 
     def train(self, mode: bool = True) -> CoarsestStage:
         super().train(mode)
@@ -179,6 +192,13 @@ class DecoderStage(CoarsestStage):
         figures: dict[str, Tensor] = {}
         if self.thawed is not None:
             total, figures = self._contrast(correlation, pairs)
+        if self.thawed == "encoder":
+            # The levels that the coarsest's loss does not reach would drift with the body.
+            for level in _ALONE:
+                both = torch.cat([source[level], target[level]])
+                scale = both.new_tensor(_SCALE)
+                part, figures[f"found{level}"] = _contrast(level, both, pairs, scale, draws)
+                total = total + part
         source, target = [f.detach() for f in source], [f.detach() for f in target]
         noisy = draws.uniform(len(pairs.map)) < noise_share
         offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)

@@ -4,18 +4,51 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
 
 from dgc_pose.errors import WeightsError
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import load_checkpoint, load_network
+from dgc_pose.training.imagenet import adopt_body
 from dgc_pose.training.stages import EncoderStage
 
 InitPart = Literal["all", "encoder"]
+_BODY_SHARE = 0.25  # of the learning rate: what ImageNet taught is kept longer than what is new
+
+
+def rate_groups(module: nn.Module) -> list[dict[str, Any]]:
+    """The parameters that learn, for an optimiser, with `share` of the learning rate for each."""
+    bodies = {
+        id(parameter)
+        for pyramid in module.modules()
+        if isinstance(pyramid, EfficientPyramid)
+        for part in (pyramid.stem, pyramid.blocks)
+        for parameter in part.parameters()
+    }
+    learning = [p for p in module.parameters() if p.requires_grad]
+    groups = [
+        {"params": [p for p in learning if (id(p) in bodies) == is_body], "share": share}
+        for is_body, share in ((False, 1.0), (True, _BODY_SHARE))
+    ]
+    return [group for group in groups if group["params"]]
+
+
+def adopt_imagenet(net: DGCNet, path: str | Path, images: Tensor) -> None:
+    """Put EfficientNet-Lite0's own weights into a net's encoder, as `adopt_body`.
+
+    Raises WeightsError for a file that holds others, or a net without that body.
+    """
+    if not isinstance(net.pyramid, EfficientPyramid):
+        raise WeightsError(f"{path}: the encoder of {net.config.name} has no place for it")
+    try:
+        adopt_body(net.pyramid, load_checkpoint(Path(path), images.device), images)
+    except (KeyError, RuntimeError, TypeError) as error:
+        raise WeightsError(f"{path}: not weights of EfficientNet-Lite0 ({error})") from error
 
 
 def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
@@ -43,7 +76,11 @@ def adopt(net: DGCNet, weights: str | Path, part: InitPart = "all") -> None:
 @torch.no_grad()
 def take_up(net: DGCNet, stage: EncoderStage, images: Tensor) -> None:
     """Let the encoder's stage begin with the net's pyramid and temperatures; images: normalised."""
-    unfold_batch_norm(net.pyramid, stage.pyramid, images)
+    if isinstance(stage.pyramid, Pyramid):
+        assert isinstance(net.pyramid, Pyramid)
+        unfold_batch_norm(net.pyramid, stage.pyramid, images)
+    else:
+        stage.pyramid.load_state_dict(net.pyramid.state_dict())
     if net.config.soft_argmax:
         scales = cast(Tensor, net.correlation_scales).log()
         stage.log_scales[:] = scales[0]
