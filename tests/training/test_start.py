@@ -12,7 +12,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
 from dgc_pose.training.stages import EncoderStage
-from dgc_pose.training.start import InitPart, adopt, take_up
+from dgc_pose.training.start import InitPart, adopt, adopt_imagenet, rate_groups, take_up
 
 
 @pytest.mark.parametrize("name", ["dgcm-lite", "dgcm"])
@@ -64,3 +64,29 @@ def test_another_pyramid_is_refused(tmp_path: Path) -> None:
     save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
     with pytest.raises(WeightsError, match=r"w\.safetensors: weights of dgcm-lite.*dgc "):
         adopt(DGCNet(preset("dgc")), tmp_path / "w.safetensors")
+
+
+def test_a_body_learns_at_a_share_of_the_rate_and_goes_back_unchanged() -> None:
+    torch.manual_seed(2)
+    net = DGCNet(preset("dgcm-lite0"))
+    stage = EncoderStage(net)
+    take_up(net, stage, torch.randn(1, 3, 32, 32))
+    heads, body = rate_groups(stage)
+    assert (heads["share"], body["share"]) == (1.0, 0.25)
+    counts = [sum(p.numel() for p in group["params"]) for group in (heads, body)]
+    fine = sum(p.numel() for name in ("level_0", "level_1")
+               for p in net.pyramid.get_submodule(name).parameters())
+    everything = sum(p.numel() for p in stage.parameters())
+    assert sum(counts) == everything - fine
+    assert len(rate_groups(DGCNet(preset("dgcm-lite")))) == 1
+    before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
+    stage.write(net)
+    assert all(torch.equal(before[k], v) for k, v in net.pyramid.state_dict().items())
+
+
+def test_imagenet_weights_for_another_encoder_or_of_another_are_refused(tmp_path: Path) -> None:
+    torch.save({"conv.weight": torch.zeros(1)}, tmp_path / "body.pth")
+    images = torch.randn(1, 3, 32, 32)
+    for name, why in (("dgcm-lite", "no place"), ("dgcm-lite0", "not weights of EfficientNet")):
+        with pytest.raises(WeightsError, match=rf"body\.pth: .*{why}"):
+            adopt_imagenet(DGCNet(preset(name)), tmp_path / "body.pth", images)
