@@ -135,7 +135,8 @@ class CoarsestStage(nn.Module):
         self, pairs: TrainingPairs, draws: Draws
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
-        return self._contrast(self.net.correlate(*self._features(pairs)), pairs)
+        source, target = self._features(pairs)
+        return self._contrast(self.net.correlate(source, target), source, target, pairs, draws)
 
     def _features(self, pairs: TrainingPairs) -> tuple[list[Tensor], list[Tensor]]:
         """Those of the first images and of the second."""
@@ -145,12 +146,28 @@ class CoarsestStage(nn.Module):
         return [half[0] for half in halves], [half[1] for half in halves]
 
     def _contrast(
-        self, correlation: Correlation, pairs: TrainingPairs
+        self,
+        correlation: Correlation,
+        source: list[Tensor],
+        target: list[Tensor],
+        pairs: TrainingPairs,
+        draws: Draws,
     ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Of what is thawed: of the coarsest level, and of those that its loss does not reach.
+
+        They would drift with the layers below them.
+        """
         assert correlation.evidence is not None
         passes = self.net.config.consensus_passes
-        loss, found = _contrast_evidence(correlation.evidence, pairs, passes)
-        return loss, {f"found{COARSEST}": found}
+        total, found = _contrast_evidence(correlation.evidence, pairs, passes)
+        shares = {f"found{COARSEST}": found}
+        if self.thawed == "encoder":
+            for level in _ALONE:
+                both = torch.cat([source[level], target[level]])
+                scale = both.new_tensor(_SCALE)
+                part, shares[f"found{level}"] = _contrast(level, both, pairs, scale, draws)
+                total = total + part
+        return total, shares
 
 
 class DecoderStage(CoarsestStage):
@@ -191,14 +208,7 @@ class DecoderStage(CoarsestStage):
         total: Tensor = pairs.image1.new_zeros(())
         figures: dict[str, Tensor] = {}
         if self.thawed is not None:
-            total, figures = self._contrast(correlation, pairs)
-        if self.thawed == "encoder":
-            # The levels that the coarsest's loss does not reach would drift with the body.
-            for level in _ALONE:
-                both = torch.cat([source[level], target[level]])
-                scale = both.new_tensor(_SCALE)
-                part, figures[f"found{level}"] = _contrast(level, both, pairs, scale, draws)
-                total = total + part
+            total, figures = self._contrast(correlation, source, target, pairs, draws)
         source, target = [f.detach() for f in source], [f.detach() for f in target]
         noisy = draws.uniform(len(pairs.map)) < noise_share
         offset = draws.integers(LEVEL_SIZES[1] // 2 + 1, 2)
