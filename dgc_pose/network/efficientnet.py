@@ -43,10 +43,8 @@ class EfficientPyramid(nn.Module):
 
     def __init__(self, config: EfficientNet) -> None:
         super().__init__()
-        inputs = 3
-        for index, level in enumerate(config.fine):
-            self.add_module(f"level_{index}", plain_level(level, inputs))
-            inputs = config.level_channels[index]
+        self.level_0 = plain_level(config.fine[0], 3)
+        self.level_1 = plain_level(config.fine[1], config.level_channels[0])
         self.stem = nn.Sequential(_halving(3, STEM_CHANNELS, 3), nn.ReLU6())
         inputs, taken = STEM_CHANNELS, {}
         self.blocks = nn.ModuleList()
@@ -66,7 +64,7 @@ class EfficientPyramid(nn.Module):
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
-        level0 = self.level_0(image)
+        level0: Tensor = self.level_0(image)
         return [level0, self.level_1(level0), *self.coarse(image)]
 
     def coarse(self, image: Tensor) -> list[Tensor]:
