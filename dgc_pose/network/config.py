@@ -42,6 +42,19 @@ PyramidLevel = tuple[Conv | Residual | Pool, ...]
 
 
 @dataclass(frozen=True)
+class EfficientNet:
+    """A pyramid with EfficientNet-Lite0 as the backbone of levels 2 to 4; see `efficientnet.py`."""
+
+    fine: tuple[PyramidLevel, PyramidLevel]  # levels 0 and 1, computed from the image
+    channels: tuple[int, int, int] = (64, 128, 128)  # of levels 2, 3 and 4
+
+    @property
+    def level_channels(self) -> tuple[int, ...]:
+        """Channels of each pyramid level, 0 to 4."""
+        return (*map(_channels, self.fine), *self.channels)
+
+
+@dataclass(frozen=True)
 class DecoderConfig:
     """A correspondence decoder: 3x3 blocks (convolution, batch norm, ReLU), then a plain 3x3."""
 
@@ -55,7 +68,7 @@ class NetworkConfig:
     """Configuration of a `DGCNet`. Raises InputError if the parts do not fit together."""
 
     name: str
-    pyramid: tuple[PyramidLevel, ...]  # levels 0 (finest, 240) to 4 (coarsest, 15)
+    pyramid: tuple[PyramidLevel, ...] | EfficientNet  # levels 0 (finest, 240) to 4 (coarsest, 15)
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
     # A decoder's output: the map itself (the paper), the displacement from the identity (the
     # paper's DGC-Net-flow), or a correction of the previous level's map in cells (ours).
@@ -80,7 +93,7 @@ class NetworkConfig:
     pyramid_batch_norm: bool = False  # in training only; folded afterwards
 
     def __post_init__(self) -> None:
-        if len(self.pyramid) != len(LEVEL_SIZES) or len(self.decoders) != len(LEVEL_SIZES):
+        if len(self.level_channels) != len(LEVEL_SIZES) or len(self.decoders) != len(LEVEL_SIZES):
             raise InputError("pyramid and decoders must have five levels")
         for decoder in self.decoders:
             if len(decoder.channels) != len(decoder.dilations) or not decoder.channels:
@@ -98,10 +111,9 @@ class NetworkConfig:
     @property
     def level_channels(self) -> tuple[int, ...]:
         """Channels of each pyramid level, 0 to 4."""
-        return tuple(
-            [part.channels for part in level if not isinstance(part, Pool)][-1]
-            for level in self.pyramid
-        )
+        if isinstance(self.pyramid, EfficientNet):
+            return self.pyramid.level_channels
+        return tuple(map(_channels, self.pyramid))
 
     @property
     def map_channels(self) -> int:
@@ -118,6 +130,11 @@ class NetworkConfig:
         radius = self.decoders[level].local_radius
         local = 0 if radius is None else (2 * radius + 1) ** 2
         return 2 * self.level_channels[level] + local + self.map_channels
+
+
+def _channels(level: PyramidLevel) -> int:
+    """Output channels of a level."""
+    return [part.channels for part in level if not isinstance(part, Pool)][-1]
 
 
 _VGG16: tuple[PyramidLevel, ...] = (
@@ -159,20 +176,25 @@ _LITE_DECODERS = (
     DecoderConfig((128, 96, 64), (1, 1, 1)),
 )
 
+_LITE = NetworkConfig(
+    "dgcm-lite",
+    _LITE_PYRAMID,
+    _LITE_DECODERS,
+    output="residual",
+    matchability="decoder",
+    soft_argmax=True,
+    correlated_levels=2,
+    second_size=128,
+    consensus_passes=4,
+    align_corners=False,
+)
+
 PRESETS: dict[str, NetworkConfig] = {
     "dgc": NetworkConfig("dgc", _VGG16, _PAPER_DECODERS),
     "dgcm": NetworkConfig("dgcm", _VGG16, _PAPER_DECODERS, matchability="network"),
-    "dgcm-lite": NetworkConfig(
-        "dgcm-lite",
-        _LITE_PYRAMID,
-        _LITE_DECODERS,
-        output="residual",
-        matchability="decoder",
-        soft_argmax=True,
-        correlated_levels=2,
-        second_size=128,
-        consensus_passes=4,
-        align_corners=False,
+    "dgcm-lite": _LITE,
+    "dgcm-lite0": replace(
+        _LITE, name="dgcm-lite0", pyramid=EfficientNet((_LITE_PYRAMID[0], _LITE_PYRAMID[1]))
     ),
 }
 

@@ -9,7 +9,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, NetworkConfig
+from dgc_pose.network.config import (
+    COARSEST,
+    INPUT_SIZE,
+    LEVEL_SIZES,
+    EfficientNet,
+    NetworkConfig,
+)
 from dgc_pose.network.consensus import consensus
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
@@ -21,6 +27,7 @@ from dgc_pose.network.correlation import (
     peaks,
 )
 from dgc_pose.network.decoder import Decoder, MatchabilityNet
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
@@ -68,7 +75,11 @@ class DGCNet(nn.Module):
         self.config = config
         # Convolutions in bfloat16; correlations and maps stay in single precision.
         self.half_precision = False
-        self.pyramid = Pyramid(config)
+        self.pyramid: Pyramid | EfficientPyramid
+        if isinstance(config.pyramid, EfficientNet):
+            self.pyramid = EfficientPyramid(config.pyramid)
+        else:
+            self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
             decoder = Decoder(
                 config.decoder_inputs(level), config.decoders[level], config.map_channels

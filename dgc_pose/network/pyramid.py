@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dgc_pose.network.config import NetworkConfig, Pool, PyramidLevel
-from dgc_pose.network.config import Residual as ResidualConfig
+from dgc_pose.network.config import LEVEL_SIZES, EfficientNet, NetworkConfig
+from dgc_pose.network.plain import plain_level
 
 
 class Pyramid(nn.Module):
@@ -15,9 +14,10 @@ class Pyramid(nn.Module):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
+        assert not isinstance(config.pyramid, EfficientNet)
         inputs = 3
         for index, level in enumerate(config.pyramid):
-            self.add_module(f"level_{index}", _level(level, inputs, config.pyramid_batch_norm))
+            self.add_module(f"level_{index}", plain_level(level, inputs, config.pyramid_batch_norm))
             inputs = config.level_channels[index]
 
     def forward(self, image: Tensor) -> list[Tensor]:
@@ -28,51 +28,15 @@ class Pyramid(nn.Module):
             features.append(image)
         return features
 
+    def coarse(self, image: Tensor) -> list[Tensor]:
+        """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
+        return self(image)[2:]
 
-class Residual(nn.Module):
-    """A `Residual` of the configuration: (B, C, H, W) to the same shape."""
-
-    def __init__(self, channels: int, dilation: int, batch_norm: bool) -> None:
-        super().__init__()
-        self.body = nn.Sequential(
-            *_convolution(channels, channels, batch_norm),
-            nn.ReLU(),
-            *_convolution(channels, channels, batch_norm, dilation=dilation),
-        )
-
-    def forward(self, features: Tensor) -> Tensor:
-        return F.relu(features + self.body(features))
-
-
-def _level(level: PyramidLevel, inputs: int, batch_norm: bool) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for part in level:
-        if isinstance(part, Pool):
-            layers.append(nn.MaxPool2d(2, 2))
-            continue
-        if isinstance(part, ResidualConfig):
-            layers.append(Residual(part.channels, part.dilation, batch_norm))
-            continue
-        layers += _convolution(
-            inputs, part.channels, batch_norm, part.kernel, part.stride, part.dilation
-        )
-        if part.relu:
-            layers.append(nn.ReLU())
-        inputs = part.channels
-    return nn.Sequential(*layers)
-
-
-def _convolution(
-    inputs: int,
-    outputs: int,
-    batch_norm: bool,
-    kernel: int = 3,
-    stride: int = 1,
-    dilation: int = 1,
-) -> list[nn.Module]:
-    padding = dilation * (kernel // 2)
-    convolution = nn.Conv2d(inputs, outputs, kernel, stride, padding, dilation=dilation)
-    return [convolution, nn.BatchNorm2d(outputs)] if batch_norm else [convolution]
+    def unfreeze(self, levels: int) -> None:
+        """Make the coarsest `levels` of the five levels trainable, and freeze the others."""
+        self.requires_grad_(False)
+        for level in list(self.children())[len(LEVEL_SIZES) - levels :]:
+            level.requires_grad_(True)
 
 
 def fold_batch_norm(trained: Pyramid, plain: Pyramid) -> None:

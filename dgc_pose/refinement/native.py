@@ -63,10 +63,10 @@ def native_features(net: DGCNet, pixels: np.ndarray, cells: tuple[int, int]) -> 
     shrunk = torch.from_numpy(resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)))
     planes = normalise(shrunk.to(device).permute(2, 0, 1)[None].float() / 255)
     with torch.autocast(device.type, torch.bfloat16, enabled=multiplies_bfloat16(device)):
-        levels = net.pyramid(planes.contiguous(memory_format=torch.channels_last))
+        levels = net.pyramid.coarse(planes.contiguous(memory_format=torch.channels_last))
     # Channels last, because cells are gathered one by one later.
     fine, middle, coarse = (
         F.normalize(level.float().contiguous(memory_format=torch.channels_last), dim=1)[0]
-        for level in levels[2:5]
+        for level in levels
     )
     return Features(coarse, middle, fine, (width, height))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.average import MovingAverage
 from dgc_pose.training.initialise import initialise_stage
@@ -18,13 +19,14 @@ from dgc_pose.training.schedule import STAGES, StageName, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
 
 _LARGEST_GRADIENT = 5.0  # norm over all parameters
+_BACKBONE_RATE = 0.25  # times the rate of the rest, to keep what ImageNet taught
 
 
 class ActiveStage:
     """One stage of a run, from the network's present weights, on the device of the network.
 
     images: (B, 3, S, S), normalised, that batch norm is initialised with if the run starts from
-    trained weights.
+    trained weights. A pretrained backbone learns at a quarter of the rate.
     """
 
     def __init__(self, name: StageName, net: DGCNet, options: RunOptions, images: Tensor) -> None:
@@ -41,7 +43,7 @@ class ActiveStage:
         self._settings = STAGES[name]
         self._rate = options.rate
         self.optimizer = torch.optim.AdamW(
-            self.parameters,
+            _rate_groups(self.module),
             lr=self._settings.learning_rate,
             weight_decay=self._settings.weight_decay,
         )
@@ -51,7 +53,7 @@ class ActiveStage:
         """The learning rate at a progress of the stage, from 0 to 1; the next step uses it."""
         rate = self._rate * learning_rate(self._settings, progress)
         for group in self.optimizer.param_groups:
-            group["lr"] = rate
+            group["lr"] = rate * group.get("factor", 1.0)
         return rate
 
     def step(self, loss: Tensor) -> Tensor:
@@ -98,3 +100,20 @@ def _module(
     if name == "coarsest":
         return CoarsestStage(net, options.unfreeze or "coarsest")
     return DecoderStage(net, end_to_end=name == "polish", unfrozen=options.unfreeze)
+
+
+def _rate_groups(module: nn.Module) -> list[dict[str, Any]]:
+    """The trainable parameters as an optimiser's groups, each with the `factor` of its rate."""
+    backbone = {
+        parameter
+        for pyramid in module.modules()
+        if isinstance(pyramid, EfficientPyramid)
+        for part in (pyramid.stem, pyramid.blocks)
+        for parameter in part.parameters()
+    }
+    trainable = [p for p in module.parameters() if p.requires_grad]
+    groups = [
+        {"params": [p for p in trainable if p not in backbone], "factor": 1.0},
+        {"params": [p for p in trainable if p in backbone], "factor": _BACKBONE_RATE},
+    ]
+    return [group for group in groups if group["params"]]

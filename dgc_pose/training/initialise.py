@@ -10,9 +10,11 @@ import torch
 from torch import Tensor, nn
 
 from dgc_pose.errors import WeightsError
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import load_checkpoint, load_network
+from dgc_pose.training.imagenet import load_backbone
 from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
 
@@ -39,13 +41,32 @@ def initialise_from(weights: str | Path, net: DGCNet, part: InitPart = "all") ->
         scales[:levels] = cast(Tensor, other.correlation_scales)[:levels]
 
 
+def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> None:
+    """Load ImageNet's weights of EfficientNet-Lite0 (a .pth) into the net's encoder.
+
+    images: (B, 3, S, S), normalised, as for `load_backbone`. Raises WeightsError if the file holds
+    other weights, or the net has another encoder.
+    """
+    if not isinstance(net.pyramid, EfficientPyramid):
+        raise WeightsError(f"{weights}: {net.config.name} has no EfficientNet-Lite0")
+    state = load_checkpoint(Path(weights), images.device)
+    try:
+        load_backbone(net.pyramid, state, images)
+    except (KeyError, RuntimeError, TypeError) as error:
+        raise WeightsError(f"{weights}: not weights of EfficientNet-Lite0 ({error})") from error
+
+
 @torch.no_grad()
 def initialise_stage(stage: EncoderStage, net: DGCNet, images: Tensor) -> None:
     """Load the net's pyramid and temperatures into the encoder's stage.
 
     images: (B, 3, S, S), normalised, as for `unfold_batch_norm`.
     """
-    unfold_batch_norm(net.pyramid, stage.pyramid, images)
+    if isinstance(stage.pyramid, EfficientPyramid):
+        stage.pyramid.load_state_dict(net.pyramid.state_dict())
+    else:
+        assert isinstance(net.pyramid, Pyramid)
+        unfold_batch_norm(net.pyramid, stage.pyramid, images)
     if net.config.soft_argmax:
         scales = cast(Tensor, net.correlation_scales).log()
         stage.log_scales[:] = scales[0]

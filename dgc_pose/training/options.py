@@ -19,7 +19,7 @@ Unfrozen = Literal["coarsest", "encoder"]
 class RunOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
-    preset: str = option("dgcm-lite", "dgc, dgcm or dgcm-lite.")
+    preset: str = option("dgcm-lite", "dgc, dgcm, dgcm-lite or dgcm-lite0.")
     # The schedule is complete after so many minutes of training, or after so many steps: then a
     # run repeats exactly, whatever else the machine does. One of the two.
     minutes: float | None = option(None, "Length of the training schedule.", above=0)
@@ -43,6 +43,9 @@ class RunOptions:
     curriculum: bool = option(False, "From narrow ranges to full ones by half the run.")
     init: str | None = option(None, "Weights to initialise from: a file, or a shipped name.")
     init_part: InitPart = option("all", "Of the --init weights; the rest starts random.")
+    backbone: str | None = option(
+        None, "ImageNet weights of EfficientNet-Lite0 (.pth), to initialise dgcm-lite0 from."
+    )
     rate: float = option(
         1.0, "Times the stages' own learning rates; less, 0.1 say, with --init.", above=0
     )

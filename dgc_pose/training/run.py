@@ -25,7 +25,7 @@ from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.curriculum import Curriculum
-from dgc_pose.training.initialise import initialise_from
+from dgc_pose.training.initialise import initialise_backbone, initialise_from
 from dgc_pose.training.log import Meter, Row, append
 from dgc_pose.training.options import RunOptions
 from dgc_pose.training.processes import from_first, joint_sum, process_count, rank
@@ -84,7 +84,6 @@ class Trainer:
             self._teacher = Teacher.load(
                 options.teacher, options.teacher_weight, self.device, options.half_precision
             )
-        self.out.mkdir(parents=True, exist_ok=True)
         self.photos, held_back = (p.to(self.device) for p in photos)
         self.real = None if real is None else real.to(self.device)
         self._validation = validation_pairs(
@@ -93,6 +92,9 @@ class Trainer:
             min(8, options.validation_count),
             replace(options.pairs, real_share=0.0),
         )
+        if options.backbone is not None:
+            initialise_backbone(options.backbone, self.net, normalise(self._validation[0].image1))
+        self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0
         self._meter = Meter(self.device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,6 +13,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
@@ -22,6 +24,7 @@ from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mas
 from dgc_pose.training.options import Unfrozen
 
 _CONTRASTED = (3, 2)  # levels with a contrastive loss of their own, beside the coarsest
+_SCALE = 15.0  # inverse temperature of those losses, outside of the encoder's stage
 _QUERIES = 400  # target cells a pair at level 2, which has thousands
 _SIZE = (INPUT_SIZE, INPUT_SIZE)
 
@@ -39,18 +42,26 @@ class TeacherTarget:
 
 
 class EncoderStage(nn.Module):
-    """The pyramid with batch norm, trained contrastively at levels 4, 3 and 2.
+    """The pyramid, trained contrastively at levels 4, 3 and 2.
 
     An encoder trained so is usable after minutes; trained end to end, it learns next to nothing in
     that time. The soft-argmax takes over the inverse temperatures of level 4.
+
+    A `Pyramid` starts from random weights, with batch norm. An `EfficientPyramid`, whose norms are
+    folded, starts from the network's weights; its levels 0 and 1 are left as they are.
     """
 
     def __init__(self, net: DGCNet) -> None:
         super().__init__()
-        self.pyramid = Pyramid(replace(net.config, pyramid_batch_norm=True))
-        for module in self.pyramid.modules():
-            if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+        self.pyramid: Pyramid | EfficientPyramid
+        if isinstance(net.pyramid, EfficientPyramid):
+            self.pyramid = deepcopy(net.pyramid)
+            self.pyramid.unfreeze(1 + len(_CONTRASTED))
+        else:
+            self.pyramid = Pyramid(replace(net.config, pyramid_batch_norm=True))
+            for module in self.pyramid.modules():
+                if isinstance(module, nn.Conv2d):
+                    nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         self.half_precision = net.half_precision
         # Of the correlated levels, then of those with a contrastive loss of their own.
         self.correlated = net.config.correlated_levels
@@ -60,7 +71,8 @@ class EncoderStage(nn.Module):
         """The contrastive loss of a batch, and the share of cells found at each level."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.half_precision):
-            features = self.pyramid(images.contiguous(memory_format=torch.channels_last))
+            coarse = self.pyramid.coarse(images.contiguous(memory_format=torch.channels_last))
+        features = dict(enumerate(coarse, start=2))
         scales = self.log_scales.exp().clamp(max=60)
         levels = range(COARSEST, COARSEST - self.correlated, -1)
         halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
@@ -76,7 +88,11 @@ class EncoderStage(nn.Module):
 
     def write(self, net: DGCNet) -> None:
         """Copy the trained pyramid, batch norm folded, and the temperatures into the network."""
-        fold_batch_norm(self.pyramid, net.pyramid)
+        if isinstance(self.pyramid, EfficientPyramid):
+            net.pyramid.load_state_dict(self.pyramid.state_dict())
+        else:
+            assert isinstance(net.pyramid, Pyramid)
+            fold_batch_norm(self.pyramid, net.pyramid)
         if net.config.soft_argmax:
             scales = self.log_scales[: self.correlated].detach()
             net.correlation_scales = scales.exp().clamp(max=60).clone()
@@ -98,8 +114,7 @@ class CoarsestStage(nn.Module):
         self.unfrozen = unfrozen
         net.requires_grad_(False)
         count = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
-        for level, module in enumerate(net.pyramid.children()):
-            module.requires_grad_(level > COARSEST - count[unfrozen])
+        net.pyramid.unfreeze(count[unfrozen])
 
     def train(self, mode: bool = True) -> CoarsestStage:
         super().train(mode)
@@ -108,7 +123,8 @@ class CoarsestStage(nn.Module):
 
     def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
         """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
-        return self._contrast(self.net.correlate(*self._features(pairs)), pairs)
+        source, target = self._features(pairs)
+        return self._contrast(self.net.correlate(source, target), source, target, pairs, draw)
 
     def _features(self, pairs: MapPairs) -> tuple[list[Tensor], list[Tensor]]:
         """Features of the first images and of the second."""
@@ -117,11 +133,31 @@ class CoarsestStage(nn.Module):
         halves = [f.chunk(2) for f in features]
         return [half[0] for half in halves], [half[1] for half in halves]
 
-    def _contrast(self, correlation: Correlation, pairs: MapPairs) -> Loss:
+    def _contrast(
+        self,
+        correlation: Correlation,
+        source: list[Tensor],
+        target: list[Tensor],
+        pairs: MapPairs,
+        draw: Draw,
+    ) -> Loss:
+        """The contrastive loss of the unfrozen levels, from the features of both images.
+
+        If the whole encoder is unfrozen, the finer levels have a loss of their own: otherwise they
+        would drift with the layers that they share with the coarsest.
+        """
         assert correlation.evidence is not None
         passes = self.net.config.consensus_passes
-        loss, found = _coarsest_loss(correlation.evidence, pairs, passes)
-        return loss, {f"found{COARSEST}": found}
+        total, share = _coarsest_loss(correlation.evidence, pairs, passes)
+        shares = {f"found{COARSEST}": share}
+        if self.unfrozen == "encoder":
+            for level in _CONTRASTED:
+                features = torch.cat([source[level], target[level]])
+                scale = features.new_tensor(_SCALE)
+                part, share = _level_contrast(level, features, pairs, scale, draw)
+                total = total + part
+                shares[f"found{level}"] = share
+        return total, shares
 
 
 class DecoderStage(CoarsestStage):
@@ -162,7 +198,7 @@ class DecoderStage(CoarsestStage):
         total: Tensor = pairs.image1.new_zeros(())
         figures: dict[str, Tensor] = {}
         if self.unfrozen is not None:
-            total, figures = self._contrast(correlation, pairs)
+            total, figures = self._contrast(correlation, source, target, pairs, draw)
         source, target = [f.detach() for f in source], [f.detach() for f in target]
         noisy = draw.chance(len(pairs.map), share=noise_share)
         offset = draw.common_integers(2, LEVEL_SIZES[1] // 2 + 1)

@@ -58,6 +58,8 @@ def test_an_ablation_gives_its_name_to_the_weights(
         (["--rgbd", "nowhere"], "nowhere"),
         (["--init", "nowhere.pth"], "nowhere.pth"),
         (["--teacher", "nowhere.pth"], "nowhere.pth"),
+        (["--backbone", "nowhere.pth"], "dgcm-lite has no EfficientNet-Lite0"),
+        (["--preset", "dgcm-lite0", "--backbone", "nowhere.pth"], "nowhere.pth"),
         (["--rate", "0"], "rate must be positive"),
         (["--batch", "0"], "batch must be at least 1"),
         (["--stop-after", "-1"], "must be positive"),

@@ -9,7 +9,8 @@ import torch.nn.functional as F
 from torch import nn
 
 from dgc_pose.network.config import preset
-from dgc_pose.network.pyramid import Pyramid, Residual, fold_batch_norm
+from dgc_pose.network.plain import Residual
+from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 
 
 def test_a_residual_block_adds_its_two_convolutions_to_what_came_in() -> None:

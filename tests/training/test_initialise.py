@@ -11,7 +11,7 @@ from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
-from dgc_pose.training.initialise import initialise_from, initialise_stage
+from dgc_pose.training.initialise import initialise_backbone, initialise_from, initialise_stage
 from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
 
@@ -65,3 +65,23 @@ def test_another_pyramid_is_refused(tmp_path: Path) -> None:
     save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
     with pytest.raises(WeightsError, match=r"w\.safetensors: weights of dgcm-lite.*dgc "):
         initialise_from(tmp_path / "w.safetensors", DGCNet(preset("dgc")))
+
+
+def test_a_pretrained_encoder_passes_through_its_stage_unchanged() -> None:
+    torch.manual_seed(2)
+    net = DGCNet(preset("dgcm-lite0"))
+    stage = EncoderStage(net)
+    for parameter in stage.pyramid.parameters():
+        torch.nn.init.zeros_(parameter)
+    initialise_stage(stage, net, torch.randn(1, 3, 32, 32))
+    before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
+    stage.write(net)
+    assert all(torch.equal(before[k], v) for k, v in net.pyramid.state_dict().items())
+
+
+def test_backbone_weights_of_or_for_another_encoder_are_refused(tmp_path: Path) -> None:
+    torch.save({"conv.weight": torch.zeros(1)}, tmp_path / "backbone.pth")
+    images = torch.randn(1, 3, 32, 32)
+    for name, why in (("dgcm-lite", "has no"), ("dgcm-lite0", "not weights of")):
+        with pytest.raises(WeightsError, match=rf"backbone\.pth: .*{why} EfficientNet-Lite0"):
+            initialise_backbone(tmp_path / "backbone.pth", DGCNet(preset(name)), images)

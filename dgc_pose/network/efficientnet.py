@@ -1,0 +1,137 @@
+"""A feature pyramid with EfficientNet-Lite0 (Tan and Le, ICML 2019), to stride 16, as backbone.
+
+It differs from the published network in two ways. The batch norms are folded into the convolutions,
+in training too. And the kernels of strided convolutions have an even side, 4 or 6 instead of 3 or
+5. The centre of an odd kernel of stride 2 lies half a pixel right of and below the centre of its
+output cell (with TensorFlow's padding); over four such layers that adds up to half a cell of stride
+16. The offset cancels between two upright views, but not if one is rotated or scaled.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dgc_pose.network.config import EfficientNet
+from dgc_pose.network.plain import plain_level
+
+STEM_CHANNELS = 32
+# Of each inverted residual block: output channels, kernel, stride, and expansion of the channels.
+BLOCKS = (
+    (16, 3, 1, 1),
+    (24, 3, 2, 6),
+    (24, 3, 1, 6),
+    (40, 5, 2, 6),
+    (40, 5, 1, 6),
+    (80, 3, 2, 6),
+    (80, 3, 1, 6),
+    (80, 3, 1, 6),
+    (112, 5, 1, 6),
+    (112, 5, 1, 6),
+    (112, 5, 1, 6),
+)
+LAST_BLOCKS = {2: 2, 4: 3, 10: 4}  # the last block of a stride, and the pyramid level it feeds
+
+
+class EfficientPyramid(nn.Module):
+    """Features of an image at 240, 120, 60, 30 and 15 cells a side.
+
+    Levels 0 and 1 are convolutions of the image. Levels 2 to 4 come from the backbone, by 1x1
+    heads and a top-down path that adds each level, upsampled, to the next finer one.
+    """
+
+    def __init__(self, config: EfficientNet) -> None:
+        super().__init__()
+        self.level_0 = plain_level(config.fine[0], 3)
+        self.level_1 = plain_level(config.fine[1], config.level_channels[0])
+        self.stem = nn.Sequential(_strided(3, STEM_CHANNELS, 3), nn.ReLU6())
+        inputs, taken = STEM_CHANNELS, {}
+        self.blocks = nn.ModuleList()
+        for index, (channels, kernel, stride, expansion) in enumerate(BLOCKS):
+            self.blocks.append(InvertedResidual(inputs, channels, kernel, stride, expansion))
+            inputs = channels
+            if index in LAST_BLOCKS:
+                taken[LAST_BLOCKS[index]] = channels
+        channels2, channels3, channels4 = config.channels
+        self.head_4 = nn.Conv2d(taken[4], channels4, 1)
+        self.lift_4 = nn.Conv2d(taken[4], channels3, 1)
+        self.head_3 = nn.Conv2d(taken[3], channels3, 1)
+        self.merge_3 = nn.Conv2d(channels3, channels3, 3, padding=1)
+        self.lift_3 = nn.Conv2d(channels3, channels2, 1)
+        self.head_2 = nn.Conv2d(taken[2], channels2, 1)
+        self.merge_2 = nn.Conv2d(channels2, channels2, 3, padding=1)
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
+        level0: Tensor = self.level_0(image)
+        return [level0, self.level_1(level0), *self.coarse(image)]
+
+    def coarse(self, image: Tensor) -> list[Tensor]:
+        """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
+        features, taken = self.stem(image), []
+        for index, block in enumerate(self.blocks):
+            features = block(features)
+            if index in LAST_BLOCKS:
+                taken.append(features)
+        level2, level3, level4 = taken
+        mixed3 = F.relu(self.head_3(level3) + _upsampled(self.lift_4(level4)))
+        mixed2 = F.relu(self.head_2(level2) + _upsampled(self.lift_3(mixed3)))
+        return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
+
+    def unfreeze(self, levels: int) -> None:
+        """Make the coarsest `levels` of the five levels trainable, and freeze the others.
+
+        A level of the backbone is the blocks of its stride and the layers with its number.
+        """
+        self.requires_grad_(False)
+        finest = len(LAST_BLOCKS) + 2 - levels
+        first = min((i + 1 for i, level in LAST_BLOCKS.items() if level == finest - 1), default=0)
+        if levels > 0:
+            self.blocks[first:].requires_grad_(True)
+        self.stem.requires_grad_(finest <= 2)
+        for name, module in self.named_children():
+            number = name.partition("_")[2]
+            if number and int(number) >= finest:
+                module.requires_grad_(True)
+
+
+class InvertedResidual(nn.Module):
+    """A 1x1 convolution that expands the channels, a depthwise one, and a 1x1 projection."""
+
+    def __init__(
+        self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int
+    ) -> None:
+        super().__init__()
+        width = inputs * expansion
+        expand = [nn.Conv2d(inputs, width, 1), nn.ReLU6()] if expansion > 1 else []
+        depthwise = (
+            _strided(width, width, kernel, groups=width)
+            if stride == 2
+            else nn.Conv2d(width, width, kernel, padding=kernel // 2, groups=width)
+        )
+        self.layers = nn.Sequential(*expand, depthwise, nn.ReLU6(), nn.Conv2d(width, outputs, 1))
+        self.skips = stride == 1 and inputs == outputs
+
+    def forward(self, features: Tensor) -> Tensor:
+        change: Tensor = self.layers(features)
+        return features + change if self.skips else change
+
+
+def even_kernel(kernel: Tensor) -> Tensor:
+    """An odd kernel (..., k, k) of stride 2 as an even one (..., k + 1, k + 1) without the offset.
+
+    The mean of the kernel shifted by half a pixel to each of the four diagonal directions.
+    """
+    return torch.stack(
+        [F.pad(kernel, (dx, 1 - dx, dy, 1 - dy)) for dx in (0, 1) for dy in (0, 1)]
+    ).mean(0)
+
+
+def _strided(inputs: int, outputs: int, kernel: int, groups: int = 1) -> nn.Conv2d:
+    """A convolution of stride 2, its kernel of side `kernel` + 1 centred on the output cell."""
+    return nn.Conv2d(inputs, outputs, kernel + 1, 2, kernel // 2, groups=groups)
+
+
+def _upsampled(features: Tensor) -> Tensor:
+    return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
