@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, Literal, get_args
 
 from dgc_pose.errors import InputError
@@ -19,12 +20,11 @@ class FeatureOptions:
     long_side: int = 800  # pixels at most of the images that features are computed on
     candidates: int = 8  # cells of stride 16 compared for each cell, besides those of the map
     neighbours: int = 12  # that a match must agree with, to compare scales by
-    # Mean matchability below which scales other than the map's are tried.
-    other_scales_below: float = 0.25
+    other_scales_below: float = 0.25  # mean matchability; other scales than the map's are tried
 
     def __post_init__(self) -> None:
-        _at_least(self, long_side=64, candidates=1, neighbours=4)
-        _share(self, "other_scales_below")
+        _within(self, long_side=(64, inf), candidates=(1, inf), neighbours=(4, inf))
+        _within(self, other_scales_below=(0, 1))
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,7 @@ class FlowOptions:
     max_matches: int = 2000  # an even subsample of at most so many
 
     def __post_init__(self) -> None:
-        _at_least(self, long_side=64, max_matches=1)
-        _share(self, "matchability")
+        _within(self, matchability=(0, 1), long_side=(64, inf), max_matches=(1, inf))
 
 
 @dataclass(frozen=True)
@@ -52,9 +51,8 @@ class AlignmentOptions:
     min_matches: int = 50  # a step that leaves fewer is undone
 
     def __post_init__(self) -> None:
-        _at_least(self, neighbours=4, max_matches=1, patch_radius=2, min_matches=1)
-        if not 0 < self.min_zncc <= 1:
-            raise InputError(f"min_zncc must lie in (0, 1], not {self.min_zncc}")
+        _within(self, neighbours=(4, inf), max_matches=(1, inf), patch_radius=(2, inf))
+        _within(self, min_zncc=(0.01, 1), min_matches=(1, inf))
 
 
 @dataclass(frozen=True)
@@ -73,14 +71,9 @@ class RefinementOptions:
             raise InputError(f"source must be one of {names}, not '{self.source}'")
 
 
-def _at_least(options: Any, **least: int) -> None:
-    for name, low in least.items():
+def _within(options: Any, **ranges: tuple[float, float]) -> None:
+    for name, (low, high) in ranges.items():
         value = getattr(options, name)
-        if value < low:
-            raise InputError(f"{name} must be at least {low}, not {value}")
-
-
-def _share(options: Any, name: str) -> None:
-    value = getattr(options, name)
-    if not 0 <= value <= 1:
-        raise InputError(f"{name} must lie in [0, 1], not {value}")
+        if not low <= value <= high:
+            limits = f"at least {low}" if high == inf else f"between {low:g} and {high:g}"
+            raise InputError(f"{name} must be {limits}, not {value}")
