@@ -24,7 +24,7 @@ def run(*arguments):
 
 
 def test_a_line_for_each_variant_and_threshold(folder):
-    variants = ("none", "map-only", "map", "sift-unguided")
+    variants = ("none", "map-only", "map", "flow")
     result = run("pairs.txt", "--variants", ",".join(variants), "--thresholds", "own,0.5")
     assert result.exit_code == 0, result.output
     rows = [line.split() for line in result.stdout.splitlines()[1:]]
@@ -34,7 +34,7 @@ def test_a_line_for_each_variant_and_threshold(folder):
         for threshold in ("own", "0.5")
     ]
     error = {row[0]: float(row[5]) + float(row[6]) for row in rows if row[1] == "own"}
-    assert error["map"] < 0.5 * error["none"] and error["sift-unguided"] < 0.5 * error["none"]
+    assert error["map"] < 0.5 * error["none"] and error["flow"] < 0.5 * error["none"]
 
 
 @pytest.mark.parametrize(
