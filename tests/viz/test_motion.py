@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import dtu_report
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks.summary import by_method, columns
+from dgc_pose.errors import InputError
+from dgc_pose.viz import motion
+from dgc_pose.viz.motion import WORST, binned_medians, method_styles
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    return dtu_report.finished_run(tmp_path_factory.mktemp("run")).rows
+
+
+def plot_histograms(rows):
+    return motion.plot_histograms(columns(rows), rows[0].protocol)
+
+
+def plot_against_motion(rows):
+    return motion.plot_against_motion(columns(rows))
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize("name", ["rotation", "translation"])
+def test_the_curves_of_angles_are_those_of_the_rows(rows, name) -> None:
+    (axes,) = plot_histograms(rows)[name].axes
+    limit = axes.get_xlim()[1]
+    assert f"{name} error (degrees)" in axes.get_xlabel()
+    for method, line in zip(dtu_report.METHODS, axes.lines, strict=True):
+        own = np.array([getattr(r, f"{name}_error_deg") for r in rows if r.method == method])
+        assert np.isinf(own).any()
+        assert line.get_ydata()[-1] == pytest.approx(100 * np.mean(own <= limit))
+        assert f"{method}, median {np.median(own):.2f}°" in legend(axes)
+
+
+def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
+    everywhere, confident = plot_histograms(rows)["epipolar"].axes
+    assert [text.split(",")[0] for text in legend(everywhere)] == ["net", "net/all"]
+    assert [text.split(",")[0] for text in legend(confident)] == [*dtu_report.METHODS]
+    assert everywhere.get_xlim() == confident.get_xlim()
+    median = np.median([row.epipolar_all_px for row in rows if row.method == "net"])
+    assert legend(everywhere)[0] == f"net, median {median:.2f} px"
+    assert "native" in confident.get_xlabel() and "(pixels)" in confident.get_xlabel()
+    # One colour a method, in both panels.
+    assert everywhere.lines[1].get_color() == confident.lines[1].get_color()
+
+
+def test_a_run_of_methods_without_maps_can_be_drawn(rows) -> None:
+    own = [row for row in rows if row.method == "points"]
+    everywhere, confident = plot_histograms(own)["epipolar"].axes
+    assert not everywhere.lines and len(confident.lines) == 1
+
+
+def test_matches_of_no_pair_at_all_can_be_drawn(rows) -> None:
+    own = [replace(row, epipolar_confident_px=np.inf, epipolar_all_px=np.inf) for row in rows]
+    for figure in plot_histograms(own).values():
+        figure.canvas.draw()
+
+
+def test_no_rows_are_refused() -> None:
+    with pytest.raises(InputError):
+        by_method([])
+
+
+def test_a_method_and_its_unmasked_twin_share_a_colour() -> None:
+    styles = method_styles(["a/all", "b", "a", "c"])
+    assert styles["a"]["color"] == styles["a/all"]["color"] != styles["b"]["color"]
+    assert styles["c"]["color"] not in (styles["a"]["color"], styles["b"]["color"])
+    assert styles["a"]["linestyle"] != styles["a/all"]["linestyle"]
+
+
+def test_medians_of_equally_many_pairs_by_increasing_x() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.permutation(np.arange(80.0))
+    y = 2 * x
+    y[x >= 75] = np.inf  # half of the last ten pairs have no pose
+    at, median = binned_medians(x, np.minimum(y, WORST))
+    assert at == pytest.approx(np.arange(8) * 10 + 4.5)
+    assert median[:7] == pytest.approx(2 * at[:7])
+    assert median[7] == pytest.approx((148 + 180) / 2)
+    assert [len(part) for part in binned_medians(x[:4], y[:4])] == [1, 1]
+
+
+def test_errors_are_drawn_against_both_motions_and_failures_at_the_top(rows) -> None:
+    figure = plot_against_motion(rows)
+    top_left, top_right, bottom_left, bottom_right = figure.axes
+    assert "rotation" in bottom_left.get_xlabel() and "(mm)" in bottom_right.get_xlabel()
+    own = [row for row in rows if row.method == "net"]
+    dots = np.asarray(top_right.collections[0].get_offsets())
+    assert dots[:, 0] == pytest.approx([row.true_baseline_mm for row in own])
+    expected = [min(row.rotation_error_deg, WORST) for row in own]
+    assert dots[:, 1] == pytest.approx(expected)
+    assert top_left.get_ylim()[1] > WORST
+    folded = np.asarray(bottom_left.collections[0].get_offsets())[:, 1]
+    assert folded == pytest.approx([min(row.translation_folded_deg, WORST) for row in own])
