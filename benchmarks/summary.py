@@ -15,8 +15,10 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import finite_or_none
 from dgc_pose.metrics import pose_auc
 
-COLUMNS = ("method", "pairs", "failures", "R med", "t med", "t folded")
-COLUMNS += ("AUC@5", "AUC@10", "AUC@20", "s/pair")
+COLUMNS = (
+    *("method", "pairs", "failures", "R med", "t med", "t folded"),
+    *("AUC@5", "AUC@10", "AUC@20", "s/pair"),
+)
 MAP_COLUMNS = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
 
 

@@ -15,10 +15,9 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     listed_pair,
 )
 from dgc_pose.benchmarks.pair_list import write_pairs
+from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
-
-DEFAULTS = ViewPairOptions()
 
 
 @click.command()
@@ -33,46 +32,20 @@ DEFAULTS = ViewPairOptions()
 @click.option(
     "--light", type=click.Choice(LIGHTS), default="3", show_default=True, help="Which light."
 )
-@click.option("--pairs", default=DEFAULTS.pairs, show_default=True, help="How many pairs to draw.")
-@click.option(
-    "--min-rotation",
-    default=DEFAULTS.min_rotation,
-    show_default=True,
-    help="Smallest relative rotation, degrees.",
-)
-@click.option(
-    "--max-rotation",
-    default=DEFAULTS.max_rotation,
-    show_default=True,
-    help="Largest relative rotation, degrees.",
-)
-@click.option(
-    "--min-overlap",
-    default=DEFAULTS.min_overlap,
-    show_default=True,
-    help="Least share of the space at DTU's depths that both views see.",
-)
-@click.option(
-    "--seed", default=DEFAULTS.seed, show_default=True, help="The same seed, the same list."
-)
+@dataclass_options(ViewPairOptions, "options")
 def dtu_pairs(
     root: str,
     out: str,
     scan: int,
     layout: Layout | None,
     light: str,
-    pairs: int,
-    min_rotation: float,
-    max_rotation: float,
-    min_overlap: float,
-    seed: int,
+    options: ViewPairOptions,
 ) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
     ROOT holds DTU as DTU ships it, or as it was prepared for MVSNet or NeuS. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
-    options = ViewPairOptions(pairs, min_rotation, max_rotation, min_overlap, seed=seed)
     dataset = open_dataset(root, layout=layout, scenes=[scan], light=light)
     scene = dataset.scene(scan)
     candidates = find_view_pairs(dataset, options)
@@ -87,5 +60,5 @@ def dtu_pairs(
         f"rotations {rotations[0]:.1f} to {rotations[-1]:.1f} deg, {len(scene.views)} views, "
         f"{scene.absent} left out without an image or a calibration"
     )
-    if len(drawn) < pairs:
-        click.echo(f"warning: {pairs} pairs were asked for; there are no more", err=True)
+    if len(drawn) < options.pairs:
+        click.echo(f"warning: {options.pairs} pairs were asked for; there are no more", err=True)

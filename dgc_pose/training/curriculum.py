@@ -54,7 +54,7 @@ def _narrowed_scenes(full: SceneOptions, reach: float) -> SceneOptions:
         rotation_deg=(low, low + reach * (high - low)),
         roll_deg=reach * full.roll_deg,
         wild_roll_share=reach * full.wild_roll_share,
-        zoom=reach * full.zoom,
+        log_scale=reach * full.log_scale,
         free_share=reach * full.free_share,
     )
 
