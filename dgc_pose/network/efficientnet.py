@@ -80,19 +80,17 @@ class EfficientPyramid(nn.Module):
         return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
 
     def unfreeze(self, levels: int) -> None:
-        """Make the coarsest `levels` of the five levels trainable, and freeze the others.
-
-        A level of the backbone is the blocks of its stride and the layers with its number.
-        """
+        """Make the coarsest `levels` of the five levels trainable, and freeze the others."""
+        own = (
+            [self.level_0],
+            [self.level_1],
+            [self.stem, self.blocks[:3], self.lift_3, self.head_2, self.merge_2],
+            [self.blocks[3:5], self.lift_4, self.head_3, self.merge_3],
+            [self.blocks[5:], self.head_4],
+        )
         self.requires_grad_(False)
-        finest = len(LAST_BLOCKS) + 2 - levels
-        first = min((i + 1 for i, level in LAST_BLOCKS.items() if level == finest - 1), default=0)
-        if levels > 0:
-            self.blocks[first:].requires_grad_(True)
-        self.stem.requires_grad_(finest <= 2)
-        for name, module in self.named_children():
-            number = name.partition("_")[2]
-            if number and int(number) >= finest:
+        for level in own[len(own) - levels :]:
+            for module in level:
                 module.requires_grad_(True)
 
 

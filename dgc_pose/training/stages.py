@@ -114,6 +114,9 @@ class CoarsestStage(nn.Module):
         self.unfrozen = unfrozen
         net.requires_grad_(False)
         count = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
+        if isinstance(net.pyramid, EfficientPyramid):
+            # The loss does not reach levels 0 and 1, which no other level is computed from.
+            count["encoder"] = 1 + len(_CONTRASTED)
         net.pyramid.unfreeze(count[unfrozen])
 
     def train(self, mode: bool = True) -> CoarsestStage:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import pytest
 import torch
 import torch.nn.functional as F
+from pretend_gpu import DEVICE, pretended_gpu
 from torch import Tensor, nn
 
 from dgc_pose.network.config import EfficientNet, preset
@@ -55,6 +58,11 @@ def test_unfreezing_reaches_the_levels_and_the_layers_below_them(pyramid: Effici
         features = pyramid(image)
         assert features[4].requires_grad == (levels >= 1)
         assert features[1].requires_grad == (levels >= 4)
+        if levels > 0:
+            pyramid.zero_grad()
+            sum((f.sum() for f in features[5 - levels :]), torch.zeros(())).backward()
+        reached = {n for n, p in pyramid.named_parameters() if p.grad is not None}
+        assert reached == {n for n, p in pyramid.named_parameters() if p.requires_grad}
 
 
 def test_an_even_kernel_is_the_mean_of_the_four_shifts() -> None:
@@ -117,3 +125,14 @@ def test_a_checkpoint_is_loaded_with_its_norms_folded(pyramid: EfficientPyramid)
     inner = norm(inner, prefix + "_bn1").clamp(0, 6)
     inner = norm(F.conv2d(inner, state[prefix + "_project_conv.weight"]), prefix + "_bn2")
     assert torch.allclose(block(features), features + inner, atol=1e-3)
+
+
+def test_a_checkpoint_is_loaded_on_a_gpu_as_here(pyramid: EfficientPyramid) -> None:
+    state, images = _checkpoint(), torch.randn(2, 3, 64, 64)
+    copy = deepcopy(pyramid)
+    load_backbone(pyramid, state, images)
+    with pretended_gpu():
+        there = copy.to(DEVICE)
+        load_backbone(there, {k: v.to(DEVICE) for k, v in state.items()}, images.to(DEVICE))
+        for key, value in there.state_dict().items():
+            assert torch.equal(value.cpu(), pyramid.state_dict()[key]), key
