@@ -1,18 +1,22 @@
-"""The estimators on synthetic matches: `python -m dgc_pose.benchmarks.estimators`."""
+"""The robust estimators: on synthetic matches, half of them wrong, and beside plain OpenCV."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import get_args
 
-import click
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.pairs import pose_errors
+from dgc_pose.benchmarks.posed_pairs import Truth
+from dgc_pose.benchmarks.scores import pose_errors
+from dgc_pose.benchmarks.table import aligned
 from dgc_pose.camera import Camera
 from dgc_pose.estimation import EstimationOptions, EstimatorName, estimate_pose
+from dgc_pose.estimation.backend import MINIMAL
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.ransac import get_backend
@@ -23,6 +27,10 @@ SIZE = (1600, 1200)
 CAMERA = Camera(np.array([[1600.0, 0, 799.5], [0, 1600, 599.5], [0, 0, 1]]), SIZE)
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 OUTLIERS = 0.5
+_BARE: tuple[EstimatorName, ...] = ("pycolmap", "poselib")  # beside the whole pose stage
+_CONFIDENCE = 1 - 1e-15  # with less, OpenCV's RANSAC ends after a few iterations
+
+Errors = tuple[float, float]  # of R and of t in degrees, infinite without a pose
 
 
 def synthetic_matches(
@@ -48,10 +56,6 @@ def synthetic_matches(
     return Matches(seen[0], seen[1], confidence, sigma_px), R, t / np.linalg.norm(t)
 
 
-def _project(points: np.ndarray) -> np.ndarray:
-    return (points @ CAMERA.K.T)[:, :2] / points[:, 2:]
-
-
 def measure(
     seeds: int, count: int, sigma_px: float, options: EstimationOptions
 ) -> tuple[float, float, float, int]:
@@ -71,10 +75,8 @@ def measure(
 
 def backends_table(seeds: int) -> list[str]:
     """Every estimator over counts and noise."""
-    lines = [
-        "| estimator | matches | sigma px | R error deg | t error deg | poses | CPU seconds |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    errors = ("R error deg", "t error deg")
+    lines = _header("estimator", "matches", "sigma px", *errors, "poses", "CPU seconds")
     for estimator in ESTIMATORS:
         for count in (5_000, 20_000):
             for sigma in (1.0, 3.0):
@@ -89,10 +91,7 @@ def backends_table(seeds: int) -> list[str]:
 
 def thresholds_table(seeds: int) -> list[str]:
     """The default estimator over the threshold, as a multiple of the noise."""
-    lines = [
-        "| threshold_factor | refined | R error deg | t error deg | poses |",
-        "|---|---|---|---|---|",
-    ]
+    lines = _header("threshold_factor", "refined", "R error deg", "t error deg", "poses")
     for refine in (True, False):
         for factor in (1.0, 1.5, 2.0, 3.0, 4.0):
             options = EstimationOptions(threshold_factor=factor, refine=refine)
@@ -106,26 +105,18 @@ def thresholds_table(seeds: int) -> list[str]:
 
 def speed_table(seeds: int) -> list[str]:
     """The whole pose stage on 20,000 matches beside one bare run of pycolmap, and of PoseLib."""
-    count, sigma = 20_000, 1.0
     rows = []
     for seed in range(seeds):
-        matches, R, t = synthetic_matches(seed, count, sigma, OUTLIERS)
+        matches, R, t = synthetic_matches(seed, 20_000, 1.0, OUTLIERS)
         start = time.process_time()
         pose = estimate_pose(matches, CAMERA, CAMERA)
-        stage = time.process_time() - start
+        row = [(*pose_errors(pose, R, t), time.process_time() - start)]
         problem = TwoViewProblem.of(matches, CAMERA, CAMERA)
-        row = [(*pose_errors(pose, R, t), stage)]
-        bare: tuple[EstimatorName, ...] = ("pycolmap", "poselib")
-        for name in bare:
-            backend = get_backend(name)
+        points1, points2 = problem.points1, problem.points2
+        for name in _BARE:
+            backend, threshold = get_backend(name), problem.threshold
             start = time.process_time()
-            found = backend(
-                problem.points1,
-                problem.points2,
-                threshold=problem.threshold,
-                iterations=1000,
-                seed=seed,
-            )
+            found = backend(points1, points2, threshold=threshold, iterations=1000, seed=seed)
             seconds = time.process_time() - start
             model = Model.of_essential(problem, found[0])
             errors = rotation_error_deg(model.R, R), translation_error_deg(model.t, t)
@@ -133,10 +124,7 @@ def speed_table(seeds: int) -> list[str]:
         rows.append(row)
     medians = np.median(np.array(rows), axis=0)
     labels = ("pose stage, 5 x 1000 iterations", "pycolmap, 1 x 1000", "PoseLib, 1 x 1000")
-    lines = [
-        "| 20,000 matches | R error deg | t error deg | CPU seconds | over pycolmap |",
-        "|---|---|---|---|---|",
-    ]
+    lines = _header("20,000 matches", "R error deg", "t error deg", "CPU seconds", "over pycolmap")
     for label, (R_error, t_error, seconds) in zip(labels, medians, strict=True):
         ratio = seconds / medians[1, 2]
         lines.append(f"| {label} | {R_error:.4f} | {t_error:.4f} | {seconds:.3f} | {ratio:.2f} |")
@@ -144,12 +132,9 @@ def speed_table(seeds: int) -> list[str]:
 
 
 def chance_table(seeds: int) -> list[str]:
-    """How often matches of nothing at all get a pose, over their count and the threshold."""
+    """How often random matches get a pose, over their count and the threshold."""
     thresholds = (1.0, 3.0, 10.0, 20.0)
-    lines = [
-        "| random matches | " + " | ".join(f"{threshold:g} px" for threshold in thresholds) + " |",
-        "|---|" + "---|" * len(thresholds),
-    ]
+    lines = _header("random matches", *(f"{threshold:g} px" for threshold in thresholds))
     for count in (20, 30, 50, 100, 500, 2_000, 20_000):
         trials = max(seeds, seeds * 200 // count)
         cells = [f"{false_poses(trials, count, threshold)} of {trials}" for threshold in thresholds]
@@ -175,14 +160,90 @@ STUDIES: dict[str, Callable[[int], Sequence[str]]] = {
 }
 
 
-@click.command()
-@click.option("--study", type=click.Choice([*STUDIES]), multiple=True, help="Default: all.")
-@click.option("--seeds", type=click.IntRange(1), default=5, show_default=True, help="Scenes each.")
-def main(study: tuple[str, ...], seeds: int) -> None:
-    """Accuracy and time of the robust estimators on synthetic matches, half of them wrong."""
-    for name in study or STUDIES:
-        click.echo("\n".join([f"{name}, {seeds} scenes each", "", *STUDIES[name](seeds), ""]))
+@dataclass(frozen=True)
+class Compared:
+    """One set of matches through this package's pose stage and through plain OpenCV."""
+
+    matches: int
+    seconds: float  # CPU time
+    errors: Errors
+    opencv_seconds: float
+    opencv_errors: Errors
 
 
-if __name__ == "__main__":
-    main()
+def compare(matches: Matches, truth: Truth, options: EstimationOptions) -> Compared:
+    """Estimate the pose of one pair by both, one after the other."""
+    start = time.process_time()
+    pose = estimate_pose(matches, truth.camera1, truth.camera2, options)
+    middle = time.process_time()
+    found = opencv_pose(matches, truth, options)
+    end = time.process_time()
+    other = (np.inf, np.inf)
+    if found is not None and truth.R is not None and truth.t is not None:
+        R, t = found
+        other = rotation_error_deg(R, truth.R), translation_error_deg(t, truth.t)
+    ours = pose_errors(pose, truth.R, truth.t)
+    return Compared(len(matches), middle - start, ours, end - middle, other)
+
+
+def opencv_pose(
+    matches: Matches, truth: Truth, options: EstimationOptions
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """R (3, 3) and t (3,) by `cv2.findEssentialMat` and `cv2.recoverPose`, None if they fail.
+
+    The best by inliers of `options.runs` calls of RANSAC, of at most `options.iterations` each, by
+    the same threshold as the pose stage. OpenCV draws the same samples for the same order of
+    points, so that each call permutes them.
+    """
+    problem = TwoViewProblem.of(matches, truth.camera1, truth.camera2, options)
+    points1, points2 = problem.points1, problem.points2
+    if len(problem) < MINIMAL:
+        return None
+    best: tuple[int, np.ndarray, np.ndarray] | None = None
+    rng = np.random.default_rng(options.seed)
+    for _ in range(options.runs):
+        order = rng.permutation(len(problem))
+        E, inliers = cv2.findEssentialMat(
+            points1[order],
+            points2[order],
+            np.eye(3),
+            cv2.RANSAC,
+            _CONFIDENCE,
+            problem.threshold,
+            options.iterations,
+        )
+        if E is None or E.shape != (3, 3):
+            continue
+        if best is None or int(inliers.sum()) > best[0]:
+            mask = np.zeros((len(problem), 1), np.uint8)
+            mask[order] = inliers
+            best = int(inliers.sum()), E, mask
+    if best is None:
+        return None
+    _, R, t, _ = cv2.recoverPose(best[1], points1, points2, np.eye(3), mask=best[2])
+    return R, t[:, 0]
+
+
+def comparison_table(methods: Sequence[tuple[str, Sequence[Compared]]], estimator: str) -> str:
+    """For each method both estimators' medians over its pairs, mean CPU seconds and their ratio."""
+    rows = [("matches of", "mean", "estimator", "s/pair", "R med", "t med", "time")]
+    for name, compared in methods:
+        matches = f"{np.mean([one.matches for one in compared]):.0f}"
+        other = float(np.mean([one.opencv_seconds for one in compared]))
+        for label, seconds, errors in (
+            (estimator, [one.seconds for one in compared], [one.errors for one in compared]),
+            ("findEssentialMat", [other], [one.opencv_errors for one in compared]),
+        ):
+            mean, (R, t) = float(np.mean(seconds)), np.median(errors, axis=0)
+            ratio = "1" if label == "findEssentialMat" else f"{mean / other:.3f}"
+            rows.append((name, matches, label, f"{mean:.3f}", f"{R:.2f}", f"{t:.2f}", ratio))
+    return aligned(rows)
+
+
+def _header(*columns: str) -> list[str]:
+    """The first two lines of a table in Markdown."""
+    return ["| " + " | ".join(columns) + " |", "|---|" + "---|" * (len(columns) - 1)]
+
+
+def _project(points: np.ndarray) -> np.ndarray:
+    return (points @ CAMERA.K.T)[:, :2] / points[:, 2:]

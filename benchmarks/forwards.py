@@ -36,8 +36,7 @@ class Forward:
 def multiply_adds(net: DGCNet) -> tuple[int, int]:
     """Multiply-adds of the convolutions for a pair: of both images' encoder, and of the decoders.
 
-    net: uncompiled, since its own convolutions are counted. Correlations are left out: they are
-    hardly a hundredth.
+    Correlations are left out: they are hardly a hundredth.
     """
     parameter = next(net.parameters())
     image = torch.zeros(1, 3, INPUT_SIZE, INPUT_SIZE, device=parameter.device)
@@ -75,11 +74,7 @@ def matrix_rate() -> float:
 
 
 def time_forwards(
-    name: str,
-    net: DGCNet,
-    images: Sequence[Tensor],
-    repetitions: int,
-    rate: Callable[[], float],
+    name: str, net: DGCNet, images: Sequence[Tensor], repetitions: int, rate: Callable[[], float]
 ) -> list[Forward]:
     """The ways to run a network on two images (1, 3, 240, 240), the eager one first."""
     half = for_inference(net)
@@ -90,22 +85,18 @@ def time_forwards(
     }
     if multiplies_bfloat16(images[0].device):
         ways["bfloat16"] = half
-    work: dict[str, Callable[[], Tensor]] = {
-        way: lambda one=one: one(*images).maps[-1]  # type: ignore[misc]
-        for way, one in ways.items()
-    }
     total = sum(multiply_adds(net))
-    seconds: dict[str, list[float]] = {way: [] for way in work}
+    seconds: dict[str, list[float]] = {way: [] for way in ways}
     rates = []
     with torch.inference_mode():
-        maps = {way: run() for way, run in work.items()}
+        maps = {way: one(*images).maps[-1] for way, one in ways.items()}
         for _ in range(repetitions):
-            for way, run in work.items():
+            for way, one in ways.items():
                 start = time.perf_counter()
-                run()
+                one(*images)
                 seconds[way].append(time.perf_counter() - start)
             rates.append(rate())
-    eager, *_ = work
+    eager, *_ = ways
     floor = total / float(np.median(rates))
     return [
         Forward(
@@ -123,17 +114,9 @@ def time_forwards(
 def forwards_text(found: Sequence[Forward]) -> str:
     """The ways to run the networks as a table with aligned columns."""
     rows = [("network", "way", "ms", "times faster", "over floor", "apart px")]
-    rows += [
-        (
-            one.network,
-            one.way,
-            milliseconds(one.seconds),
-            f"{one.times_faster:.2f}",
-            f"{one.over_floor:.2f}",
-            f"{one.apart_px:.1e}",
-        )
-        for one in found
-    ]
+    for one in found:
+        ratios = f"{one.times_faster:.2f}", f"{one.over_floor:.2f}", f"{one.apart_px:.1e}"
+        rows.append((one.network, one.way, milliseconds(one.seconds), *ratios))
     return aligned(rows)
 
 

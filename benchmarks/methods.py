@@ -1,54 +1,272 @@
-"""The matchers and networks of a benchmark, by name."""
+"""Methods by specification: what matches, and with which options.
+
+A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite:refine=features:align=false`. NAME is that
+of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of
+NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
+`MatchingOptions`, `RefinementOptions` or `EstimationOptions`, or of the options within them, and is
+set wherever it occurs; `refine` is the source of refinement, or none, and `refine_pose` is
+`EstimationOptions.refine`. Methods that differ in selection, refinement or estimation alone share
+one matching pass.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from types import NoneType
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from dgc_pose.errors import InputError
-from dgc_pose.matchers import SIFT, load_matcher
-from dgc_pose.matching import Matcher, MatchingOptions
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.image import Image
+from dgc_pose.matchers import CLASSICAL, SIFT, MatcherCaches, load_matcher, refined
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
+from dgc_pose.matching.dense import DenseMatcher, load_dense_matcher
+from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.device import choose_device
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import RefinementOptions
+from dgc_pose.network.weights import load_network, shipped
+from dgc_pose.refinement import RefinementOptions, Refiner
+from dgc_pose.refinement.flow import FlowMatches
+from dgc_pose.refinement.source import MapMatches
 
-__all__ = ["SIFT", "load_methods", "load_networks"]
+EVERYWHERE = "/all"
+NO_REFINEMENT = "none"
+_KEYS = {"source": "refine", "refine": "refine_pose"}  # of fields that are not called as their key
+
+_SETTING = re.compile(r"[a-z]\w*=")
+
+Stem = Callable[[str, str], str]  # see FileMatcher
+PassKey = tuple[str, MatchingOptions]  # an engine, and the options that its map depends on
+Options = TypeVar("Options")
 
 
-def load_methods(
-    names: Sequence[str],
+@dataclass(frozen=True)
+class MethodOptions:
+    """What a specification changes."""
+
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    refinement: RefinementOptions | None = None  # of a network's matches; None for those of its map
+    estimation: EstimationOptions = field(default_factory=EstimationOptions)
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the summary."""
+
+    name: str  # the specification
+    engine: str  # what matches
+    everywhere: bool = False  # whether every pixel counts, whatever the matchability
+    options: MethodOptions = field(default_factory=MethodOptions)
+
+    @property
+    def key(self) -> PassKey:
+        """What the dense map depends on; methods that agree in it share a matching pass."""
+        own = self.options.matching
+        cycle_px = None if own.cycle_px is None else 1.0
+        return self.engine, MatchingOptions(
+            cycle_px=cycle_px, rotate_below=own.rotate_below, finest=own.finest
+        )
+
+
+@dataclass(frozen=True)
+class Engine:
+    """One matching pass."""
+
+    matcher: Matcher
+    refiners: Mapping[RefinementOptions, Refiner]
+
+    def matches(
+        self, method: Method, image1: Image, image2: Image, found: MatchResult
+    ) -> Matches:
+        """The matches that go into the pose, of what the matcher found in two images."""
+        if found.correspondence_map is not None:
+            selected = select_matches(found.correspondence_map, method.options.matching)
+            found = replace(found, matches=selected)
+        elif method.everywhere:
+            raise InputError(
+                f"{method.name}: the files hold points and no map, so {EVERYWHERE} says nothing"
+            )
+        if method.options.refinement is None:
+            return found.matches
+        return self.refiners[method.options.refinement].refine(image1, image2, found).matches
+
+
+@dataclass(frozen=True)
+class Engines:
+    """What the methods match with."""
+
+    passes: Mapping[PassKey, Engine]
+    caches: Mapping[str, MatcherCaches]  # by engine, of networks whose features are kept
+
+    def of(self, method: Method) -> Engine:
+        """The matching pass of a method."""
+        return self.passes[method.key]
+
+    @property
+    def fingerprints(self) -> dict[str, str]:
+        """Of the networks' weights, by engine: a run is only resumed with the same weights."""
+        found = {name: engine.matcher.fingerprint for (name, _), engine in self.passes.items()}
+        return {name: digits for name, digits in found.items() if digits is not None}
+
+
+def parse_methods(
+    specifications: Sequence[str],
+    defaults: MethodOptions | None = None,
+    stored: Sequence[str] = (),
+) -> list[Method]:
+    """The methods that specifications stand for.
+
+    Args:
+        specifications: as described at the top of this file.
+        defaults: the options of what a specification leaves open; only networks are refined.
+        stored: names of stored matches; those that no specification names become methods, last.
+
+    Raises InputError for none, for one that is given twice, that is malformed or has an option out
+    of range, for `/all` of key points, and for a name of `stored` that is taken.
+    """
+    defaults = defaults or MethodOptions()
+    for name in stored:
+        if name in (*CLASSICAL, *shipped()):
+            raise InputError(f"--matches {name}: a method of that name is there already")
+    for text in specifications:
+        if specifications.count(text) > 1:
+            raise InputError(f"the method {text!r} is named twice")
+    methods = [_parse(text, defaults, stored) for text in specifications]
+    named = {method.engine for method in methods}
+    methods += [_parse(name, defaults, stored) for name in stored if name not in named]
+    if not methods:
+        raise InputError("no methods named")
+    return methods
+
+
+def load_engines(
+    methods: Sequence[Method],
     *,
     device: str,
-    options: MatchingOptions,
-    refinement: RefinementOptions | None = None,
-) -> dict[str, Matcher]:
-    """Load every method named: `sift`, the name of shipped weights, or a path to weights.
+    stored: Mapping[str, Path] | None = None,
+    stem: Stem | None = None,
+    keep_features: bool = False,
+) -> Engines:
+    """Load what the methods match with, each network once.
 
-    refinement: of the dense matchers; None for their maps' own matches.
+    stored: folders of stored matches by name, whose files `stem` names. keep_features: whether what
+    is computed of an image serves later pairs of it, so that times are those of a list of pairs.
 
-    Raises InputError where there are no names or one stands twice, and WeightsError where weights
-    cannot be loaded.
+    Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
-    _check(names)
-    return {
-        name: load_matcher(name, device=device, matching=options, refinement=refinement)
-        for name in names
-    }
+    folders = stored or {}
+    caches: dict[str, MatcherCaches] = {}
+    networks: dict[str, DenseMatcher] = {}
+    passes: dict[PassKey, Engine] = {}
+    for name, options in dict.fromkeys(method.key for method in methods):
+        own = [one.options for one in methods if one.key == (name, options)]
+        wanted = {one.refinement for one in own if one.refinement is not None}
+        kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
+        if name in folders:
+            assert stem is not None
+            matcher: Matcher = FileMatcher(folders[name], stem, name, options)
+        elif name in CLASSICAL:
+            matcher = load_matcher(name, matching=options, caches=kept)
+        else:
+            cache, native = (None, None) if kept is None else (kept.features, kept.native)
+            if name in networks:
+                dense = DenseMatcher(networks[name].net, options, cache)
+            else:
+                dense = load_dense_matcher(name, device=device, options=options, cache=cache)
+                networks[name] = dense
+            refiners = {one: refined(dense, one, native) for one in wanted}
+            passes[name, options] = Engine(dense, refiners)
+            continue
+        passes[name, options] = Engine(matcher, {one: _refiner(matcher, one) for one in wanted})
+    return Engines(passes, {name: kept for name, kept in caches.items() if name in networks})
 
 
 def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
     """The bare networks of weights, by name or path, frozen and in evaluation mode.
 
-    Raises as `load_methods` does.
+    Raises InputError for no names or one that is given twice, WeightsError if weights cannot be
+    loaded.
     """
-    _check(names)
-    chosen = choose_device(device)
-    return {name: load_network(name, chosen) for name in names}
-
-
-def _check(names: Sequence[str]) -> None:
     if not names:
         raise InputError("no methods named")
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"the method {name} is named twice")
+    chosen = choose_device(device)
+    return {name: load_network(name, chosen) for name in names}
+
+
+def _refiner(matcher: Matcher, options: RefinementOptions) -> Refiner:
+    """Refinement of a matcher without a network."""
+    if options.source == "map":
+        return Refiner(matcher, (MapMatches(),), options.alignment)
+    if options.source == "flow":
+        return Refiner(matcher, (FlowMatches(options.flow),), options.alignment)
+    raise InputError(f"{matcher.name}: refine={options.source} needs the features of a network")
+
+
+def _parse(text: str, defaults: MethodOptions, stored: Sequence[str]) -> Method:
+    parts = text.split(":")
+    # A path may hold colons: the settings are what follows the last part that is none.
+    first = 1 + max(k for k, part in enumerate(parts) if not k or not _SETTING.match(part))
+    name = ":".join(parts[:first])
+    settings = dict(part.split("=", 1) for part in parts[first:])
+    engine = name.removesuffix(EVERYWHERE)
+    if not engine:
+        raise InputError(f"the method {text!r} is none")
+    if engine == SIFT and name != SIFT:
+        raise InputError(f"{text}: {SIFT} has key points alone, so {EVERYWHERE} says nothing")
+    if engine in (*CLASSICAL, *stored):
+        defaults = replace(defaults, refinement=None)
+    if settings.get("refine") == NO_REFINEMENT:
+        del settings["refine"]
+        defaults = replace(defaults, refinement=None)
+    elif "refine" in settings:
+        defaults = replace(defaults, refinement=defaults.refinement or RefinementOptions())
+    used: set[str] = set()
+    try:
+        options = _changed(defaults, settings, used)
+    except InputError as error:
+        raise InputError(f"{text}: {error}") from None
+    for key in settings:
+        if key not in used:
+            raise InputError(f"{text}: no option {key}")
+    if name != engine:
+        matching = replace(options.matching, matchability=0.0, cycle_px=None, min_share=0.0)
+        options = replace(options, matching=matching, refinement=None)
+    return Method(text, engine, name != engine, options)
+
+
+def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:
+    """Options (a dataclass) with settings put in wherever a field has their name, as well in the
+    dataclasses within; the names found are added to `used`."""
+    hints = get_type_hints(type(options))
+    changes: dict[str, Any] = {}
+    for one in fields(options):  # type: ignore[arg-type]
+        value, key = getattr(options, one.name), _KEYS.get(one.name, one.name)
+        if is_dataclass(value):
+            changes[one.name] = _changed(value, settings, used)
+        elif key in settings:
+            used.add(key)
+            try:
+                changes[one.name] = _value(settings[key], hints[one.name])
+            except (KeyError, ValueError):
+                raise InputError(f"{key} cannot be {settings[key]!r}") from None
+    return replace(options, **changes)  # type: ignore[type-var]
+
+
+def _value(text: str, hint: Any) -> Any:
+    """A value of a field's type: a number, true or false, a word of a Literal, or none. Raises
+    ValueError or KeyError."""
+    if get_origin(hint) is Literal:
+        return {str(word): word for word in get_args(hint)}[text]
+    if NoneType in get_args(hint):
+        (other,) = (one for one in get_args(hint) if one is not NoneType)
+        return None if text == "none" else _value(text, other)
+    if hint is bool:
+        return {"true": True, "false": False}[text]
+    return hint(text)

@@ -1,8 +1,8 @@
 """Pair lists in SuperGlue's format: one pair of images a line, with both K and the true pose.
 
-A line has 38 fields apart by blanks: `name1 name2 rot1 rot2 K1[9] K2[9] T[16]`, the matrices row by
-row, T = cam2_from_cam1. rot1 and rot2 count quarter turns to be applied to the images before they
-are matched; lists that ask for a turn are refused, since K and T speak of the images as stored.
+A line has 38 fields separated by blanks: `name1 name2 rot1 rot2 K1[9] K2[9] T[16]`, the matrices
+row by row, T = cam2_from_cam1. rot1 and rot2 count quarter turns to be applied to the images before
+they are matched; lists with such rotations are refused, since K and T are of the images as stored.
 """
 
 from __future__ import annotations
@@ -42,23 +42,22 @@ class Pair:
 
 
 def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
-    """Read a pair list.
+    """Read a pair list, whose image names are relative to `root`, by default the list's own folder.
 
-    Args:
-        path: the list.
-        root: the folder that the image names are relative to; the list's own folder by default.
-
-    Raises:
-        InputError: with the path and the line number, for a line that is not a pair as described at
-            the top of this file, and for a list without any pair.
-        OSError: where the file cannot be read.
+    Raises InputError, with the path and the line number, for a line that is not as described at the
+    top of this file, and for a list without any pair; OSError if the file cannot be read.
     """
     path = Path(path)
     folder = path.parent if root is None else Path(root)
-    pairs = []
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
-        if line.strip():
-            pairs.append(_parse_line(line, folder, f"{path}:{number}"))
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: a pair list is text, and this is not") from None
+    pairs = [
+        _parse_line(line, folder, f"{path}:{number}")
+        for number, line in enumerate(lines, start=1)
+        if line.strip()
+    ]
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     return pairs
@@ -84,13 +83,6 @@ def format_pair(pair: Pair) -> str:
     return " ".join([pair.name1, pair.name2, "0", "0", *(f"{value:.12g}" for value in numbers)])
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: a pair list is text, and this is not") from None
-
-
 def _parse_line(line: str, root: Path, where: str) -> Pair:
     fields = line.split()
     if len(fields) != FIELDS:
@@ -98,7 +90,7 @@ def _parse_line(line: str, root: Path, where: str) -> Pair:
     if fields[2:4] != ["0", "0"]:
         raise InputError(
             f"{where}: rot1 rot2 must be 0 0, not {fields[2]} {fields[3]}: "
-            "images that have to be turned first are not supported"
+            "images that have to be rotated first are not supported"
         )
     numbers = _numbers(fields[4:], where)
     try:
@@ -129,10 +121,6 @@ def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{where}: the last row of T must be 0 0 0 1")
     if not np.linalg.norm(t) > 0:
         raise InputError(f"{where}: T has no translation, so its direction cannot be scored")
-    return _nearest_rotation(R), t
-
-
-def _nearest_rotation(R: np.ndarray) -> np.ndarray:
-    """The rotation next to R: rounding e in a list could show as an angle of sqrt(e) otherwise."""
+    # The nearest rotation: rounding e in a list could show as an angle of sqrt(e) otherwise.
     U, _, Vt = np.linalg.svd(R)
-    return U @ Vt
+    return U @ Vt, t

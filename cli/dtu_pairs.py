@@ -7,13 +7,18 @@ from typing import get_args
 import click
 
 from dgc_pose.benchmarks.dtu.dataset import Layout, open_dataset
-from dgc_pose.benchmarks.dtu.pairs import PairOptions, draw, find_pairs, pair_of
 from dgc_pose.benchmarks.dtu.scene import LIGHTS
+from dgc_pose.benchmarks.dtu.view_pairs import (
+    ViewPairOptions,
+    draw,
+    find_view_pairs,
+    listed_pair,
+)
 from dgc_pose.benchmarks.pair_list import write_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
 
-DEFAULTS = PairOptions()
+DEFAULTS = ViewPairOptions()
 
 
 @click.command()
@@ -23,7 +28,7 @@ DEFAULTS = PairOptions()
 @click.option(
     "--layout",
     type=click.Choice(get_args(Layout)),
-    help="How the data set lies there; found by looking, by default.",
+    help="Of the files in ROOT; by default found by looking.",
 )
 @click.option(
     "--light", type=click.Choice(LIGHTS), default="3", show_default=True, help="Which light."
@@ -67,20 +72,20 @@ def dtu_pairs(
     ROOT holds DTU as DTU ships it, or as it was prepared for MVSNet or NeuS. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
-    options = PairOptions(pairs, min_rotation, max_rotation, min_overlap, seed=seed)
+    options = ViewPairOptions(pairs, min_rotation, max_rotation, min_overlap, seed=seed)
     dataset = open_dataset(root, layout=layout, scenes=[scan], light=light)
     scene = dataset.scene(scan)
-    candidates = find_pairs(dataset, options)
+    candidates = find_view_pairs(dataset, options)
     if not candidates:
         raise InputError(f"{root}: no two of {len(scene.views)} views fit these limits")
     drawn = draw(candidates, options)
     with staged(out) as stage:
-        write_pairs(stage(out), [pair_of(dataset, pair) for pair in drawn])
+        write_pairs(stage(out), [listed_pair(dataset, pair) for pair in drawn])
     rotations = sorted(pair.rotation_deg for pair in drawn)
     click.echo(
         f"{out}: {len(drawn)} pairs of {len(candidates)} candidates, "
         f"rotations {rotations[0]:.1f} to {rotations[-1]:.1f} deg, {len(scene.views)} views, "
-        f"{scene.absent} left out for want of an image or a calibration"
+        f"{scene.absent} left out without an image or a calibration"
     )
     if len(drawn) < pairs:
         click.echo(f"warning: {pairs} pairs were asked for; there are no more", err=True)

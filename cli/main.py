@@ -1,7 +1,7 @@
 """The command `dgc-pose`: its subcommands, and the one place where their errors are shown.
 
-A subcommand's module is imported when the subcommand is called for, so that `dgc-pose --help` is
-quick. Exit codes: 0 done, 2 unusable input, 3 no pose (set by the subcommand).
+A subcommand's module is imported when it is called, so that `dgc-pose --help` is quick. Exit codes:
+0 done, 2 unusable input, 3 no pose (set by the subcommand).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from dgc_pose.errors import DgcPoseError
 
 UNUSABLE_INPUT = 2
 INTERRUPTED = 130  # what shells report after SIGINT
-# Rounds that GNU's OpenMP, which torch takes on Linux, watches for a late thread before it sleeps.
-# By its own 300,000 a machine with another busy process spends nearly all its time watching.
+# Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
+# default 300,000: a machine with another busy process then spends nearly all its time spinning.
 SPIN_COUNT = "10000"
 
 
 @dataclass(frozen=True)
 class Subcommand:
-    """Where a subcommand lives, and the line about it in the help."""
+    """The module and function of a subcommand, and its line in the help."""
 
     module: str
     attribute: str
@@ -49,6 +49,15 @@ SUBCOMMANDS = {
     ),
     "bench-dtu": Subcommand(
         "dgc_pose.cli.bench_dtu", "bench_dtu", "Repeat the paper's pose experiment on DTU."
+    ),
+    "bench-verdicts": Subcommand(
+        "dgc_pose.cli.bench_verdicts", "bench_verdicts", "Measure how far success can be trusted."
+    ),
+    "bench-estimators": Subcommand(
+        "dgc_pose.cli.bench_estimators", "bench_estimators", "Compare the robust estimators."
+    ),
+    "bench-speed": Subcommand(
+        "dgc_pose.cli.bench_speed", "bench_speed", "Show where the time of a pair goes."
     ),
     "dtu-pairs": Subcommand(
         "dgc_pose.cli.dtu_pairs", "dtu_pairs", "Make a pair list from DTU's calibration."

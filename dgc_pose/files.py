@@ -76,3 +76,8 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. Raises what `staged` raises."""
     with staged(str(path)) as stage:
         stage(str(path)).write_text(text, encoding="utf-8")
+
+
+def finite_or_none(value: float | None) -> float | None:
+    """A number for JSON, which has no infinity and no NaN: None for those."""
+    return value if value is not None and math.isfinite(value) else None

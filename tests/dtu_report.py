@@ -11,10 +11,11 @@ import dtu_layout
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import relative_pose
-from dgc_pose.benchmarks.dtu.entries import Entry
-from dgc_pose.benchmarks.dtu.records import DtuResult, DtuTiming
-from dgc_pose.benchmarks.dtu.samples import MatchSample, write_sample
+from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.benchmarks.samples import MatchSample, write_sample
+from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.camera import Camera
 from dgc_pose.metrics import rotation_error_deg
 
@@ -26,14 +27,32 @@ SCENE = 65
 
 
 @dataclass(frozen=True)
+class Entry:
+    """A pair of the list."""
+
+    scene: int
+    view1: int
+    view2: int
+    overlap: float
+    pair: Pair
+
+
+@dataclass(frozen=True)
 class FinishedRun:
     """What `write_report` takes."""
 
     out: Path
     entries: list[Entry]
-    rows: list[DtuResult]  # pair after pair, a method each
-    timings: list[DtuTiming]
+    rows: list[DtuScore]  # pair after pair, a method each
     samples: dict[tuple[str, int, int, int], MatchSample]
+
+    def pairs(self, protocol: Protocol = "native") -> DtuPairs:
+        """The data set of the entries."""
+        views = [
+            ViewPair(one.scene, one.view1, one.view2, 10.0, one.overlap, 100.0)
+            for one in self.entries
+        ]
+        return DtuPairs(views, [one.pair for one in self.entries], protocol)
 
 
 def finished_run(
@@ -44,14 +63,13 @@ def finished_run(
     out = folder / "run"
     out.mkdir()
     rng = np.random.default_rng(5)
-    rows, timings, samples = [], [], {}
+    rows, samples = [], {}
     for number, (entry, method) in enumerate(product(entries, methods)):
         key = (method, entry.scene, entry.view1, entry.view2)
         samples[key] = _sample(entry.pair, rng)
         write_sample(out, key, samples[key])
         rows.append(_row(entry, method, rng, success=number % 7 != 3))
-        timings.append(DtuTiming(*key, match_seconds=0.2, pose_seconds=round(rng.random(), 4)))
-    return FinishedRun(out, entries, rows, timings, samples)
+    return FinishedRun(out, entries, rows, samples)
 
 
 def _entries(folder: Path) -> list[Entry]:
@@ -83,9 +101,9 @@ def _sample(pair: Pair, rng: np.random.Generator) -> MatchSample:
     return MatchSample(points1.round(2), points2.round(2), inliers)
 
 
-def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) -> DtuResult:
+def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) -> DtuScore:
     rotation, translation = (np.round(rng.gamma(1.5, 6, 2), 4) if success else (np.inf, np.inf))
-    return DtuResult(
+    return DtuScore(
         method=method,
         scene=entry.scene,
         view1=entry.view1,
@@ -108,4 +126,6 @@ def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) 
         epipolar_confident_px=round(rng.gamma(2.0, 1.0), 4),
         epipolar_all_mean_px=np.nan if method == "points" else 5.0,
         epipolar_confident_mean_px=2.0,
+        match_seconds=0.2,
+        estimate_seconds=round(rng.random(), 4),
     )

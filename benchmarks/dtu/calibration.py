@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import scipy.linalg
 
-from dgc_pose.cam_file import parse_cam, parse_matrix
 from dgc_pose.errors import InputError
 
 ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leave
@@ -27,27 +27,32 @@ def read_projection(path: Path) -> View:
     """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel.
 
     Raises:
-        InputError: with the path, where the file does not hold 3 rows of 4 finite numbers or the
+        InputError: with the path, if the file does not hold 3 rows of 4 finite numbers or the
             matrix is no camera.
-        OSError: where the file cannot be read.
+        OSError: if the file cannot be read.
     """
     rows = [line.split() for line in _read_text(path).splitlines() if line.strip()]
     if [len(row) for row in rows] != [4, 4, 4]:
         counts = " + ".join(str(len(row)) for row in rows) or "none"
         raise InputError(f"{path}: expected 3 rows of 4 numbers, found {counts}")
-    P = parse_matrix([word for row in rows for word in row], (3, 4), path)
-    return decompose(P, str(path))
+    return decompose(_matrix([word for row in rows for word in row], (3, 4), path), str(path))
 
 
 def read_cam(path: Path) -> View:
-    """Read one of MVSNet's `NNNNNNNN_cam.txt`: `extrinsic`, 4x4 (world, mm, to camera),
-    `intrinsic`, 3x3, and a line of depths, which has no part in a pose.
+    """Read one of MVSNet's `NNNNNNNN_cam.txt`: the word `extrinsic`, 4x4 (world, mm, to camera),
+    the word `intrinsic`, 3x3, and depths, which have no part in a pose.
 
     Raises:
-        InputError: with the path, where the file is not so or its matrices are no camera.
-        OSError: where the file cannot be read.
+        InputError: with the path, if the file is malformed or its matrices are no camera.
+        OSError: if the file cannot be read.
     """
-    extrinsic, K = parse_cam(_read_text(path), path)
+    words = _read_text(path).split()
+    if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
+        raise InputError(
+            f"{path}: expected the word extrinsic, 4 rows of 4 numbers, "
+            "the word intrinsic, 3 rows of 3 numbers"
+        )
+    extrinsic, K = _matrix(words[1:17], (4, 4), path), _matrix(words[18:27], (3, 3), path)
     if not np.allclose(extrinsic[3], [0, 0, 0, 1], atol=ROTATION_TOLERANCE):
         raise InputError(f"{path}: the last row of the extrinsic matrix must be 0 0 0 1")
     # Through P, as in the other layouts: the same matrices give the same view to the bit.
@@ -64,7 +69,7 @@ def decompose(P: np.ndarray, name: str) -> View:
     """Split P ~ K [R | t] by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1.
 
     P (3, 4) may carry any scale but zero, its sign included. Raises InputError, naming `name`,
-    where its numbers are not finite or its left 3x3 is singular.
+    if its numbers are not finite or its left 3x3 is singular.
     """
     if not np.isfinite(P).all():
         raise InputError(f"{name}: the numbers must be finite")
@@ -82,6 +87,13 @@ def relative_pose(view1: View, view2: View) -> tuple[np.ndarray, np.ndarray]:
     """cam2_from_cam1 as R (3, 3) and t (3,) in millimetres: R2 R1^T and t2 - R t1."""
     R = view2.R @ view1.R.T
     return R, view2.t - R @ view1.t
+
+
+def _matrix(words: Sequence[str], shape: tuple[int, int], path: Path) -> np.ndarray:
+    try:
+        return np.array([float(word) for word in words]).reshape(shape)
+    except ValueError:
+        raise InputError(f"{path}: expected numbers, found something else") from None
 
 
 def _read_text(path: Path) -> str:

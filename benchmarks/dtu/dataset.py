@@ -1,4 +1,4 @@
-"""DTU on a user's disk, in whichever of the layouts it lies there."""
+"""DTU on a user's disk, in any of its layouts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Dataset:
     left_out: tuple[int, ...]  # numbers of scenes with a folder, but fewer than two views
 
     def scene(self, number: int) -> Scene:
-        """A scene by its number. Raises InputError where it is not there."""
+        """A scene by its number. Raises InputError if it is missing."""
         for scene in self.scenes:
             if scene.number == number:
                 return scene
@@ -51,15 +51,15 @@ def open_dataset(
 
     Args:
         root: the folder of the data set.
-        layout: found by looking, where it is None.
-        scenes: their numbers; all that are there, where it is None.
+        layout: None to find it by looking.
+        scenes: their numbers; None for all that are there.
         light: 0 to 6, or "max"; test sets of MVSNet and NeuS hold one light alone.
 
     Raises:
-        InputError: with the path and what was expected, where the layout or a scene that was asked
-            for is not there, or a file is no calibration.
+        InputError: with the path and what was expected, if the layout or a scene that was asked
+            for is missing, or a calibration is malformed.
         ImageError: for a file that is no image.
-        OSError: where a file cannot be read.
+        OSError: if a file cannot be read.
     """
     root = Path(root)
     if str(light) not in LIGHTS:
@@ -104,7 +104,7 @@ def _find_layout(root: Path, layout: Layout | None, light: str) -> tuple[Layout,
 
 
 def _shortage(scene: Scene, layout: Layout) -> str:
-    """What is the matter with a scene of fewer than two views. It always misses some."""
+    """Why a scene of fewer than two views cannot be used."""
     count = len(scene.views)
     return (
         f"{count or 'no'} view{'s' * (count != 1)} of {scene.name} in the {layout} layout, and two "

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.dtu.records import DtuResult
-from dgc_pose.errors import InputError
+from dgc_pose.benchmarks.scores import DtuScore
+from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.histograms import draw_cumulative, shown_limit
 
@@ -21,17 +21,7 @@ _BINS = 8
 _LEAST_PER_BIN = 5  # pairs
 
 Styles = Mapping[str, Mapping[str, Any]]
-Rows = Mapping[str, Sequence[DtuResult]]  # by method
-
-
-def by_method(rows: Sequence[DtuResult]) -> dict[str, list[DtuResult]]:
-    """The rows of each method, in the order in which they come. Raises InputError without any."""
-    if not rows:
-        raise InputError("no results to draw")
-    found: dict[str, list[DtuResult]] = {}
-    for row in rows:
-        found.setdefault(row.method, []).append(row)
-    return found
+Rows = Mapping[str, Sequence[DtuScore]]  # by method
 
 
 def method_styles(methods: Sequence[str]) -> Styles:
@@ -46,13 +36,13 @@ def method_styles(methods: Sequence[str]) -> Styles:
     return styles
 
 
-def plot_histograms(rows: Sequence[DtuResult]) -> dict[str, Figure]:
+def plot_histograms(rows: Sequence[DtuScore]) -> dict[str, Figure]:
     """The paper's three figures (section 4.4) by name: rotation, translation and epipolar.
 
     Each is the share of pairs whose error is not above a value, a curve a method, the median in the
-    legend; a pair without a pose never comes below any value. Translation is the angle from 0 to
-    180 degrees. Epipolar is a pair's median D_e, to the left over all pixels of image 2 for methods
-    that map all of them, to the right over the matches that the pose was estimated from.
+    legend; a pair without a pose has an infinite error. Translation is the angle from 0 to 180
+    degrees. Epipolar is a pair's median D_e, to the left over all pixels of image 2 for methods
+    with a dense map, to the right over the matches that the pose was estimated from.
     """
     methods = by_method(rows)
     styles = method_styles(list(methods))
@@ -63,11 +53,11 @@ def plot_histograms(rows: Sequence[DtuResult]) -> dict[str, Figure]:
     }
 
 
-def plot_against_motion(rows: Sequence[DtuResult]) -> Figure:
+def plot_against_motion(rows: Sequence[DtuScore]) -> Figure:
     """Rotation and folded translation error against the true rotation and the baseline.
 
-    A dot a pair and a line through the medians of pairs of like motion, a colour a method; pairs
-    without a pose stand at 180 degrees and count in the medians.
+    A dot a pair and a line through the medians of pairs of similar motion, a colour a method; pairs
+    without a pose are drawn at 180 degrees and count in the medians.
     """
     methods = by_method(rows)
     styles = method_styles(list(methods))
@@ -144,5 +134,5 @@ def _draw_against(axes: Axes, methods: Rows, motion: str, error: str, styles: St
     axes.grid(alpha=0.3)
 
 
-def _column(rows: Sequence[DtuResult], field: str) -> np.ndarray:
+def _column(rows: Sequence[DtuScore], field: str) -> np.ndarray:
     return np.array([getattr(row, field) for row in rows], dtype=np.float64)

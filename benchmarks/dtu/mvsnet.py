@@ -1,9 +1,8 @@
 """DTU as it was prepared for MVSNet, its training set and its test sets.
 
 Training: `Cameras/NNNNNNNN_cam.txt` for images of 1600x1200, `Rectified/scanN` with such images and
-`Rectified/scanN_train` with their half-size crops, names from 1 and cameras from 0. Where both are
-there, the full size is taken. Test: `scanN/{images,cams}`, both from 0, one light, K as it is in
-pixels of the images.
+`Rectified/scanN_train` with their half-size crops, names from 1 and cameras from 0. Of both, the
+full size is taken. Test: `scanN/{images,cams}`, both from 0, one light, K in pixels of the images.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from dgc_pose.benchmarks.dtu.calibration import View, read_cam
-from dgc_pose.benchmarks.dtu.scene import light_suffix, numbered_folders
+from dgc_pose.benchmarks.dtu.scene import SceneReader, light_suffix, numbered_folders
 from dgc_pose.camera import Camera
 
 EXPECTED = "Cameras/00000000_cam.txt and Rectified/scan1, or scan1/cams/00000000_cam.txt"
@@ -22,10 +21,7 @@ CROP_CORNER = (80, 44)  # x, y in the half-size image of the crop's top-left pix
 
 
 @dataclass(frozen=True)
-class MvsnetReader:
-    """See SceneReader."""
-
-    root: Path
+class MvsnetReader(SceneReader):
     light: str  # one of LIGHTS; test sets have one light alone
     _views: dict[tuple[Path, bool], View] = field(default_factory=dict)
 
@@ -60,7 +56,7 @@ class MvsnetReader:
         return self.root / "Cameras" / name
 
     def test_scenes(self) -> list[int]:
-        """The scenes that lie there as test sets do."""
+        """The scenes in the layout of the test sets."""
         return [n for n in numbered_folders(self.root, r"scan(\d+)") if self._is_test(n)]
 
     def _is_test(self, scene: int) -> bool:
@@ -83,6 +79,6 @@ def crop(view: View) -> View:
 
 
 def find(root: Path, light: str) -> MvsnetReader | None:
-    """A reader, or None where `root` is of another layout."""
+    """A reader, or None if `root` is of another layout."""
     reader = MvsnetReader(root, light)
     return reader if (root / "Cameras").is_dir() or reader.test_scenes() else None

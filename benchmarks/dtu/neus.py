@@ -15,29 +15,19 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import View, decompose
-from dgc_pose.benchmarks.dtu.scene import numbered_folders
+from dgc_pose.benchmarks.dtu.scene import SceneReader, numbered_folders
 from dgc_pose.errors import InputError
 
 EXPECTED = "scan24/cameras.npz and scan24/image/000000.png"
 _FOLDER = r"(?:dtu_)?scan(\d+)"
-# What numpy says of a file that is something else, or is damaged.
-_NO_NPZ = (
-    ValueError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    KeyError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+# What numpy raises for a file that is something else, or is damaged.
+_NO_NPZ = (ValueError, TypeError, AttributeError, EOFError, KeyError)
+_NO_ZIP = (zipfile.BadZipFile, zlib.error)
 _CALIBRATIONS = ("cameras.npz", "cameras_sphere.npz")  # IDR's name, NeuS's
 
 
 @dataclass(frozen=True)
-class NeusReader:
-    """See SceneReader."""
-
-    root: Path
+class NeusReader(SceneReader):
     folders: Mapping[int, Path]  # by scene
     _matrices: dict[int, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
@@ -46,9 +36,6 @@ class NeusReader:
 
     def image_stem(self, scene: int, position: int) -> Path:
         return self._folder(scene) / "image" / f"{position - 1:06d}"
-
-    def image_size(self, scene: int) -> None:
-        return None
 
     def view(self, scene: int, position: int) -> View | None:
         path = _calibration(self._folder(scene))
@@ -73,7 +60,7 @@ class NeusReader:
 
 
 def find(root: Path, light: str) -> NeusReader | None:
-    """A reader, or None where `root` is of another layout. There is no choice of light."""
+    """A reader, or None if `root` is of another layout. There is no choice of light."""
     found = {
         number: folder
         for number, folder in numbered_folders(root, _FOLDER).items()
@@ -95,5 +82,5 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as file:
             return {name: file[name] for name in file.files if name.startswith("world_mat_")}
-    except _NO_NPZ as error:
+    except (*_NO_NPZ, *_NO_ZIP) as error:
         raise InputError(f"{path}: expected an .npz with world_mat_0 and so on") from error

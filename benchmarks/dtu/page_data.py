@@ -1,4 +1,4 @@
-"""What report.html knows, as data for JSON: pairs, images, and what each method made of each pair.
+"""The data of report.html, for JSON: pairs, images, and what each method made of each pair.
 
 JSON has no infinity: null stands for it, and for a figure that a method does not have.
 """
@@ -6,7 +6,6 @@ JSON has no infinity: null stands for it, and for a figure that a method does no
 from __future__ import annotations
 
 import base64
-import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,64 +13,72 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.entries import Entry
-from dgc_pose.benchmarks.dtu.epipolar import true_fundamental
-from dgc_pose.benchmarks.dtu.protocols import PairReader, ShownPair
-from dgc_pose.benchmarks.dtu.records import DtuResult, DtuTiming
-from dgc_pose.benchmarks.dtu.samples import MatchSample, read_sample
+from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
+from dgc_pose.benchmarks.posed_pairs import Truth
+from dgc_pose.benchmarks.samples import MatchSample, read_sample
+from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.errors import InputError
+from dgc_pose.files import finite_or_none
 from dgc_pose.image import Image
+from dgc_pose.metrics.epipolar import true_fundamental
 
 _THUMBNAIL = 240  # longest side, pixels
 _JPEG_QUALITY = 70
-_DIGITS = 10  # of an entry of F: a place in the largest image needs fewer
-
-PairKey = tuple[int, int, int]  # scene, view1, view2
+_DIGITS = 10  # of an entry of F: a point in the largest image needs fewer
+_RESULT = {  # key in the page's data: field of the record
+    "success": "success",
+    "status": "status",
+    "matches": "num_matches",
+    "inliers": "num_inliers",
+    "R": "rotation_error_deg",
+    "t": "translation_error_deg",
+    "folded": "translation_folded_deg",
+    "all": "epipolar_all_px",
+    "confident": "epipolar_confident_px",
+    "seconds": "estimate_seconds",
+}
 
 
 def page_data(
     out: Path,
-    entries: Sequence[Entry],
-    rows: Mapping[str, Sequence[DtuResult]],
-    timings: Sequence[DtuTiming],
-    reader: PairReader,
-    pictured: Collection[PairKey],
+    pairs: DtuPairs,
+    rows: Mapping[str, Sequence[DtuScore]],
+    pictured: Collection[ViewKey],
 ) -> dict[str, Any]:
     """All that the page shows.
 
     Args:
-        out: the folder of the run, where the samples of matches lie.
-        entries: the pairs.
-        rows: of each method, a row for each of the entries in their order.
-        timings: of all rows, in any order.
-        reader: reads the images as the methods saw them.
+        out: the folder of the run, which holds the samples of matches.
+        pairs: the pairs as the methods saw them.
+        rows: of each method, a record for each of the pairs in their order.
         pictured: the pairs to be shown with their images, matches and epipolar lines.
 
-    Raises InputError where the rows are not those of the entries, and what `PairReader.read` and
-    `read_sample` raise.
+    Raises InputError if the rows are not those of the pairs, and what `read_sample` and reading the
+    images raise.
     """
-    _require_same_pairs(entries, rows)
+    for method, own in rows.items():
+        if [row.key[1:] for row in own] != pairs.keys:
+            raise InputError(f"the results of {method} are not those of the list's pairs")
     images = _Thumbnails()
-    pairs = []
-    for entry, row in zip(entries, next(iter(rows.values())), strict=True):
-        pair = _pair(row)
+    records = []
+    for number, row in enumerate(next(iter(rows.values()))):
+        record = _pair(row)
         if row.key[1:] in pictured:
-            shown = reader.read(entry.scene, entry.view1, entry.view2, entry.pair)
-            pair |= {
-                "image1": images.number(shown.image1),
-                "image2": images.number(shown.image2),
-                "F": _fundamental(shown),
+            posed = pairs.pair(number)
+            record |= {
+                "image1": images.number(posed.image1),
+                "image2": images.number(posed.image2),
+                "F": _fundamental(posed.truth),
             }
-        pairs.append(pair)
-    seconds = {timing.key: timing.pose_seconds for timing in timings}
+        records.append(record)
     results = []
     for own in rows.values():
-        made = [_result(row, seconds[row.key]) for row in own]
-        for record, row in zip(made, own, strict=True):
+        made = [_result(row) for row in own]
+        for result, row in zip(made, own, strict=True):
             if row.key[1:] in pictured:
-                record["sample"] = flat_sample(read_sample(out, row.key))
+                result["sample"] = flat_sample(read_sample(out, row.key))
         results.append(made)
-    return {"methods": list(rows), "pairs": pairs, "images": images.records, "results": results}
+    return {"methods": list(rows), "pairs": records, "images": images.records, "results": results}
 
 
 def flat_sample(sample: MatchSample) -> list[int]:
@@ -86,15 +93,6 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-def _require_same_pairs(
-    entries: Sequence[Entry], rows: Mapping[str, Sequence[DtuResult]]
-) -> None:
-    keys = [(entry.scene, entry.view1, entry.view2) for entry in entries]
-    for method, own in rows.items():
-        if [row.key[1:] for row in own] != keys:
-            raise InputError(f"the results of {method} are not those of the list's pairs")
-
-
 class _Thumbnails:
     """The images of the page, each once."""
 
@@ -103,7 +101,7 @@ class _Thumbnails:
         self._numbers: dict[str, int] = {}
 
     def number(self, image: Image) -> int:
-        """The image's place in `records`."""
+        """The image's index in `records`."""
         if image.name not in self._numbers:
             self._numbers[image.name] = len(self.records)
             width, height = image.size
@@ -120,13 +118,14 @@ def _thumbnail(image: Image) -> str:
     return data_uri("image/jpeg", encoded.tobytes())
 
 
-def _fundamental(shown: ShownPair) -> list[float]:
+def _fundamental(truth: Truth) -> list[float]:
     """F row by row, of length 1."""
-    F = true_fundamental(shown.truth)
+    assert truth.R is not None and truth.t is not None
+    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
     return [float(f"{value:.{_DIGITS}g}") for value in (F / np.linalg.norm(F)).ravel()]
 
 
-def _pair(row: DtuResult) -> dict[str, Any]:
+def _pair(row: DtuScore) -> dict[str, Any]:
     return {
         "name": f"scan{row.scene} {row.view1}-{row.view2}",
         "rotation": row.true_rotation_deg,
@@ -136,20 +135,6 @@ def _pair(row: DtuResult) -> dict[str, Any]:
     }
 
 
-def _result(row: DtuResult, seconds: float) -> dict[str, Any]:
-    return {
-        "success": row.success,
-        "status": row.status,
-        "matches": row.num_matches,
-        "inliers": row.num_inliers,
-        "R": _finite(row.rotation_error_deg),
-        "t": _finite(row.translation_error_deg),
-        "folded": _finite(row.translation_folded_deg),
-        "all": _finite(row.epipolar_all_px),
-        "confident": _finite(row.epipolar_confident_px),
-        "seconds": seconds,
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _result(row: DtuScore) -> dict[str, Any]:
+    values = {key: getattr(row, name) for key, name in _RESULT.items()}
+    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in values.items()}

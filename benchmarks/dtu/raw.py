@@ -9,17 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from dgc_pose.benchmarks.dtu.calibration import View, read_projection
-from dgc_pose.benchmarks.dtu.scene import light_suffix, numbered_folders
+from dgc_pose.benchmarks.dtu.scene import SceneReader, light_suffix, numbered_folders
 
 EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
 _KINDS = {"Rectified": "rect", "Cleaned": "clean"}  # folder: how its images' names begin
 
 
 @dataclass(frozen=True)
-class RawReader:
-    """See SceneReader."""
-
-    root: Path
+class RawReader(SceneReader):
     light: str  # one of LIGHTS
     _views: dict[int, View] = field(default_factory=dict)  # shared by all scenes
 
@@ -28,14 +25,9 @@ class RawReader:
         return sorted({number for folders in found for number in folders})
 
     def image_stem(self, scene: int, position: int) -> Path:
-        kind = "Rectified"
-        if not (self.root / kind / f"scan{scene}").is_dir():
-            kind = "Cleaned" if (self.root / "Cleaned" / f"scan{scene}").is_dir() else kind
-        name = f"{_KINDS[kind]}_{position:03d}_{light_suffix(self.light)}"
-        return self.root / kind / f"scan{scene}" / name
-
-    def image_size(self, scene: int) -> None:
-        return None
+        folders = {kind: self.root / kind / f"scan{scene}" for kind in _KINDS}
+        kind = next((kind for kind, folder in folders.items() if folder.is_dir()), "Rectified")
+        return folders[kind] / f"{_KINDS[kind]}_{position:03d}_{light_suffix(self.light)}"
 
     def view(self, scene: int, position: int) -> View | None:
         path = self._path(position)
@@ -51,7 +43,7 @@ class RawReader:
 
 
 def find(root: Path, light: str) -> RawReader | None:
-    """A reader, or None where `root` is of another layout."""
+    """A reader, or None if `root` is of another layout."""
     for folder in (root, root / "MVS Data"):
         if (folder / "Calibration" / "cal18").is_dir():
             return RawReader(folder, light)

@@ -1,4 +1,4 @@
-"""What a finished DTU run is shown by: its figures, the worst pairs, and report.html."""
+"""The report of a finished DTU run: its figures, the worst pairs, and report.html."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 import jinja2
 
-from dgc_pose.benchmarks.dtu.entries import Entry
-from dgc_pose.benchmarks.dtu.figures import by_method, plot_against_motion, plot_histograms
-from dgc_pose.benchmarks.dtu.page_data import PairKey, data_uri, page_data
-from dgc_pose.benchmarks.dtu.protocols import PairReader
-from dgc_pose.benchmarks.dtu.records import DtuResult, DtuTiming
-from dgc_pose.benchmarks.dtu.samples import method_file_name, read_sample
+from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
+from dgc_pose.benchmarks.dtu.figures import plot_against_motion, plot_histograms
+from dgc_pose.benchmarks.dtu.page_data import data_uri, page_data
 from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
+from dgc_pose.benchmarks.samples import method_file_name, read_sample
+from dgc_pose.benchmarks.scores import DtuScore
+from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.viz.figure import save_figure
 
 PAGE = "report.html"
@@ -60,9 +60,8 @@ _COLUMNS = (
 
 def write_report(
     out: Path,
-    entries: Sequence[Entry],
-    rows: Sequence[DtuResult],
-    timings: Sequence[DtuTiming],
+    pairs: DtuPairs,
+    rows: Sequence[DtuScore],
     *,
     facts: Mapping[str, str],
     table: str,
@@ -74,31 +73,31 @@ def write_report(
     method, and report.html, which needs none of the others.
 
     Args:
-        out: the folder of the run, with the samples of matches that `write_sample` wrote.
-        entries: the pairs, in the order of the list.
-        rows: results of all methods, those of one method in the order of the entries.
-        timings: of the same pairs and methods.
+        out: the folder of the run, which holds the samples of matches.
+        pairs: the pairs as the methods saw them.
+        rows: records of all methods, those of one method in the order of the pairs.
         facts: what was run, by name: protocol, data, estimator, seed and so on.
         table: the summary of the methods, as text.
         pictured: how many pairs the page shows with images and matches, at most.
 
-    Returns the files written. Raises InputError without rows or for a sample that is none,
-    ImageError for an image that cannot be read.
+    Returns the files written. Raises InputError without rows or for a malformed sample, ImageError
+    for an image that cannot be read.
     """
     methods = by_method(rows)
-    reader = PairReader(rows[0].protocol)
     with tempfile.TemporaryDirectory(dir=out, prefix=".report-") as name:
         folder = Path(name)
         for figure_name, figure in plot_histograms(rows).items():
             for kind in ("png", "svg"):
                 save_figure(figure, folder / f"{figure_name}.{kind}", picture_format=kind)
         save_figure(plot_against_motion(rows), folder / "motion.png")
-        known = {(one.scene, one.view1, one.view2): one for one in entries}
         for method, own in methods.items():
+            worst = worst_pairs(own)
+            shown = [pairs.by_key((row.scene, row.view1, row.view2)) for row in worst]
+            samples = [read_sample(out, row.key) for row in worst]
             path = folder / f"worst-{method_file_name(method)}.png"
-            _write_worst(path, out, worst_pairs(own), known, reader)
+            save_figure(plot_worst(worst, shown, samples), path)
         chosen = pictured_pairs(methods, pictured)
-        data = page_data(out, entries, methods, timings, reader, chosen)
+        data = page_data(out, pairs, methods, chosen)
         page = _render(folder, data, len(chosen), facts, table)
         (folder / PAGE).write_text(page, encoding="utf-8")
         written = [out / file.name for file in sorted(folder.iterdir())]
@@ -108,26 +107,15 @@ def write_report(
 
 
 def pictured_pairs(
-    methods: Mapping[str, Sequence[DtuResult]], count: int
-) -> frozenset[PairKey]:
-    """The pairs that the page has pictures of: the worst of each method, then from the start of
-    the list, `count` of them where there are as many."""
+    methods: Mapping[str, Sequence[DtuScore]], count: int
+) -> frozenset[ViewKey]:
+    """The pairs that the page has pictures of, at most `count`: the worst of each method, then from
+    the start of the list."""
     worst = [worst_pairs(own) for own in methods.values()]
-    in_turn = [pairs[place] for place in range(max(map(len, worst))) for pairs in worst]
-    in_order = [*in_turn, *next(iter(methods.values()))]
-    return frozenset(list(dict.fromkeys(row.key[1:] for row in in_order))[:count])
-
-
-def _write_worst(
-    path: Path,
-    out: Path,
-    worst: Sequence[DtuResult],
-    entries: Mapping[PairKey, Entry],
-    reader: PairReader,
-) -> None:
-    shown = [reader.read(*row.key[1:], entries[row.key[1:]].pair) for row in worst]
-    samples = [read_sample(out, row.key) for row in worst]
-    save_figure(plot_worst(worst, shown, samples), path)
+    by_rank = [pairs[rank] for rank in range(max(map(len, worst))) for pairs in worst]
+    in_order = [*by_rank, *next(iter(methods.values()))]
+    keys = [(row.scene, row.view1, row.view2) for row in in_order]
+    return frozenset(list(dict.fromkeys(keys))[:count])
 
 
 def _render(

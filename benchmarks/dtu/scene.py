@@ -1,12 +1,12 @@
-"""A scene of DTU: the views of it that are on the disk, whatever the layout."""
+"""A scene of DTU: its views that are on the disk, whatever the layout."""
 
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import PIL.Image
 
@@ -20,7 +20,7 @@ SUFFIXES = (".png", ".jpg")  # of both, the png is taken
 
 @dataclass(frozen=True)
 class Scene:
-    """The views of a scene of which image and calibration are there."""
+    """The views of a scene that have both an image and a calibration."""
 
     name: str  # "scan65"
     number: int
@@ -31,11 +31,11 @@ class Scene:
 
     @property
     def absent(self) -> int:
-        """How many of DTU's views of this scene were left out, since they are not all there."""
+        """How many of DTU's views of this scene are missing."""
         return len(self.missing)
 
     def require(self, position: int) -> None:
-        """Raise InputError, with the file that was expected, where this view is not there."""
+        """Raise InputError, with the file that was expected, if this view is missing."""
         if position in self.views:
             return
         if position in self.missing:
@@ -47,30 +47,31 @@ class Scene:
         )
 
 
-class SceneReader(Protocol):
+@dataclass(frozen=True)
+class SceneReader(ABC):
     """Where a layout keeps things. Positions count from 1, as DTU's do."""
 
     root: Path  # what the names of images are relative to
 
+    @abstractmethod
     def numbers(self) -> list[int]:
-        """The scenes that there is a folder of, ascending."""
-        ...
+        """The scenes that have a folder, ascending."""
 
+    @abstractmethod
     def image_stem(self, scene: int, position: int) -> Path:
         """Where an image is expected, without its .png or .jpg."""
-        ...
 
-    def image_size(self, scene: int) -> tuple[int, int] | None:
-        """The (width, height) that the calibration is for, where the layout fixes it."""
-        ...
-
+    @abstractmethod
     def view(self, scene: int, position: int) -> View | None:
-        """The calibration, None where it is not there. InputError where it is none."""
-        ...
+        """The calibration; None if missing, InputError if malformed."""
 
+    @abstractmethod
     def calibration_name(self, scene: int, position: int) -> str:
         """Where the calibration is expected, for a message."""
-        ...
+
+    def image_size(self, scene: int) -> tuple[int, int] | None:
+        """The (width, height) that the calibration is for, if the layout fixes it."""
+        return None
 
 
 def number_of_views(scene: int) -> int:
@@ -81,8 +82,8 @@ def number_of_views(scene: int) -> int:
 def read_scene(reader: SceneReader, number: int) -> Scene:
     """Find the views of a scene; those without an image or a calibration are left out.
 
-    Raises InputError, with the path, for a calibration that is none or that cannot belong to the
-    image, and where images differ in size; ImageError for a file that is no image.
+    Raises InputError, with the path, for a calibration that is malformed or cannot belong to the
+    image, and if images differ in size; ImageError for a file that is no image.
     """
     views: dict[int, View] = {}
     images: dict[int, Path] = {}
@@ -104,8 +105,7 @@ def read_scene(reader: SceneReader, number: int) -> Scene:
             raise InputError(
                 f"{image}: expected {size[0]} x {size[1]} pixels, found {found[0]} x {found[1]}"
             )
-        # A warning about a principal point off the middle is of no use here: there is no camera
-        # of the user's that could be another.
+        # Its warning about the principal point is for cameras that a user gives.
         check_size(Camera(view.K), size, f"K of {image}")
         views[position], images[position] = view, image
     return Scene(f"scan{number}", number, views, images, size or (0, 0), missing)
@@ -113,7 +113,7 @@ def read_scene(reader: SceneReader, number: int) -> Scene:
 
 def numbered_folders(folder: Path, pattern: str) -> dict[int, Path]:
     """The folders within a folder whose whole name matches, by the number that the pattern's group
-    catches; none where the folder is not there."""
+    catches; none if the folder is missing."""
     if not folder.is_dir():
         return {}
     found: dict[int, Path] = {}
@@ -130,11 +130,8 @@ def light_suffix(light: str) -> str:
 
 
 def _find_image(stem: Path) -> Path | None:
-    for suffix in SUFFIXES:
-        path = stem.with_name(stem.name + suffix)
-        if path.is_file():
-            return path
-    return None
+    paths = (stem.with_name(stem.name + suffix) for suffix in SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def _image_size(path: Path) -> tuple[int, int]:

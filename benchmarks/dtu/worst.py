@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.dtu.protocols import ShownPair
-from dgc_pose.benchmarks.dtu.records import DtuResult
-from dgc_pose.benchmarks.dtu.samples import MatchSample
+from dgc_pose.benchmarks.posed_pairs import PosedPair
+from dgc_pose.benchmarks.samples import MatchSample
+from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.panels import show_matches
 
@@ -18,22 +18,22 @@ _COLUMNS = 2
 _WIDTH = 14.0  # inches
 
 
-def pair_error(row: DtuResult) -> float:
+def pair_error(row: DtuScore) -> float:
     """The larger of rotation and folded translation error, degrees; infinite without a pose."""
     return max(row.rotation_error_deg, row.translation_folded_deg)
 
 
-def worst_pairs(rows: Sequence[DtuResult], count: int = COUNT) -> list[DtuResult]:
+def worst_pairs(rows: Sequence[DtuScore], count: int = COUNT) -> list[DtuScore]:
     """The rows of one method with the largest `pair_error`, the worst first; equal ones in the
     order of their keys."""
     return sorted(rows, key=lambda row: (-pair_error(row), row.key))[:count]
 
 
 def plot_worst(
-    rows: Sequence[DtuResult], shown: Sequence[ShownPair], samples: Sequence[MatchSample]
+    rows: Sequence[DtuScore], shown: Sequence[PosedPair], samples: Sequence[MatchSample]
 ) -> Figure:
-    """Pairs of one method side by side with what it matched: yellow where the estimated pose
-    agrees, dark where it does not. rows, shown and samples: one each a pair, at least one."""
+    """Pairs of one method side by side with what it matched: yellow for inliers of the
+    estimated pose, dark for outliers. rows, shown and samples: one each a pair, at least one."""
     lines = -(-len(rows) // _COLUMNS)
     height = max(_WIDTH / _COLUMNS / _aspect(pair) for pair in shown)
     # A very tall picture would make a figure that no screen shows.
@@ -55,7 +55,7 @@ def plot_worst(
     return figure
 
 
-def _title(row: DtuResult) -> str:
+def _title(row: DtuScore) -> str:
     motion = f"{row.true_rotation_deg:.0f}°, {row.true_baseline_mm:.0f} mm"
     error = f"R off {row.rotation_error_deg:.1f}°, t off {row.translation_error_deg:.1f}°"
     if not row.success:
@@ -64,6 +64,6 @@ def _title(row: DtuResult) -> str:
     return f"scan{row.scene}, views {row.view1} and {row.view2} ({motion}): {error}\n{counts}"
 
 
-def _aspect(pair: ShownPair) -> float:
+def _aspect(pair: PosedPair) -> float:
     """Width over height of both images side by side at one height."""
     return sum(image.size[0] / image.size[1] for image in (pair.image1, pair.image2))

@@ -1,4 +1,5 @@
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -6,71 +7,99 @@ from click.testing import CliRunner
 from good_evidence import GOOD_EVIDENCE
 from verdict_folder import write_photos
 
-from dgc_pose.benchmarks import verdict_cases, verdicts
-from dgc_pose.benchmarks.refinement import Case
+from dgc_pose.benchmarks import verdict_pairs
+from dgc_pose.benchmarks.evaluate import Evaluation
+from dgc_pose.benchmarks.methods import load_engines, parse_methods
+from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
+from dgc_pose.benchmarks.scoring import evidence_text
 from dgc_pose.benchmarks.verdicts import (
-    Judged,
+    VerdictScore,
     candidates,
     choose_gates,
     coverage,
     gates_table,
     groups_table,
-    judge_case,
-    main,
     rates,
     succeeds,
 )
 from dgc_pose.camera import Camera
+from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, VerdictOptions
+from dgc_pose.estimation import VerdictOptions
 from dgc_pose.image import Image
-from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
-GOOD = Judged("a", "rendered", "true", "ok", True, 300, GOOD_EVIDENCE, 0.1, 0.2, 0.15, 0.15)
+GOOD = VerdictScore(
+    method="net",
+    true_rotation_deg=10.0,
+    status="ok",
+    success=True,
+    num_matches=500,
+    num_inliers=300,
+    inlier_ratio=0.6,
+    rotation_error_deg=0.1,
+    translation_error_deg=0.2,
+    translation_folded_deg=0.2,
+    match_seconds=0.1,
+    estimate_seconds=0.1,
+    name="a",
+    group="rendered",
+    kind="true",
+    rotation_90_deg=0.15,
+    translation_90_deg=0.15,
+    evidence_json=evidence_text(GOOD_EVIDENCE),
+)
 
 
-def with_places(kind, places, name="a"):
-    evidence = dataclasses.replace(GOOD_EVIDENCE, occupied_cells=places)
-    success = places >= VerdictOptions().min_occupied_cells
+def with_cells(kind, cells, name="a"):
+    evidence = evidence_text(dataclasses.replace(GOOD_EVIDENCE, occupied_cells=cells))
+    success = cells >= VerdictOptions().min_occupied_cells
     status = "ok" if success else "chance_inliers"
     return dataclasses.replace(
-        GOOD, name=name, kind=kind, evidence=evidence, success=success, status=status
+        GOOD, name=name, kind=kind, evidence_json=evidence, success=success, status=status
     )
+
+
+def test_the_evidence_reads_back():
+    read, given = GOOD.evidence, GOOD_EVIDENCE
+    assert np.array_equal(read.rotation, given.rotation)
+    assert {**vars(read), "rotation": 0} == {**vars(given), "rotation": 0}
+    assert dataclasses.replace(GOOD, evidence_json=evidence_text(None)).evidence is None
+    assert json.loads(GOOD.evidence_json)["occupied_cells"] == 80
 
 
 def test_other_gates_are_tried_on_the_evidence_kept():
     least = VerdictOptions().min_occupied_cells
-    assert succeeds(with_places("true", least), VerdictOptions())
-    assert not succeeds(with_places("true", least - 1), VerdictOptions())
-    assert succeeds(with_places("true", least - 1), VerdictOptions(min_occupied_cells=least - 1))
-    assert not succeeds(dataclasses.replace(GOOD, evidence=None), VerdictOptions())
+    assert succeeds(with_cells("true", least), VerdictOptions())
+    assert not succeeds(with_cells("true", least - 1), VerdictOptions())
+    assert succeeds(with_cells("true", least - 1), VerdictOptions(min_occupied_cells=least - 1))
+    assert not succeeds(dataclasses.replace(GOOD, evidence_json=""), VerdictOptions())
 
 
-def test_the_rates_count_unrelated_successes_and_true_failures_and_no_mere_turns():
+def test_the_rates_count_unrelated_successes_and_true_failures_and_no_rotations_alone():
     least = VerdictOptions().min_occupied_cells
     judged = [
-        with_places("unrelated", least),
-        *[with_places("unrelated", 3)] * 3,
-        with_places("true", 3),
-        with_places("true", least),
-        with_places("turned", least),
-        with_places("turned", 3),
+        with_cells("unrelated", least),
+        *[with_cells("unrelated", 3)] * 3,
+        with_cells("true", 3),
+        with_cells("true", least),
+        with_cells("rotation only", least),
+        with_cells("rotation only", 3),
     ]
     assert rates(judged, VerdictOptions()) == (0.25, 0.5)
 
 
 def test_gates_are_chosen_that_part_the_kinds_and_the_defaults_where_they_do():
     assert next(candidates()) == VerdictOptions()
-    easy = [with_places("unrelated", 3), with_places("true", 70)]
+    easy = [with_cells("unrelated", 3), with_cells("true", 70)]
     assert choose_gates(easy) == VerdictOptions()
-    hard = [with_places("unrelated", places) for places in (5, 27, 29)]
-    hard += [with_places("true", places) for places in (31, 50, 70)]
+    hard = [with_cells("unrelated", places) for places in (5, 27, 29)]
+    hard += [with_cells("true", places) for places in (31, 50, 70)]
     chosen = choose_gates(hard)
     assert 29 < chosen.min_occupied_cells <= 31
     assert rates(hard, chosen) == (0, 0)
     with pytest.raises(InputError, match="unrelated and true"):
-        choose_gates([with_places("true", 50)])
+        choose_gates([with_cells("true", 50)])
 
 
 def test_the_gates_chosen_on_one_half_are_reported_on_the_other():
@@ -80,8 +109,8 @@ def test_the_gates_chosen_on_one_half_are_reported_on_the_other():
     # Where the gates are chosen they part the kinds; on the other half they let two through.
     judged = []
     for name, chooses in zip(names, halves, strict=True):
-        judged.append(with_places("unrelated", 27 if chooses else 32, name))
-        judged.append(with_places("true", 33, name))
+        judged.append(with_cells("unrelated", 27 if chooses else 32, name))
+        judged.append(with_cells("true", 33, name))
     text = gates_table(judged)
     lines = text.splitlines()
     assert [line.split()[:2] for line in lines[1:5]] == [
@@ -100,13 +129,13 @@ def test_halves_without_pairs_of_both_kinds_are_said_so():
 
 
 def test_a_pose_far_off_is_wrong_and_errors_are_held_against_what_the_pose_said():
-    wrong = dataclasses.replace(GOOD, rotation_deg=3.0, translation_deg=11.0)
+    wrong = dataclasses.replace(GOOD, rotation_error_deg=3.0, translation_error_deg=11.0)
     failed = dataclasses.replace(
         GOOD,
         status="no_model",
         success=False,
-        rotation_deg=np.inf,
-        translation_deg=np.inf,
+        rotation_error_deg=np.inf,
+        translation_error_deg=np.inf,
         rotation_90_deg=np.nan,
         translation_90_deg=np.nan,
     )
@@ -122,44 +151,69 @@ def test_a_pose_far_off_is_wrong_and_errors_are_held_against_what_the_pose_said(
 SIZE = (320, 240)
 
 
-def small_case(seed=0):
+def small_pair(seed=0):
     pair = render_scene_pair(seed, size1=SIZE, size2=SIZE)
-    cameras = Camera(pair.K1, SIZE), Camera(pair.K2, SIZE)
-    return Case(Image(pair.image1), Image(pair.image2), *cameras, pair.R, pair.t)
+    truth = Truth({}, Camera(pair.K1, SIZE), Camera(pair.K2, SIZE), pair.R, pair.t)
+    return PosedPair(truth, Image(pair.image1), Image(pair.image2))
 
 
 @pytest.fixture
 def small_renders(monkeypatch):
     """Small views in place of the large ones textured with photographs."""
 
-    def cases(photos, count, seed):
-        return (small_case(seed + k) for k in range(count))
+    class SmallPairs:
+        def __init__(self, photos, count, seed):
+            self.seeds = range(seed, seed + count)
 
-    monkeypatch.setattr(verdict_cases, "rendered_cases", cases)
+        def read(self):
+            return map(small_pair, self.seeds)
+
+    monkeypatch.setattr(verdict_pairs, "RenderedPairs", SmallPairs)
 
 
 def test_a_pair_is_judged_with_its_errors():
-    case = small_case(3)
-    named = verdict_cases.VerdictCase("x", "g", "true", *vars(case).values())
-    judged = judge_case(named, SiftMatcher(), EstimationOptions(runs=1))
+    image1, image2, truth = verdict_pairs._parts(small_pair(3))
+    truths = [
+        truth,
+        dataclasses.replace(truth, t=None),
+        dataclasses.replace(truth, R=None, t=None),
+    ]
+    kinds = ["true", "rotation only", "unrelated"]
+    groups = [
+        verdict_pairs.Group("g", kind, ["x"], lambda one=one: iter([(image1, image2, one)]))
+        for kind, one in zip(kinds, truths, strict=True)
+    ]
+    methods = parse_methods(["sift:runs=1"])
+    engines = load_engines(methods, device="cpu")
+    rows = list(Evaluation(verdict_pairs.VerdictPairs(groups), methods, engines).run())
+    judged, rotated, stranger = (scored[0].score for scored in rows)
+    assert [one.kind for one in (judged, rotated, stranger)] == kinds
     assert judged.success and judged.evidence is not None
-    assert judged.rotation_deg < 1 and judged.translation_deg < 3
+    assert judged.rotation_error_deg < 1 and judged.translation_error_deg < 3
     assert judged.rotation_90_deg > 0
-    turned = dataclasses.replace(named, kind="turned", t=None)
-    assert np.isnan(judge_case(turned, SiftMatcher(), EstimationOptions(runs=1)).translation_deg)
-    stranger = dataclasses.replace(named, kind="unrelated", R=None, t=None)
-    assert np.isnan(judge_case(stranger, SiftMatcher(), EstimationOptions(runs=1)).rotation_deg)
+    assert np.isnan(rotated.translation_error_deg) and rotated.rotation_error_deg < 1
+    assert np.isnan(stranger.rotation_error_deg)
 
 
-def test_the_command_prints_both_tables(tmp_path, small_renders):
+def arguments(folder, *more):
+    return [
+        *("bench-verdicts", "--photos", str(folder / "photos")),
+        *("--scene", str(folder / "one"), "--scene", str(folder / "other")),
+        *"--unrelated 6 --unrelated-scenes 2 --pairs 8 --misleading 1 --method sift".split(),
+        *more,
+    ]
+
+
+@pytest.fixture
+def folder(tmp_path, small_renders):
     write_photos(tmp_path / "photos", 60)
     for seed, scene in enumerate(("one", "other")):
         write_photos(tmp_path / scene, 3, seed)
-    answer = CliRunner().invoke(
-        main,
-        f"--photos {tmp_path / 'photos'} --scene {tmp_path / 'one'} --scene {tmp_path / 'other'} "
-        "--unrelated 6 --unrelated-scenes 2 --pairs 8 --misleading 1 --method sift".split(),
-    )
+    return tmp_path
+
+
+def test_the_command_prints_both_tables(folder):
+    answer = CliRunner().invoke(main, arguments(folder))
     assert answer.exit_code == 0, answer.output
     lines = answer.stdout.splitlines()
     groups = [line.split("  ")[0] for line in lines[1:12]]
@@ -180,11 +234,22 @@ def test_the_command_prints_both_tables(tmp_path, small_renders):
     assert lines[13].startswith("gates") and lines[-1].startswith("chosen: ")
 
 
+def test_a_run_cut_short_is_resumed(folder):
+    out = folder / "run"
+    whole = CliRunner().invoke(main, arguments(folder, "--out", str(out)))
+    table = (out / "results.csv").read_text()
+    (out / "results.csv").write_text(table[: len(table) // 2])
+    again = CliRunner().invoke(main, arguments(folder, "--out", str(out), "--resume"))
+    assert again.exit_code == 0, again.output
+    assert "pairs are done already" in again.stdout
+    assert again.stdout.splitlines()[1:] == whole.stdout.splitlines()
+
+
 def test_the_command_names_what_it_cannot_use_before_it_starts(tmp_path, monkeypatch):
-    def judged_too_early(*arguments):
+    def matched_too_early(*arguments):
         raise AssertionError
 
-    monkeypatch.setattr(verdicts, "judge_case", judged_too_early)
+    monkeypatch.setattr(Evaluation, "match", matched_too_early)
     write_photos(tmp_path / "few", 1)
     write_photos(tmp_path / "photos", 60)
     for photos, more, word in (
@@ -193,7 +258,7 @@ def test_the_command_names_what_it_cannot_use_before_it_starts(tmp_path, monkeyp
         ("photos", ["--scene", str(tmp_path / "few")], "two scenes"),
         ("photos", ["--method", "nosuch"], "nosuch"),
     ):
-        arguments = ["--photos", str(tmp_path / photos), "--method", "sift", *more]
-        answer = CliRunner().invoke(main, arguments)
-        assert answer.exit_code == 1, word
-        assert answer.output.startswith("Error: ") and word in answer.output
+        given = ["--photos", str(tmp_path / photos), "--method", "sift", *more]
+        answer = CliRunner().invoke(main, ["bench-verdicts", *given])
+        assert answer.exit_code == 2, word
+        assert answer.stderr.startswith("error: ") and word in answer.stderr

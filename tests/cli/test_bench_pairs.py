@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
             raise WeightsError(f"{weights}: no such weights")
         return dense_scene.MapMatcher(maps[weights], options)
 
-    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
+    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_dense_matcher", load_dense_matcher)
     return tmp_path
 
 
@@ -55,7 +55,8 @@ def test_json_and_out_hold_the_same_summary(folder):
     assert (true["method"], true["pairs"], true["failures"]) == ("true", 3, 0)
     assert true["median_rotation_deg"] < 0.1 and true["auc5"] > 95
     assert (noise["failures"], noise["median_rotation_deg"], noise["auc20"]) == (3, None, 0)
-    assert sorted(os.listdir("run/new")) == ["errors.png", "results.csv", "summary.json"]
+    files = ["errors.png", "results.csv", "run.json", "summary.json"]
+    assert sorted(os.listdir("run/new")) == files
     with open("run/new/results.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["method"] for row in rows] == ["true", "noise"] * 3
@@ -103,7 +104,39 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
     assert isinstance(result.exception, RuntimeError)
     with open("run/results.csv", newline="") as stream:
         assert len(list(csv.DictReader(stream))) == 2
-    assert os.listdir("run") == ["results.csv"]
+    assert sorted(os.listdir("run")) == ["results.csv", "run.json"]
+    monkeypatch.setattr(dense_scene.MapMatcher, "match", original)
+    assert "--resume goes on" in bench("pairs.txt", "--methods", "true", "--out", "run").stderr
+    other = bench("pairs.txt", "--methods", "true", "--out", "run", "--resume", "--seed", "1")
+    assert other.exit_code == 2 and "that run had methods" in other.stderr
+    result = bench("pairs.txt", "--methods", "true", "--out", "run", "--resume")
+    assert result.exit_code == 0 and "2 of 3 pairs are done already" in result.stdout
+    with open("run/results.csv", newline="") as stream:
+        assert len(list(csv.DictReader(stream))) == 3
+
+
+def without_times(path):
+    with open(path, newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return [{k: v for k, v in row.items() if not k.endswith("_seconds")} for row in rows]
+
+
+def test_the_results_are_independent_of_the_workers(folder):
+    for workers in ("1", "2"):
+        arguments = ("--methods", "true,sift", "--workers", workers, "--out", workers)
+        assert bench("pairs.txt", *arguments).exit_code == 0
+    assert without_times("1/results.csv") == without_times("2/results.csv")
+
+
+def test_a_method_has_options_of_its_own(folder):
+    methods = "true,true/all,true:refine=map:runs=2,true:max_matches=100,sift:refine=map"
+    result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
+    assert result.exit_code == 0, result.stderr
+    rows = without_times("run/results.csv")
+    assert [row["method"] for row in rows] == methods.split(",")
+    counts = [int(row["num_matches"]) for row in rows]
+    assert counts[3] <= 100 < counts[2] < counts[0] <= 2000
+    assert all(float(row["rotation_error_deg"]) < 1 for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -117,6 +150,12 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
         (("pairs.txt", "--root", "nowhere"), "one.png"),
         (("pairs.txt", "--methods", "sift", "--json", "nowhere/s.json"), "nowhere/s.json"),
         (("pairs.txt", "--methods", "sift", "--out", "one.png"), "one.png"),
+        (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
+        (("pairs.txt", "--methods", "sift:magic=1"), "no option magic"),
+        (("pairs.txt", "--rendered", "2"), "LIST"),
+        (("--rendered", "2"), "--photos"),
+        ((), "LIST"),
+        (("--rendered", "2", "--photos", "nowhere"), "nowhere"),
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):

@@ -1,161 +1,71 @@
+"""What the protocols show of a pair: image sizes, cameras, options."""
+
 from __future__ import annotations
 
-from collections import Counter
-from pathlib import Path
+from dataclasses import replace
 
+import cv2
+import dense_scene
 import numpy as np
 import pytest
-from dtu_layout import SIZE, WRITERS, arc, grey_scan, rendered_scan
+from evaluation_pairs import posed_pairs
 
-from dgc_pose.benchmarks.dtu.calibration import View
-from dgc_pose.benchmarks.dtu.dataset import Dataset, open_dataset
-from dgc_pose.benchmarks.dtu.overlap import overlap
-from dgc_pose.benchmarks.dtu.pairs import (
-    PairOptions,
-    draw,
-    find_pairs,
-    pair_of,
-    scene_pair,
-)
-from dgc_pose.benchmarks.dtu.scene import Scene
-from dgc_pose.benchmarks.pair_list import format_pair
+from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, protocol_options
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
+from dgc_pose.benchmarks.methods import MethodOptions
+from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matching import MatchingOptions
+from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
+from dgc_pose.refinement import RefinementOptions
 
 
-def dataset(*degrees):
-    """A scene for each list of angles, numbered from 1, with no files behind it."""
-    scenes = []
-    for number, angles in enumerate(degrees, start=1):
-        views = arc(angles)
-        images = {n: Path(f"/dtu/scan{number}/{n}.png") for n in views}
-        scenes.append(Scene(f"scan{number}", number, views, images, SIZE, {}))
-    return Dataset(Path("/dtu"), "raw", tuple(scenes), ())
+def test_paper_squares_the_images_and_the_cameras(tmp_path) -> None:
+    """A point that both cameras see stays the same point of the scene: true matches stay true,
+    their distances from the epipolar lines being zero after the resize as before."""
+    found = dense_scene.true_map()
+    for protocol in ("paper", "native"):
+        shown = posed_pairs(tmp_path, 1, protocol).pair(0)
+        truth = shown.truth
+        size = (256, 256) if protocol == "paper" else dense_scene.SIZE
+        assert shown.image1.size == shown.image2.size == size
+        assert truth.camera1.size == truth.camera2.size == size
+        for image in (shown.image1, shown.image2):
+            assert (image.stored_size or image.size) == dense_scene.SIZE
+        scale = np.divide(size, dense_scene.SIZE)
+        points1, points2 = ((p + 0.5) * scale - 0.5 for p in (found.map, found.grid))
+        F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+        median, mean = median_and_mean(points1, points2, F)
+        assert max(median, mean) < 1e-3
+        names = (shown.image1.name, truth.ids["image1"])
+        assert names == (str(tmp_path / "one.png"), "one.png")
+    original = cv2.imread(str(tmp_path / "two.png"))[..., ::-1]
+    assert np.array_equal(shown.image2.pixels, original)
 
 
-def test_candidates_lie_within_the_limits():
-    views = dataset([0, 4, 10, 30, 75])
-    found = find_pairs(views, PairOptions(min_rotation=5, max_rotation=40, min_overlap=0))
-    # Of the differences 4 10 30 75 6 26 71 20 65 45, in order of the view numbers.
-    assert [(p.view1, p.view2) for p in found] == [(1, 3), (1, 4), (2, 3), (2, 4), (3, 4)]
-    assert [p.rotation_deg for p in found] == pytest.approx([10, 30, 6, 26, 20])
+def test_an_image_is_read_once(tmp_path) -> None:
+    pairs = posed_pairs(tmp_path, 2, "paper")
+    first = pairs.pair(0)
+    (tmp_path / "one.png").unlink()
+    (tmp_path / "two_2.png").unlink()
+    second, again = pairs.pair(1), pairs.by_key((65, 1, 2))
+    assert second.image1 is first.image1 and again.image2 is first.image2
 
 
-def test_candidates_say_what_the_calibration_says():
-    data = dataset([0, 10], [0, 25, 31])
-    for pair in find_pairs(data, PairOptions(min_overlap=0)):
-        views = data.scene(pair.scene).views
-        one, two = views[pair.view1], views[pair.view2]
-        angle = np.radians(pair.rotation_deg)
-        assert pair.baseline_mm == pytest.approx(2 * 650 * np.sin(angle / 2))  # a chord of the arc
-        assert pair.overlap == overlap(one, two, SIZE)
-        assert pair == scene_pair(data.scene(pair.scene), pair.view1, pair.view2)
+def test_a_camera_of_another_size_is_refused(tmp_path) -> None:
+    pairs = posed_pairs(tmp_path, 1)
+    wrong = replace(pairs.pairs[0], camera2=Camera(dense_scene.K, (640, 480)))
+    with pytest.raises(InputError, match="two_2.png is for an image of 640 x 480"):
+        DtuPairs([ViewPair(65, 1, 2, 14.0, 0.8, 120.0)], [wrong], "native").pair(0)
 
 
-def test_the_least_overlap_is_asked_for():
-    views = dataset([0, 10, 20, 30])
-    wide = find_pairs(views, PairOptions(min_overlap=0.0))
-    narrow = find_pairs(views, PairOptions(min_overlap=0.88))
-    assert 0 < len(narrow) < len(wide)
-    # Around an arc the overlap falls with the rotation.
-    assert max(p.rotation_deg for p in narrow) < max(p.rotation_deg for p in wide)
-
-
-def test_the_draw_is_seeded_and_spread_over_the_rotations():
-    options = PairOptions(pairs=14, min_overlap=0, seed=5)
-    candidates = find_pairs(dataset(np.arange(0, 60, 2.3)), options)
-    drawn = draw(candidates, options)
-    assert drawn == draw(candidates, options)
-    assert len(set(drawn)) == 14
-    assert drawn != draw(candidates, PairOptions(pairs=14, min_overlap=0, seed=6))
-    # Seven bins of five degrees: every seven drawn hold one of each.
-    for part in (drawn[:7], drawn[7:]):
-        bins = [min(int((p.rotation_deg - 5) // 5), 6) for p in part]
-        assert sorted(bins) == list(range(7))
-
-
-def test_the_draw_is_balanced_over_scenes_and_spread_within_each():
-    angles = np.arange(0, 60, 2.3)
-    data = dataset(angles, angles, [0, 6, 12], angles)
-    options = PairOptions(pairs=45, min_overlap=0)
-    drawn = draw(find_pairs(data, options), options)
-    # The third scene has three pairs in all; the others share the rest.
-    assert Counter(p.scene for p in drawn) == {1: 14, 2: 14, 3: 3, 4: 14}
-    assert [p.scene for p in drawn] == sorted(p.scene for p in drawn)
-    assert len(set(drawn)) == 45
-    chosen = {}
-    for scene in (1, 2, 4):
-        pairs = [p for p in drawn if p.scene == scene]
-        bins = Counter(min(int((p.rotation_deg - 5) // 5), 6) for p in pairs)
-        assert bins == dict.fromkeys(range(7), 2)
-        chosen[scene] = {(p.view1, p.view2) for p in pairs}
-    # Scenes of the same cameras do not draw the same views.
-    assert chosen[1] != chosen[2] != chosen[4] != chosen[1]
-
-
-def test_no_more_pairs_are_drawn_than_there_are():
-    options = PairOptions(pairs=50, min_overlap=0)
-    candidates = find_pairs(dataset([0, 6, 12], [0, 7]), options)
-    assert len(candidates) == 4
-    assert set(draw(candidates, options)) == set(candidates)
-    assert draw([], options) == []
-
-
-def test_pairs_carry_the_calibration(tmp_path):
-    scan = grey_scan([0, 12])
-    WRITERS["raw"](tmp_path, scan, extension="jpg")
-    data = open_dataset(tmp_path)
-    (found,) = find_pairs(data, PairOptions(min_overlap=0))
-    pair = pair_of(data, found)
-    assert pair.path1 == tmp_path / "Rectified/scan65/rect_001_3_r5000.jpg"
-    assert pair.name2 == "Rectified/scan65/rect_002_3_r5000.jpg"
-    assert np.allclose(pair.camera1.K, scan.views[1].K, atol=1e-9)
-    assert pair.camera1.size == pair.camera2.size == SIZE
-    expected = scan.views[2].R @ scan.views[1].R.T
-    assert np.allclose(pair.R, expected, atol=1e-12)
-    assert np.allclose(pair.t, scan.views[2].t - expected @ scan.views[1].t, atol=1e-9)
-
-
-def test_every_layout_of_the_same_matrices_makes_the_same_list(tmp_path):
-    options = PairOptions(min_overlap=0)
-    lists = []
-    for layout, write in WRITERS.items():
-        write(tmp_path / layout, rendered_scan(), extension="png")
-        data = open_dataset(tmp_path / layout)
-        drawn = draw(find_pairs(data, options), options)
-        # Printed without the names of the images, which are the layout's own.
-        lines = [format_pair(pair_of(data, pair)).split()[2:] for pair in drawn]
-        lists.append((drawn, lines))
-    assert len(lists[0][0]) > 5
-    assert lists[0] == lists[1] == lists[2]
-
-
-def test_views_of_one_centre_make_no_pair():
-    data = dataset([0, 10, 10])
-    views = dict(data.scenes[0].views)
-    views[4] = View(views[1].K, views[2].R, views[2].R @ views[1].R.T @ views[1].t)  # 1, turned
-    scene = Scene("scan1", 1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE, {})
-    data = Dataset(Path("/dtu"), "raw", (scene,), ())
-    found = find_pairs(data, PairOptions(min_rotation=0, min_overlap=0))
-    assert [(p.view1, p.view2) for p in found] == [(1, 2), (1, 3), (2, 4), (3, 4)]
-    for one, two in ((1, 4), (2, 3), (1, 1)):
-        with pytest.raises(InputError, match=f"views {one} and {two} of scan1 have one and the"):
-            scene_pair(scene, one, two)
-    with pytest.raises(InputError, match="scan1 has views 1 to 49, not 77"):
-        scene_pair(scene, 1, 77)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"pairs": 0},
-        {"bins": 0},
-        {"min_rotation": 40.0, "max_rotation": 40.0},
-        {"min_rotation": -1.0},
-        {"max_rotation": 181.0},
-        {"min_overlap": 1.5},
-        {"min_overlap": float("nan")},
-    ],
-)
-def test_options_out_of_range_are_refused(wrong):
-    with pytest.raises(InputError):
-        PairOptions(**wrong)
+def test_paper_takes_every_match_and_does_not_refine() -> None:
+    options = MethodOptions(
+        MatchingOptions(matchability=0.4), RefinementOptions(), EstimationOptions(seed=3)
+    )
+    assert protocol_options("native", options) == options
+    paper = protocol_options("paper", options)
+    assert paper.estimation == replace(options.estimation, refine=False)
+    assert paper.refinement is None
+    assert paper.matching.matchability == 0.4 and paper.matching.max_matches > 256 * 256

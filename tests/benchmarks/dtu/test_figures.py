@@ -9,11 +9,11 @@ import pytest
 from dgc_pose.benchmarks.dtu.figures import (
     WORST,
     binned_medians,
-    by_method,
     method_styles,
     plot_against_motion,
     plot_histograms,
 )
+from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.errors import InputError
 
 

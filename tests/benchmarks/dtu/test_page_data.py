@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 
 import cv2
 import dtu_layout
@@ -9,9 +10,9 @@ import dtu_report
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu.figures import by_method
+from dgc_pose.benchmarks.dtu.dtu_pairs import PAPER_SIZE
 from dgc_pose.benchmarks.dtu.page_data import page_data
-from dgc_pose.benchmarks.dtu.protocols import PAPER_SIZE, PairReader
+from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.errors import InputError
 
 
@@ -23,7 +24,7 @@ def run(tmp_path_factory):
 def data_of(run, protocol="native", pictured=None):
     keys = {row.key[1:] for row in run.rows} if pictured is None else pictured
     rows = by_method(run.rows)
-    return page_data(run.out, run.entries, rows, run.timings, PairReader(protocol), keys)
+    return page_data(run.out, run.pairs(protocol), rows, keys)
 
 
 def test_each_image_is_there_once_and_is_the_right_one(run) -> None:
@@ -61,11 +62,10 @@ def test_true_matches_lie_on_the_lines_in_the_protocols_pixels(run, protocol, si
 def test_results_are_the_rows_and_null_stands_for_infinite(run) -> None:
     data = json.loads(json.dumps(data_of(run), allow_nan=False))
     assert data["methods"] == [*dtu_report.METHODS]
-    seconds = {timing.key: timing.pose_seconds for timing in run.timings}
     for method, results in zip(data["methods"], data["results"], strict=True):
         own = [row for row in run.rows if row.method == method]
         for row, result in zip(own, results, strict=True):
-            assert result["seconds"] == seconds[row.key]
+            assert result["seconds"] == row.estimate_seconds
             assert result["R"] == (row.rotation_error_deg if row.success else None)
             assert result["all"] == (None if method == "points" else row.epipolar_all_px)
             sample = run.samples[row.key]
@@ -86,4 +86,4 @@ def test_pairs_that_are_not_pictured_have_figures_alone(run) -> None:
 def test_a_list_that_is_not_that_of_the_rows_is_refused(run) -> None:
     rows = by_method(run.rows)
     with pytest.raises(InputError, match="pairs"):
-        page_data(run.out, run.entries[::-1], rows, run.timings, PairReader("native"), set())
+        page_data(run.out, replace(run, entries=run.entries[::-1]).pairs(), rows, set())

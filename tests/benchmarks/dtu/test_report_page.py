@@ -12,9 +12,9 @@ import pytest
 from chromium import chromium_page, find_chromium
 from PIL import Image
 
-from dgc_pose.benchmarks.dtu.figures import by_method
 from dgc_pose.benchmarks.dtu.report_page import pictured_pairs, write_report
 from dgc_pose.benchmarks.dtu.worst import worst_pairs
+from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.errors import InputError
 
 PICTURED = 12  # of 15 pairs
@@ -29,8 +29,7 @@ def run(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def written(run):
-    data = (run.out, run.entries, run.rows, run.timings)
-    return write_report(*data, facts=FACTS, table=TABLE, pictured=PICTURED)
+    return write_report(run.out, run.pairs(), run.rows, facts=FACTS, table=TABLE, pictured=PICTURED)
 
 
 @pytest.fixture(scope="module")
@@ -340,5 +339,5 @@ def test_nothing_is_written_where_a_sample_is_broken(tmp_path) -> None:
     sample = next((run.out / "matches").iterdir())
     sample.write_text("{}")
     with pytest.raises(InputError, match=re.escape(str(sample))):
-        write_report(run.out, run.entries, run.rows, run.timings, facts={}, table="")
+        write_report(run.out, run.pairs(), run.rows, facts={}, table="")
     assert [path.name for path in run.out.iterdir()] == ["matches"]

@@ -4,7 +4,6 @@ import dtu_report
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu.protocols import PairReader
 from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
 
 
@@ -33,9 +32,8 @@ def test_fewer_pairs_than_asked_for(run) -> None:
 @pytest.mark.parametrize("count", [1, 3])
 def test_each_pair_is_drawn_with_its_matches(run, count) -> None:
     worst = worst_pairs(run.rows, count)
-    reader = PairReader("native")
-    entries = {(one.scene, one.view1, one.view2): one.pair for one in run.entries}
-    shown = [reader.read(*row.key[1:], entries[row.key[1:]]) for row in worst]
+    pairs = run.pairs()
+    shown = [pairs.by_key(row.key[1:]) for row in worst]
     samples = [run.samples[row.key] for row in worst]
     figure = plot_worst(worst, shown, samples)
     panels = [axes for axes in figure.axes if axes.axison]

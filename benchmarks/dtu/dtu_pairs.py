@@ -1,0 +1,96 @@
+"""DTU's pairs as the methods see them, by one of two protocols.
+
+`paper`: both images squared to 256x256 first, K changed with them, every match goes into five
+RANSAC runs of 1000 iterations, and the best of them is the answer (Melekhov et al., section 4.4).
+`native`: the images as they are, a network's matches refined on them, an even subsample of the
+matches, and the pose refined on its inliers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+from dgc_pose.benchmarks.dtu.dataset import Dataset
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
+from dgc_pose.benchmarks.methods import MethodOptions
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.benchmarks.posed_pairs import FilePairs, PosedPair
+from dgc_pose.benchmarks.scores import DtuScore
+from dgc_pose.camera import Camera
+from dgc_pose.image import Image, resize
+
+Protocol = Literal["paper", "native"]
+ViewKey = tuple[int, int, int]  # scene, view1, view2
+
+PAPER_SIZE = (256, 256)  # width, height
+EVERY_MATCH = 2**31  # more than any map has cells
+DESCRIPTIONS: Mapping[Protocol, str] = {
+    "paper": "images squared to 256x256, every match of a pair, no refinement beyond RANSAC",
+    "native": "images as stored, an even subsample of the matches, matches and poses refined",
+}
+
+
+class DtuPairs(FilePairs[DtuScore]):
+    """Pairs of views. Each has a seed of its own, by scene and views."""
+
+    def __init__(
+        self, views: Sequence[ViewPair], pairs: Sequence[Pair], protocol: Protocol
+    ) -> None:
+        self.protocol = protocol
+        self.keys: list[ViewKey] = [(own.scene, own.view1, own.view2) for own in views]
+        ids = [
+            {
+                "scene": own.scene,
+                "view1": own.view1,
+                "view2": own.view2,
+                "image1": pair.name1,
+                "image2": pair.name2,
+                "protocol": protocol,
+                "overlap": own.overlap,
+            }
+            for own, pair in zip(views, pairs, strict=True)
+        ]
+        super().__init__(DtuScore, pairs, ids)
+
+    @property
+    def stems(self) -> dict[tuple[str, str], str]:
+        """The names of files of stored matches, by the paths of a pair's images."""
+        return {
+            (str(pair.path1), str(pair.path2)): f"scan{scene}_{view1}_{view2}"
+            for pair, (scene, view1, view2) in zip(self.pairs, self.keys, strict=True)
+        }
+
+    def by_key(self, key: ViewKey) -> PosedPair:
+        """The pair of (scene, view1, view2)."""
+        return self.pair(self.keys.index(key))
+
+    def seed(self, number: int) -> tuple[int, ...]:
+        return self.keys[number]
+
+    def prepare(self, image: Image) -> Image:
+        if self.protocol == "native":
+            return image
+        return replace(image, pixels=resize(image.pixels, PAPER_SIZE), stored_size=image.size)
+
+    def prepare_camera(
+        self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
+    ) -> Camera:
+        return replace(camera, size=stored).resized(shown)
+
+
+def dtu_pairs(dataset: Dataset, views: Sequence[ViewPair], protocol: Protocol) -> DtuPairs:
+    """Pairs of views of a data set."""
+    return DtuPairs(views, [listed_pair(dataset, pair) for pair in views], protocol)
+
+
+def protocol_options(protocol: Protocol, options: MethodOptions) -> MethodOptions:
+    """The user's options with what the protocol says of the matches and of refinement."""
+    if protocol == "native":
+        return options
+    return MethodOptions(
+        matching=replace(options.matching, max_matches=EVERY_MATCH),
+        refinement=None,
+        estimation=replace(options.estimation, refine=False),
+    )

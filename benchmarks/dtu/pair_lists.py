@@ -1,0 +1,196 @@
+"""Lists of DTU pairs: only which views make a pair is taken from them.
+
+The truth comes from the calibration, so that a list serves every layout and light. The formats:
+
+- CSV with the columns scene, view1 and view2, and others that are ignored;
+- SuperGlue's, see `benchmarks/pair_list.py`: scene and view come from the names of the images, in
+  any of the layouts (`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`);
+- `id1 id2 scan q(4) t(3)`, views from 1, after comment lines that begin with `--`.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from dgc_pose.benchmarks.dtu.dataset import Dataset
+from dgc_pose.benchmarks.dtu.view_pairs import (
+    ViewPair,
+    ViewPairOptions,
+    draw,
+    find_view_pairs,
+    view_pair,
+)
+from dgc_pose.benchmarks.pair_list import FIELDS
+from dgc_pose.errors import InputError
+
+PAIRS = 3000  # of the paper
+COLUMNS = ("scene", "view1", "view2")
+_POSE_FIELDS = 10  # of `id1 id2 scan q(4) t(3)`
+_COMMENTS = ("--", "#")
+_SCENE = r"(?:dtu_)?scan(\d+)(?:_train)?"
+_FROM_ONE = r"(?:rect|clean)_(\d{3})_\w+\.\w+"
+_FROM_ZERO = r"(?:\d{2})?(\d{6})\.\w+"
+
+
+class _Line(NamedTuple):
+    number: int  # from 1
+    scene: int
+    view1: int
+    view2: int
+
+
+def choose_pairs(
+    dataset: Dataset, pairs: str | int, *, seed: int, scenes: Sequence[int] | None = None
+) -> list[ViewPair]:
+    """The pairs that a number (so many, drawn by the seed) or a path (a list's) stands for, scene
+    by scene, so that cached images serve all pairs of their scene.
+
+    Raises InputError if the number is not positive or no views fit, and what `read_pair_file`
+    raises.
+    """
+    number = _number(pairs)
+    if number is None:
+        chosen = read_pair_file(str(pairs), dataset, scenes=scenes)
+    else:
+        options = ViewPairOptions(pairs=number, seed=seed)
+        chosen = draw(find_view_pairs(dataset, options), options)
+        if not chosen:
+            raise InputError(
+                f"{dataset.root}: no two views are {options.min_rotation:g} to "
+                f"{options.max_rotation:g} degrees apart and share {options.min_overlap:g} of what "
+                "they see"
+            )
+    return sorted(chosen, key=lambda pair: pair.scene)
+
+
+def read_pair_file(
+    path: str | Path, dataset: Dataset, *, scenes: Collection[int] | None = None
+) -> list[ViewPair]:
+    """Read a list in one of the formats at the top of this file.
+
+    Args:
+        path: the list.
+        dataset: where its views are.
+        scenes: pairs of others are ignored, unless this is None.
+
+    Raises:
+        InputError: with the path and the line number, for a line that is no pair, names a missing
+            view or repeats another line; for a list without any pair.
+        OSError: if the file cannot be read.
+    """
+    path = Path(path)
+    first: dict[tuple[int, int, int], int] = {}
+    pairs = []
+    for line in _parse(path):
+        if scenes is not None and line.scene not in scenes:
+            continue
+        where = f"{path}:{line.number}"
+        ids = (line.scene, line.view1, line.view2)
+        if ids in first:
+            raise InputError(f"{where}: the pair of line {first[ids]} once more")
+        first[ids] = line.number
+        try:
+            pairs.append(view_pair(dataset.scene(line.scene), line.view1, line.view2))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+    if not pairs:
+        raise InputError(f"{path}: no pairs in this list")
+    return pairs
+
+
+def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
+    """Write pairs as CSV, with their rotation, overlap and baseline."""
+    with Path(path).open("w", newline="", encoding="utf-8") as stream:
+        names = [field.name for field in fields(ViewPair)]
+        writer = csv.DictWriter(stream, names, lineterminator="\n")
+        writer.writeheader()
+        for pair in pairs:
+            row = asdict(pair)
+            writer.writerow({k: f"{v:.4f}" if isinstance(v, float) else v for k, v in row.items()})
+
+
+def _parse(path: Path) -> Iterator[_Line]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: a pair list is text, and this is not") from None
+    lines = [
+        (number, line.strip())
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith(_COMMENTS)
+    ]
+    header = [name.strip() for name in lines[0][1].split(",")] if lines else []
+    if len(header) > 1:
+        yield from _parse_csv(path, header, lines)
+        return
+    for number, line in lines:
+        words, where = line.split(), f"{path}:{number}"
+        if len(words) == FIELDS:
+            yield _from_names(number, words[0], words[1], where)
+        elif len(words) == _POSE_FIELDS:
+            scan = words[2].removeprefix("scan")
+            yield _Line(number, *_integers([scan, *words[:2]], where))
+        else:
+            raise InputError(
+                f"{where}: expected a CSV with {','.join(COLUMNS)}, a line of {FIELDS} fields in "
+                f"SuperGlue's format, or id1 id2 scan q t in {_POSE_FIELDS}, found {len(words)}"
+            )
+
+
+def _parse_csv(
+    path: Path, header: Sequence[str], lines: Sequence[tuple[int, str]]
+) -> Iterator[_Line]:
+    absent = [name for name in COLUMNS if name not in header]
+    if absent:
+        raise InputError(f"{path}:{lines[0][0]}: expected a column {absent[0]} in this CSV")
+    columns = [header.index(name) for name in COLUMNS]
+    for number, line in lines[1:]:
+        words, where = [word.strip() for word in line.split(",")], f"{path}:{number}"
+        if len(words) != len(header):
+            raise InputError(f"{where}: expected {len(header)} columns, found {len(words)}")
+        yield _Line(number, *_integers([words[column] for column in columns], where))
+
+
+def _from_names(number: int, name1: str, name2: str, where: str) -> _Line:
+    (scene1, view1), (scene2, view2) = _ids(name1, where), _ids(name2, where)
+    if scene1 != scene2:
+        raise InputError(f"{where}: expected two views of one scene, found {name1} and {name2}")
+    return _Line(number, scene1, view1, view2)
+
+
+def _ids(name: str, where: str) -> tuple[int, int]:
+    """Scene and view of an image by its name: files called rect or clean are numbered from 1, files
+    with a number alone from 0."""
+    *folders, file = PurePosixPath(name).parts or ("",)
+    scenes = [match[1] for folder in folders if (match := re.fullmatch(_SCENE, folder))]
+    from_one, from_zero = re.fullmatch(_FROM_ONE, file), re.fullmatch(_FROM_ZERO, file)
+    if scenes and from_one:
+        return int(scenes[-1]), int(from_one[1])
+    if scenes and from_zero:
+        return int(scenes[-1]), int(from_zero[1]) + 1
+    raise InputError(f"{where}: expected the name of a DTU image, found {name}")
+
+
+def _number(pairs: str | int) -> int | None:
+    """How many pairs are asked for; None if `pairs` is the path of a list, existing or not."""
+    if isinstance(pairs, str) and Path(pairs).exists():
+        return None
+    try:
+        return int(pairs)
+    except ValueError:
+        return None
+
+
+def _integers(words: Sequence[str], where: str) -> list[int]:
+    try:
+        return [int(word) for word in words]
+    except ValueError:
+        found = " ".join(words)
+        raise InputError(
+            f"{where}: expected whole numbers of scene and views, found {found}"
+        ) from None

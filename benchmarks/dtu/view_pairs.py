@@ -1,0 +1,139 @@
+"""Pairs of DTU views with a chosen rotation and overlap, drawn at random from the calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, groupby
+
+import numpy as np
+
+from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
+from dgc_pose.benchmarks.dtu.dataset import Dataset
+from dgc_pose.benchmarks.dtu.overlap import overlap
+from dgc_pose.benchmarks.dtu.scene import Scene
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.metrics import rotation_error_deg
+
+_LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are the same
+
+
+@dataclass(frozen=True)
+class ViewPairOptions:
+    """Which pairs to draw. Raises InputError, naming the field, on a value out of range."""
+
+    pairs: int = 64  # over all scenes
+    min_rotation: float = 5.0  # degrees
+    max_rotation: float = 40.0  # degrees
+    min_overlap: float = 0.4  # share of points seen by both views, 0 to 1
+    bins: int = 7  # equal rotation bins, drawn from in turn
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.pairs < 1 or self.bins < 1:
+            raise InputError("pairs and bins must be at least 1")
+        if not 0 <= self.min_rotation < self.max_rotation <= 180:
+            raise InputError(
+                "rotations must satisfy 0 <= min-rotation < max-rotation <= 180, "
+                f"not {self.min_rotation:g} and {self.max_rotation:g}"
+            )
+        if not 0 <= self.min_overlap <= 1:
+            raise InputError(f"min-overlap must lie in 0 to 1, not {self.min_overlap:g}")
+
+
+@dataclass(frozen=True)
+class ViewPair:
+    """Two views of a scene, and what the calibration says of them."""
+
+    scene: int
+    view1: int
+    view2: int
+    rotation_deg: float  # of cam2_from_cam1
+    overlap: float  # share of space at the object that both views see, 0 to 1
+    baseline_mm: float  # between the camera centres, never zero
+
+
+def find_view_pairs(dataset: Dataset, options: ViewPairOptions) -> list[ViewPair]:
+    """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
+    # In some layouts all scenes share their views.
+    known: dict[tuple[View, View, tuple[int, int]], tuple[float, float, float]] = {}
+    found = []
+    for scene in dataset.scenes:
+        for view1, view2 in combinations(sorted(scene.views), 2):
+            key = (scene.views[view1], scene.views[view2], scene.size)
+            if key not in known:
+                known[key] = _facts(*key)
+            pair = ViewPair(scene.number, view1, view2, *known[key])
+            if (
+                options.min_rotation <= pair.rotation_deg <= options.max_rotation
+                and pair.overlap >= options.min_overlap
+                and pair.baseline_mm > _LEAST_BASELINE_MM
+            ):
+                found.append(pair)
+    return found
+
+
+def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewPair]:
+    """Draw pairs at random: from each scene in turn, and within a scene from each rotation bin.
+
+    So they are balanced over scenes, and those of a scene over the rotations. The same seed draws
+    the same pairs, scene by scene; fewer than asked for only if there are fewer candidates.
+    """
+    rng = np.random.default_rng(options.seed)
+    ordered = []
+    by_scene = sorted(candidates, key=lambda pair: pair.scene)
+    for scene, pairs in groupby(by_scene, lambda pair: pair.scene):
+        spread = _spread_over_rotations(list(pairs), options, rng)
+        ordered += [(rank, scene, pair) for rank, pair in enumerate(spread)]
+    drawn = sorted(ordered, key=lambda one: one[:2])[: options.pairs]
+    return [pair for _, _, pair in sorted(drawn, key=lambda one: (one[1], one[0]))]
+
+
+def view_pair(scene: Scene, view1: int, view2: int) -> ViewPair:
+    """Two views by their numbers. Raises InputError if one is missing, or both have one centre."""
+    for number in (view1, view2):
+        scene.require(number)
+    facts = _facts(scene.views[view1], scene.views[view2], scene.size)
+    pair = ViewPair(scene.number, view1, view2, *facts)
+    if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:
+        raise InputError(f"views {view1} and {view2} of {scene.name} have one and the same centre")
+    return pair
+
+
+def listed_pair(dataset: Dataset, pair: ViewPair) -> Pair:
+    """Images, cameras and true pose (t in millimetres), for a pair list."""
+    scene = dataset.scene(pair.scene)
+    view1, view2 = scene.views[pair.view1], scene.views[pair.view2]
+    R, t = relative_pose(view1, view2)
+    name1, name2 = (
+        scene.images[number].relative_to(dataset.root).as_posix()
+        for number in (pair.view1, pair.view2)
+    )
+    camera1, camera2 = (Camera(K=view.K, size=scene.size) for view in (view1, view2))
+    return Pair(name1, name2, dataset.root, camera1, camera2, R, t)
+
+
+def _facts(view1: View, view2: View, size: tuple[int, int]) -> tuple[float, float, float]:
+    """Rotation, overlap and baseline, the figures of a ViewPair."""
+    R, t = relative_pose(view1, view2)
+    shared = overlap(view1, view2, size)
+    return rotation_error_deg(R, np.eye(3)), shared, float(np.linalg.norm(t))
+
+
+def _spread_over_rotations(
+    pairs: Sequence[ViewPair], options: ViewPairOptions, rng: np.random.Generator
+) -> list[ViewPair]:
+    """All of them in random order, but one from each rotation bin in turn."""
+    edges = np.linspace(options.min_rotation, options.max_rotation, options.bins + 1)
+    bins = np.digitize([pair.rotation_deg for pair in pairs], edges[1:-1])
+    queues: list[list[ViewPair]] = [[] for _ in range(options.bins)]
+    for pair, number in zip(pairs, bins, strict=True):
+        queues[number].append(pair)
+    for queue in queues:
+        rng.shuffle(queue)
+    spread: list[ViewPair] = []
+    while len(spread) < len(pairs):
+        spread.extend(queue.pop() for queue in queues if queue)
+    return spread

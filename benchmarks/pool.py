@@ -1,0 +1,67 @@
+"""The processes that estimate poses. What is imported here must not import torch: each would."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+
+import cv2
+
+from dgc_pose.benchmarks.scores import Score
+from dgc_pose.benchmarks.scoring import Job, Scored, score
+from dgc_pose.errors import DgcPoseError
+
+
+@contextmanager
+def pose_pool(
+    kind: type[Score], workers: int
+) -> Iterator[Callable[[Job[Score]], Future[Scored[Score]]]]:
+    """A function that has a job done: in this process at once, or by one of `workers` others.
+
+    kind: of the records.
+    """
+    if workers == 1:
+        yield _done_here
+        return
+    # Not forked: torch's threads do not survive that.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker)
+    try:
+        yield lambda job: pool.submit(score, job)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def result(future: Future[Scored[Score]]) -> Scored[Score]:
+    """Wait for a job. Raises what the job raised, DgcPoseError if its process was killed."""
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise DgcPoseError(
+            "a process that estimates poses was killed (out of memory?); "
+            "--resume goes on from the last pair that was done"
+        ) from None
+
+
+def _done_here(job: Job[Score]) -> Future[Scored[Score]]:
+    future: Future[Scored[Score]] = Future()
+    future.set_result(score(job))
+    return future
+
+
+def _start_worker() -> None:
+    cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End with the owner of the pool: if that is killed, nobody else ends this process."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,168 @@
+"""Data sets for the evaluation of poses: pairs of images with cameras and the true pose."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic
+
+import numpy as np
+
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
+from dgc_pose.camera import Camera, check_size
+from dgc_pose.errors import ImageError
+from dgc_pose.image import Image, load_image
+from dgc_pose.matching.cache import BoundedCache
+
+if TYPE_CHECKING:
+    import torch
+
+Ids = Mapping[str, str | int | float]
+RENDERED_SIZE = 1024  # pixels a side of a rendered view
+_IMAGE_BYTES = 2**29
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What is known of a pair: x2 = R x1 + t."""
+
+    ids: Ids  # columns of the pair's rows
+    camera1: Camera  # of the images as the methods see them
+    camera2: Camera
+    R: np.ndarray | None  # (3, 3); None for images of two scenes
+    t: np.ndarray | None  # (3,), any length; None as well for a camera that only rotated
+    seed: tuple[int, ...] = ()  # added to the seed of the estimator; (): one seed for all pairs
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPair:
+    """Two images, with what is known of them."""
+
+    truth: Truth
+    image1: Image
+    image2: Image
+
+
+class PairSet(ABC, Generic[Score]):
+    """A data set: the same pairs in the same order each time that it is read."""
+
+    def __init__(self, kind: type[Score], ids: Sequence[Ids]) -> None:
+        self.kind = kind  # of the records
+        self.ids = ids  # of each pair, known before any image is read
+
+    @abstractmethod
+    def read(self, first: int = 0) -> Iterator[PosedPair]:
+        """The pairs from number `first` on.
+
+        Raises ImageError if an image cannot be read, InputError if a camera does not fit its image.
+        """
+
+
+class FilePairs(PairSet[Score]):
+    """Pairs of image files. An image that was read recently is not read again."""
+
+    def __init__(self, kind: type[Score], pairs: Sequence[Pair], ids: Sequence[Ids]) -> None:
+        super().__init__(kind, ids)
+        self.pairs = pairs
+        self._images: BoundedCache[Path, tuple[Image, tuple[int, int]]] = BoundedCache(
+            lambda _, found: found[0].pixels.nbytes, _IMAGE_BYTES
+        )
+
+    def read(self, first: int = 0) -> Iterator[PosedPair]:
+        return (self.pair(number) for number in range(first, len(self.pairs)))
+
+    def pair(self, number: int) -> PosedPair:
+        """One pair by its number. Raises as `read` does."""
+        pair = self.pairs[number]
+        (image1, camera1), (image2, camera2) = (
+            self._view(path, camera)
+            for path, camera in ((pair.path1, pair.camera1), (pair.path2, pair.camera2))
+        )
+        truth = Truth(self.ids[number], camera1, camera2, pair.R, pair.t, self.seed(number))
+        return PosedPair(truth, image1, image2)
+
+    def seed(self, number: int) -> tuple[int, ...]:
+        """See `Truth.seed`."""
+        return ()
+
+    def prepare(self, image: Image) -> Image:
+        """An image as the methods see it."""
+        return image
+
+    def prepare_camera(
+        self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
+    ) -> Camera:
+        """The camera of an image of size (width, height) `shown`, from that of the file."""
+        return camera
+
+    def _view(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
+        image, stored = self._images.get(path, lambda: self._read(path))
+        check_size(camera, stored, f"K of {image.name}")
+        return image, self.prepare_camera(camera, stored, image.size)
+
+    def _read(self, path: Path) -> tuple[Image, tuple[int, int]]:
+        image = load_image(path)
+        return self.prepare(image), image.size
+
+
+class ListedPairs(FilePairs[PairScore]):
+    """The pairs of a list in SuperGlue's format."""
+
+    def __init__(self, pairs: Sequence[Pair]) -> None:
+        ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
+        super().__init__(PairScore, pairs, ids)
+
+
+class RenderedPairs(PairSet[MapScore]):
+    """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
+    the photographs that training holds back: what defaults are chosen on."""
+
+    def __init__(self, photos: Path, count: int, seed: int) -> None:
+        """Raises ImageError if the folder holds no photographs."""
+        from dgc_pose.synthesis.photos import load_held_back
+
+        names = [f"rendered {seed} {k}" for k in range(count)]
+        super().__init__(MapScore, [{"image1": f"{n} 1", "image2": f"{n} 2"} for n in names])
+        self._textures = load_held_back(photos).textures
+        self._seed = seed
+
+    def read(self, first: int = 0) -> Iterator[PosedPair]:
+        import torch
+
+        from dgc_pose.synthesis.render import SceneOptions, render_pairs
+
+        generator = torch.Generator().manual_seed(self._seed)
+        # Several copies of a photograph side by side would make its blur, not its detail, the scene
+        scenes = SceneOptions(
+            rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
+        )
+        size = (RENDERED_SIZE, RENDERED_SIZE)
+        for number, ids in enumerate(self.ids):
+            views = render_pairs(self._textures, 1, RENDERED_SIZE, generator, scenes)
+            if number < first:
+                continue
+            pose = views.cam2_from_cam1[0].double().numpy()
+            cameras = [Camera(K[0].double().numpy(), size) for K in (views.K1, views.K2)]
+            truth = Truth(ids, cameras[0], cameras[1], pose[:, :3], pose[:, 3])
+            images = [
+                replace(_image(view[0]), name=str(ids[name]))
+                for view, name in ((views.image1, "image1"), (views.image2, "image2"))
+            ]
+            yield PosedPair(truth, images[0], images[1])
+
+
+def require_images(pairs: Sequence[Pair]) -> None:
+    """Raise ImageError, with the path, if an image is missing: before the work, not within it."""
+    for pair in pairs:
+        for path in (pair.path1, pair.path2):
+            if not path.is_file():
+                raise ImageError(f"{path}: no such image; it is named in the pair list")
+
+
+def _image(view: torch.Tensor) -> Image:
+    """An image from a tensor (3, H, W) in [0, 1]."""
+    pixels = (255 * view.permute(1, 2, 0)).round().byte().contiguous().numpy()
+    return Image(pixels)

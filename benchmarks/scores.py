@@ -1,0 +1,142 @@
+"""Records: what one method made of one pair. The columns of the result tables are their fields."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from dgc_pose.estimation import RelativePose
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+
+RESULTS, TIMINGS = "results.csv", "timings.csv"
+Key = tuple[Any, ...]  # a method, and what tells the pair apart
+
+
+@dataclass(frozen=True)
+class PoseScore:
+    """What every data set records. Errors are infinite without a pose."""
+
+    method: str
+    true_rotation_deg: float
+    status: str
+    success: bool
+    num_matches: int
+    num_inliers: int
+    inlier_ratio: float
+    rotation_error_deg: float
+    translation_error_deg: float  # 0 to 180
+    translation_folded_deg: float  # min(e, 180 - e)
+    match_seconds: float  # wall clock; a batch's mean, with the encoder passes that fell to it
+    estimate_seconds: float  # CPU time, which other processes do not add to
+
+    identity: ClassVar[tuple[str, ...]] = ("method",)  # the fields that `key` consists of
+    tables: ClassVar[Mapping[str, Sequence[str]]] = {}  # by file, the fields that are its columns
+    headings: ClassVar[Mapping[str, str]] = {}  # of columns that are not called as their field
+    decimals: ClassVar[int | None] = None  # that numbers are rounded to
+
+    @property
+    def key(self) -> Key:
+        """The method, and what tells the pair apart within its data set."""
+        return tuple(getattr(self, name) for name in self.identity)
+
+
+Score = TypeVar("Score", bound=PoseScore)
+
+POSE_COLUMNS = (
+    *("status", "success", "num_matches", "num_inliers", "inlier_ratio"),
+    *("rotation_error_deg", "translation_error_deg", "translation_folded_deg"),
+)
+SECONDS = ("match_seconds", "estimate_seconds")
+
+
+@dataclass(frozen=True)
+class PairScore(PoseScore):
+    """A row of bench-pairs."""
+
+    image1: str  # as the list names it
+    image2: str
+
+    identity: ClassVar[tuple[str, ...]] = ("method", "image1", "image2")
+    tables = {RESULTS: (*identity, "true_rotation_deg", *POSE_COLUMNS, *SECONDS)}
+
+
+@dataclass(frozen=True)
+class MapScore(PairScore):
+    """A row of bench-pairs on rendered pairs.
+
+    D_e is the symmetric epipolar distance to the true epipolar lines, in pixels of the images that
+    the methods see: over all pixels of image 2 (NaN without a dense map), and over the matches that
+    the pose was estimated from (infinite without any).
+    """
+
+    epipolar_all_px: float  # medians
+    epipolar_confident_px: float
+    epipolar_all_mean_px: float
+    epipolar_confident_mean_px: float
+
+    tables = {
+        RESULTS: (
+            *PairScore.tables[RESULTS],
+            "epipolar_all_px",
+            "epipolar_confident_px",
+            "epipolar_all_mean_px",
+            "epipolar_confident_mean_px",
+        )
+    }
+
+
+@dataclass(frozen=True)
+class DtuScore(MapScore):
+    """A row of bench-dtu.
+
+    The times have a table of their own: without them results.csv is the same to the byte for any
+    number of workers and after any number of kills.
+    """
+
+    scene: int
+    view1: int
+    view2: int
+    protocol: str
+    true_baseline_mm: float
+    overlap: float  # share of space at the object that both views see, 0 to 1
+
+    identity = ("method", "scene", "view1", "view2")
+    headings = {"estimate_seconds": "pose_seconds"}
+    decimals = 4  # more would be rounding errors of one library or another
+    tables = {
+        RESULTS: (
+            *identity,
+            *("image1", "image2", "protocol", "true_rotation_deg", "true_baseline_mm", "overlap"),
+            *POSE_COLUMNS,
+            *MapScore.tables[RESULTS][-4:],
+        ),
+        TIMINGS: (*identity, *SECONDS),
+    }
+
+
+def make_score(kind: type[Score], values: Mapping[str, Any]) -> Score:
+    """A record from all that is known, of which it takes its fields."""
+    own = {field.name: values[field.name] for field in fields(kind)}
+    if kind.decimals is not None:
+        own |= {k: round(float(v), kind.decimals) for k, v in own.items() if isinstance(v, float)}
+    return kind(**own)
+
+
+def pose_errors(
+    pose: RelativePose, R: np.ndarray | None, t: np.ndarray | None
+) -> tuple[float, float]:
+    """Errors of rotation and translation in degrees against the true R (3, 3) and t (3,).
+
+    NaN if there is no true value, infinite if the pose has none. A pose counts only as a whole,
+    unless the camera only rotated, so that there is no true t.
+    """
+    if R is None:
+        return np.nan, np.nan
+    if t is None:
+        return np.inf if pose.R is None else rotation_error_deg(pose.R, R), np.nan
+    if not pose.success or pose.R is None or pose.t is None:
+        return np.inf, np.inf
+    return rotation_error_deg(pose.R, R), translation_error_deg(pose.t, t)

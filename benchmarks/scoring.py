@@ -1,0 +1,115 @@
+"""From the matches of one method on one pair to its record: the work that other processes do."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Generic
+
+import numpy as np
+
+from dgc_pose.benchmarks.posed_pairs import Truth
+from dgc_pose.benchmarks.samples import MatchSample, draw_sample
+from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.matches import Matches
+from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.metrics import folded, rotation_error_deg
+from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
+
+
+@dataclass(frozen=True)
+class Job(Generic[Score]):
+    """All that a record is made from."""
+
+    kind: type[Score]
+    method: str
+    truth: Truth
+    matches: Matches
+    everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
+    options: EstimationOptions
+    match_seconds: float
+
+
+@dataclass(frozen=True)
+class Scored(Generic[Score]):
+    """A record, and what the report draws of it."""
+
+    score: Score
+    sample: MatchSample
+
+
+def score(job: Job[Score]) -> Scored[Score]:
+    """Estimate the pose of a pair and compare it with the true one."""
+    truth, matches, options = job.truth, job.matches, job.options
+    if truth.seed:
+        options = replace(options, seed=pair_seed(options.seed, *truth.seed))
+    start = time.process_time()
+    pose = estimate_pose(matches, truth.camera1, truth.camera2, options)
+    seconds = time.process_time() - start
+    rotation, translation = pose_errors(pose, truth.R, truth.t)
+    confident = epipolar_errors(truth, matches.points1, matches.points2)
+    values = {
+        **truth.ids,
+        "method": job.method,
+        "true_rotation_deg": _rotation(truth),
+        "true_baseline_mm": np.nan if truth.t is None else float(np.linalg.norm(truth.t)),
+        "status": pose.status,
+        "success": pose.success,
+        "num_matches": pose.num_matches,
+        "num_inliers": pose.num_inliers,
+        "inlier_ratio": pose.inlier_ratio,
+        "rotation_error_deg": rotation,
+        "translation_error_deg": translation,
+        "translation_folded_deg": folded(translation),
+        "rotation_90_deg": _number(pose.rotation_error_90_deg),
+        "translation_90_deg": _number(pose.translation_error_90_deg),
+        "evidence_json": evidence_text(pose.evidence),
+        "epipolar_all_px": job.everywhere_px[0],
+        "epipolar_confident_px": confident[0],
+        "epipolar_all_mean_px": job.everywhere_px[1],
+        "epipolar_confident_mean_px": confident[1],
+        "match_seconds": job.match_seconds,
+        "estimate_seconds": seconds,
+    }
+    sample = draw_sample(matches, pose.inliers, options.seed)
+    return Scored(make_score(job.kind, values), sample)
+
+
+def map_errors(truth: Truth, found: CorrespondenceMap | None) -> tuple[float, float]:
+    """Median and mean D_e over all pixels of image 2, NaN without a dense map."""
+    if found is None:
+        return np.nan, np.nan
+    return epipolar_errors(truth, found.map, found.grid)
+
+
+def epipolar_errors(
+    truth: Truth, points1: np.ndarray, points2: np.ndarray
+) -> tuple[float, float]:
+    """Median and mean D_e of matches (..., 2), NaN without a true translation."""
+    if truth.R is None or truth.t is None:
+        return np.nan, np.nan
+    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+    return median_and_mean(points1, points2, F)
+
+
+def pair_seed(seed: int, *words: int) -> int:
+    """A seed for each pair, the same whatever is estimated before it and in which process."""
+    return int(np.random.SeedSequence([seed, *words]).generate_state(1)[0])
+
+
+def evidence_text(evidence: Evidence | None) -> str:
+    """What a verdict rests on, as JSON; empty for None."""
+    if evidence is None:
+        return ""
+    return json.dumps(asdict(evidence), default=lambda value: value.tolist())
+
+
+def _rotation(truth: Truth) -> float:
+    return np.nan if truth.R is None else rotation_error_deg(truth.R, np.eye(3))
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value

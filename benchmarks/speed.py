@@ -1,0 +1,207 @@
+"""Where the time of a pair goes, beside floors measured in the same run.
+
+The pipeline stage by stage, and SIFT through the same estimator. The floors are the network's
+multiply-adds at the rate of a large matrix product, and PoseLib alone with the estimator's runs and
+iterations. All are measured in turn in each repetition, and medians are reported.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import torch
+
+from dgc_pose.benchmarks.forwards import milliseconds, multiply_adds
+from dgc_pose.benchmarks.pair_list import read_pairs
+from dgc_pose.benchmarks.table import aligned
+from dgc_pose.camera import Camera, check_size, parse_camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation.backend import MINIMAL
+from dgc_pose.estimation.poselib_backend import run_poselib
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.ransac import run_seeds
+from dgc_pose.image import load_image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import DenseMatcher, MatchResult, select_matches
+from dgc_pose.matching.dense import network_input
+from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.network.net import DGCNet
+from dgc_pose.refinement import Refiner
+
+SIZE = (1600, 1200)  # of the bundled pair, enlarged
+TOTAL, SIFT_TOTAL = "dgc-pose, in all", "sift, in all"
+_UPRIGHT = "the map, without rotations"
+
+Value = TypeVar("Value")
+Seconds = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is measured: two images with their cameras, a matcher and the estimator's options."""
+
+    path1: Path
+    path2: Path
+    camera1: Camera
+    camera2: Camera
+    dense: DenseMatcher
+    refiner: Refiner  # of `dense`
+    estimation: EstimationOptions = field(default_factory=EstimationOptions)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One line of the table of stages."""
+
+    name: str
+    seconds: float  # median over the repetitions
+    share: float  # of the whole, 0 to 1
+    floor_seconds: float | None  # median; None if there is no floor
+
+
+class Stopwatch:
+    """Wall-clock seconds by name, added up if a name comes again."""
+
+    def __init__(self) -> None:
+        self.seconds: Seconds = {}
+
+    def __call__(self, name: str, work: Callable[[], Value]) -> Value:
+        start = time.perf_counter()
+        result = work()
+        passed = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + passed
+        return result
+
+
+@torch.inference_mode()
+def time_stages(setup: Setup) -> Seconds:
+    """Seconds of every stage of a pair, once; with those of SIFT and of PoseLib alone."""
+    watch, dense, refiner = Stopwatch(), setup.dense, setup.refiner
+    paths = (setup.path1, setup.path2)
+    first, second = images = watch("read", lambda: [load_image(path) for path in paths])
+    net = dense.net
+    device = next(net.parameters()).device
+    inputs = watch("resize", lambda: [network_input(image.pixels, device) for image in images])
+    source, target = watch("encoder", lambda: [net.features(one) for one in inputs])
+    watch("decoders", lambda: net.decode(source, target, dense.options.finest))
+    upright = DenseMatcher(net, replace(dense.options, rotate_below=0.0))
+    watch(_UPRIGHT, lambda: upright.correspondence_maps([(first, second)]))
+    (found,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
+    selected = watch("selection", lambda: select_matches(found, dense.options))
+    given = MatchResult(selected, found)
+    matches = watch("refinement", lambda: refiner.refine(first, second, given)).matches
+    _time_pose(watch, "pose", setup, matches)
+    watch("poselib alone", _poselib_alone(setup, matches))
+
+    sift = watch("sift, matching", lambda: SiftMatcher().match(first, second)).matches
+    _time_pose(watch, "sift, pose", setup, sift)
+    seconds = watch.seconds
+    network = seconds["resize"] + seconds["encoder"] + seconds["decoders"]
+    parts = seconds["the map"] + seconds["selection"] + seconds["refinement"] + seconds["pose"]
+    return seconds | {
+        "map in pixels": seconds[_UPRIGHT] - network,
+        "rotated tries": seconds["the map"] - seconds[_UPRIGHT],
+        TOTAL: seconds["read"] + parts,
+        SIFT_TOTAL: seconds["read"] + seconds["sift, matching"] + seconds["sift, pose"],
+    }
+
+
+def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[Stage]:
+    """Every stage with its share of the whole and its floor.
+
+    rate: measures the machine's multiply-adds a second. A stage that is the difference of two
+    others, as the rotated tries, may be slightly negative.
+    """
+    # Of a network of the same configuration, before its layers are folded.
+    encoder, decoders = multiply_adds(DGCNet(setup.dense.net.config).eval())
+    time_stages(setup)  # the first pass pays for what is set up once
+    rows, rates = [], []
+    for _ in range(repetitions):
+        rows.append(time_stages(setup))
+        rates.append(rate())
+    median = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
+    fastest = float(np.median(rates))
+    floors = {
+        "encoder": encoder / fastest,
+        "decoders": decoders / fastest,
+        "pose": median["poselib alone"],
+    }
+    names = ["read", "resize", "encoder", "decoders", "map in pixels", "rotated tries", "selection"]
+    names += ["refinement", "pose", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL]
+    return [
+        Stage(
+            name,
+            median[name],
+            median[name] / median[SIFT_TOTAL if name.startswith("sift") else TOTAL],
+            floors.get(name),
+        )
+        for name in names
+    ]
+
+
+def bundled_setup(folder: Path) -> tuple[Path, Path, Camera, Camera]:
+    """The bundled pair enlarged to 1600 x 1200 and written into a folder, with its cameras."""
+    pair = read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
+    paths, cameras = [], []
+    for path, camera in ((pair.path1, pair.camera1), (pair.path2, pair.camera2)):
+        image = load_image(path)
+        large = cv2.resize(image.pixels, SIZE, interpolation=cv2.INTER_CUBIC)
+        paths.append(folder / f"{path.stem}.png")
+        cv2.imwrite(str(paths[-1]), cv2.cvtColor(large, cv2.COLOR_RGB2BGR))
+        cameras.append(Camera(camera.K, image.size).resized(SIZE))
+    return paths[0], paths[1], cameras[0], cameras[1]
+
+
+def given_setup(
+    path1: Path, path2: Path | None, k: str | None
+) -> tuple[Path, Path, Camera, Camera]:
+    """The user's pair. Raises ImageError if an image is unusable, InputError if K is, or if an
+    argument is missing."""
+    if path2 is None or k is None:
+        raise InputError("give both images and K, or nothing")
+    camera = parse_camera(k, "K")
+    for path in (path1, path2):
+        check_size(camera, load_image(path).size, "K")
+    return path1, path2, camera, camera
+
+
+def stages_text(found: Sequence[Stage]) -> str:
+    """The stages as a table with aligned columns."""
+    rows = [("stage", "ms", "share", "floor ms", "over floor")]
+    for stage in found:
+        floor = stage.floor_seconds
+        beside = ("", "")
+        if floor is not None:
+            beside = (milliseconds(floor), f"{stage.seconds / floor:.2f}")
+        rows.append((stage.name, milliseconds(stage.seconds), f"{stage.share:.0%}", *beside))
+    return aligned(rows)
+
+
+def _time_pose(watch: Stopwatch, name: str, setup: Setup, matches: Matches) -> None:
+    watch(name, lambda: estimate_pose(matches, setup.camera1, setup.camera2, setup.estimation))
+
+
+def _poselib_alone(setup: Setup, matches: Matches) -> Callable[[], None]:
+    """PoseLib's runs on all the matches, with the options' iterations and threshold."""
+    options = setup.estimation
+    problem = TwoViewProblem.of(matches, setup.camera1, setup.camera2, options)
+
+    def run() -> None:
+        for seed in run_seeds(options) if len(problem) >= MINIMAL else ():
+            run_poselib(
+                problem.points1,
+                problem.points2,
+                threshold=problem.threshold,
+                iterations=options.iterations,
+                seed=seed,
+            )
+
+    return run

@@ -1,0 +1,65 @@
+"""`dgc-pose bench-estimators`: accuracy and time of the robust estimators."""
+
+from __future__ import annotations
+
+import click
+
+from dgc_pose.benchmarks.estimators import STUDIES, Compared, compare, comparison_table
+from dgc_pose.benchmarks.evaluate import Evaluation
+from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
+from dgc_pose.benchmarks.pair_list import read_pairs
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
+from dgc_pose.cli.options import device_option, split_names
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matching import DEFAULT_WEIGHTS
+
+
+@click.command()
+@click.argument("pair_list", metavar="[LIST]", required=False)
+@click.option("--root", help="Folder of the image paths; by default the list's own.")
+@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Only the first N pairs.")
+@click.option(
+    "--methods",
+    default=f"{DEFAULT_WEIGHTS}:refine=none,{DEFAULT_WEIGHTS}/all:max_matches=100000",
+    show_default=True,
+    help="What matches the pairs, as in bench-pairs.",
+)
+@click.option(
+    "--study", type=click.Choice([*STUDIES]), multiple=True, help="Of synthetic matches; all."
+)
+@click.option(
+    "--seeds", type=click.IntRange(1), default=5, show_default=True, help="Synthetic scenes each."
+)
+@device_option
+def bench_estimators(
+    pair_list: str | None,
+    root: str | None,
+    limit: int | None,
+    methods: str,
+    study: tuple[str, ...],
+    seeds: int,
+    device: str,
+) -> None:
+    """Measure the estimators on synthetic matches, half of them wrong.
+
+    With LIST, of pairs in SuperGlue's format, it gives the matches of each pair to the pose stage
+    and to plain cv2.findEssentialMat, called as many times over permuted points, in this process.
+    """
+    if pair_list is None:
+        for name in study or STUDIES:
+            click.echo("\n".join([f"{name}, {seeds} scenes each", "", *STUDIES[name](seeds), ""]))
+        return
+    pairs = read_pairs(pair_list, root)[:limit]
+    require_images(pairs)
+    options = EstimationOptions()
+    chosen = parse_methods(split_names(methods), MethodOptions(estimation=options))
+    evaluation = Evaluation(ListedPairs(pairs), chosen, load_engines(chosen, device=device))
+    found: dict[str, list[Compared]] = {method.name: [] for method in chosen}
+    for pair in evaluation.pairs.read():
+        for job in evaluation.match([pair])[0]:
+            found[job.method].append(compare(job.matches, job.truth, job.options))
+    click.echo(
+        f"{len(pairs)} pairs; {options.runs} runs of {options.iterations} iterations; medians in "
+        "degrees, a failure infinite"
+    )
+    click.echo(comparison_table([*found.items()], options.estimator))

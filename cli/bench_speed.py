@@ -1,0 +1,113 @@
+"""`dgc-pose bench-speed`: where the time of a pair goes."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+import cv2
+import torch
+
+from dgc_pose.benchmarks.forwards import forwards_text, matrix_rate, time_forwards
+from dgc_pose.benchmarks.speed import (
+    SIFT_TOTAL,
+    TOTAL,
+    Setup,
+    bundled_setup,
+    given_setup,
+    stages,
+    stages_text,
+)
+from dgc_pose.cli.options import split_names
+from dgc_pose.files import staged
+from dgc_pose.image import load_image
+from dgc_pose.matchers import refined
+from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
+from dgc_pose.matching.dense import network_input
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import load_network
+from dgc_pose.refinement import RefinementOptions
+
+
+@click.command()
+@click.argument("image1", required=False, type=click.Path(path_type=Path))
+@click.argument("image2", required=False, type=click.Path(path_type=Path))
+@click.argument("k", metavar="[K]", required=False)
+@click.option("--weights", default=DEFAULT_WEIGHTS, show_default=True, help="A name or a path.")
+@click.option(
+    "--forward",
+    "networks",
+    default="dgcm",
+    show_default=True,
+    help="Presets, with random weights, whose passes are compared beside the weights' own; with "
+    "commas between.",
+)
+@click.option("--repetitions", type=click.IntRange(1), default=7, show_default=True)
+@click.option("--threads", type=click.IntRange(1), help="Of torch and OpenCV; default: their own.")
+@click.option("--json", "json_path", metavar="PATH", help="Write all figures as JSON.")
+def bench_speed(
+    image1: Path | None,
+    image2: Path | None,
+    k: str | None,
+    weights: str,
+    networks: str,
+    repetitions: int,
+    threads: int | None,
+    json_path: str | None,
+) -> None:
+    """Time the pipeline stage by stage, and the network's ways to run.
+
+    Without images it takes the bundled pair, enlarged to 1600x1200.
+    """
+    with staged(json_path) as stage, tempfile.TemporaryDirectory() as folder:
+        if threads is not None:
+            torch.set_num_threads(threads)
+            cv2.setNumThreads(threads)
+        configs = {f"{name}, random": preset(name) for name in split_names(networks)}
+        dense = load_dense_matcher(weights, device="cpu")
+        pair = bundled_setup(Path(folder)) if image1 is None else given_setup(image1, image2, k)
+        nets = {dense.name: load_network(weights)}
+        for name, config in configs.items():
+            torch.manual_seed(0)
+            nets[name] = DGCNet(config).eval().requires_grad_(False)
+        setup = Setup(*pair, dense, refined(dense, RefinementOptions()))
+        data = _measure(setup, nets, repetitions)
+        if json_path is not None:
+            stage(json_path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict[str, object]:
+    """Measure, print, and return what is written as JSON."""
+    images = [load_image(path) for path in (setup.path1, setup.path2)]
+    facts = {
+        "weights": setup.dense.name,
+        "size": "x".join(map(str, images[0].size)),
+        "repetitions": repetitions,
+        "torch_threads": torch.get_num_threads(),
+        "opencv_threads": cv2.getNumThreads(),
+        "torch": torch.__version__,
+    }
+    click.echo(", ".join(f"{name} {value}" for name, value in facts.items()))
+    found = stages(setup, repetitions, matrix_rate)
+    click.echo("\n" + stages_text(found) + "\n")
+    inputs = [network_input(image.pixels, torch.device("cpu")) for image in images]
+    ways = [
+        way
+        for name, net in nets.items()
+        for way in time_forwards(name, net, inputs, repetitions, matrix_rate)
+    ]
+    click.echo(forwards_text(ways) + "\n")
+    seconds = {stage.name: stage.seconds for stage in found}
+    ratio = seconds[SIFT_TOTAL] / seconds[TOTAL]
+    click.echo(f"sift over dgc-pose, in all: {ratio:.2f}")
+    return {
+        **facts,
+        "stages": [asdict(stage) for stage in found],
+        "sift_over_dgc_pose": ratio,
+        "forwards": [asdict(one) for one in ways],
+    }

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dtu_layout import SIZE, WRITERS, arc, grey_scan, rendered_scan
+
+from dgc_pose.benchmarks.dtu.calibration import View
+from dgc_pose.benchmarks.dtu.dataset import Dataset, open_dataset
+from dgc_pose.benchmarks.dtu.overlap import overlap
+from dgc_pose.benchmarks.dtu.scene import Scene
+from dgc_pose.benchmarks.dtu.view_pairs import (
+    ViewPairOptions,
+    draw,
+    find_view_pairs,
+    listed_pair,
+    view_pair,
+)
+from dgc_pose.benchmarks.pair_list import format_pair
+from dgc_pose.errors import InputError
+
+
+def dataset(*degrees):
+    """A scene for each list of angles, numbered from 1, with no files behind it."""
+    scenes = []
+    for number, angles in enumerate(degrees, start=1):
+        views = arc(angles)
+        images = {n: Path(f"/dtu/scan{number}/{n}.png") for n in views}
+        scenes.append(Scene(f"scan{number}", number, views, images, SIZE, {}))
+    return Dataset(Path("/dtu"), "raw", tuple(scenes), ())
+
+
+def test_candidates_lie_within_the_limits():
+    views = dataset([0, 4, 10, 30, 75])
+    found = find_view_pairs(views, ViewPairOptions(min_rotation=5, max_rotation=40, min_overlap=0))
+    # Of the differences 4 10 30 75 6 26 71 20 65 45, in order of the view numbers.
+    assert [(p.view1, p.view2) for p in found] == [(1, 3), (1, 4), (2, 3), (2, 4), (3, 4)]
+    assert [p.rotation_deg for p in found] == pytest.approx([10, 30, 6, 26, 20])
+
+
+def test_candidates_say_what_the_calibration_says():
+    data = dataset([0, 10], [0, 25, 31])
+    for pair in find_view_pairs(data, ViewPairOptions(min_overlap=0)):
+        views = data.scene(pair.scene).views
+        one, two = views[pair.view1], views[pair.view2]
+        angle = np.radians(pair.rotation_deg)
+        assert pair.baseline_mm == pytest.approx(2 * 650 * np.sin(angle / 2))  # a chord of the arc
+        assert pair.overlap == overlap(one, two, SIZE)
+        assert pair == view_pair(data.scene(pair.scene), pair.view1, pair.view2)
+
+
+def test_the_least_overlap_is_asked_for():
+    views = dataset([0, 10, 20, 30])
+    wide = find_view_pairs(views, ViewPairOptions(min_overlap=0.0))
+    narrow = find_view_pairs(views, ViewPairOptions(min_overlap=0.88))
+    assert 0 < len(narrow) < len(wide)
+    # Around an arc the overlap falls with the rotation.
+    assert max(p.rotation_deg for p in narrow) < max(p.rotation_deg for p in wide)
+
+
+def test_the_draw_is_seeded_and_spread_over_the_rotations():
+    options = ViewPairOptions(pairs=14, min_overlap=0, seed=5)
+    candidates = find_view_pairs(dataset(np.arange(0, 60, 2.3)), options)
+    drawn = draw(candidates, options)
+    assert drawn == draw(candidates, options)
+    assert len(set(drawn)) == 14
+    assert drawn != draw(candidates, ViewPairOptions(pairs=14, min_overlap=0, seed=6))
+    # Seven bins of five degrees: every seven drawn hold one of each.
+    for part in (drawn[:7], drawn[7:]):
+        bins = [min(int((p.rotation_deg - 5) // 5), 6) for p in part]
+        assert sorted(bins) == list(range(7))
+
+
+def test_the_draw_is_balanced_over_scenes_and_spread_within_each():
+    angles = np.arange(0, 60, 2.3)
+    data = dataset(angles, angles, [0, 6, 12], angles)
+    options = ViewPairOptions(pairs=45, min_overlap=0)
+    drawn = draw(find_view_pairs(data, options), options)
+    # The third scene has three pairs in all; the others share the rest.
+    assert Counter(p.scene for p in drawn) == {1: 14, 2: 14, 3: 3, 4: 14}
+    assert [p.scene for p in drawn] == sorted(p.scene for p in drawn)
+    assert len(set(drawn)) == 45
+    chosen = {}
+    for scene in (1, 2, 4):
+        pairs = [p for p in drawn if p.scene == scene]
+        bins = Counter(min(int((p.rotation_deg - 5) // 5), 6) for p in pairs)
+        assert bins == dict.fromkeys(range(7), 2)
+        chosen[scene] = {(p.view1, p.view2) for p in pairs}
+    # Scenes of the same cameras do not draw the same views.
+    assert chosen[1] != chosen[2] != chosen[4] != chosen[1]
+
+
+def test_no_more_pairs_are_drawn_than_there_are():
+    options = ViewPairOptions(pairs=50, min_overlap=0)
+    candidates = find_view_pairs(dataset([0, 6, 12], [0, 7]), options)
+    assert len(candidates) == 4
+    assert set(draw(candidates, options)) == set(candidates)
+    assert draw([], options) == []
+
+
+def test_pairs_carry_the_calibration(tmp_path):
+    scan = grey_scan([0, 12])
+    WRITERS["raw"](tmp_path, scan, extension="jpg")
+    data = open_dataset(tmp_path)
+    (found,) = find_view_pairs(data, ViewPairOptions(min_overlap=0))
+    pair = listed_pair(data, found)
+    assert pair.path1 == tmp_path / "Rectified/scan65/rect_001_3_r5000.jpg"
+    assert pair.name2 == "Rectified/scan65/rect_002_3_r5000.jpg"
+    assert np.allclose(pair.camera1.K, scan.views[1].K, atol=1e-9)
+    assert pair.camera1.size == pair.camera2.size == SIZE
+    expected = scan.views[2].R @ scan.views[1].R.T
+    assert np.allclose(pair.R, expected, atol=1e-12)
+    assert np.allclose(pair.t, scan.views[2].t - expected @ scan.views[1].t, atol=1e-9)
+
+
+def test_every_layout_of_the_same_matrices_makes_the_same_list(tmp_path):
+    options = ViewPairOptions(min_overlap=0)
+    lists = []
+    for layout, write in WRITERS.items():
+        write(tmp_path / layout, rendered_scan(), extension="png")
+        data = open_dataset(tmp_path / layout)
+        drawn = draw(find_view_pairs(data, options), options)
+        # Printed without the names of the images, which are the layout's own.
+        lines = [format_pair(listed_pair(data, pair)).split()[2:] for pair in drawn]
+        lists.append((drawn, lines))
+    assert len(lists[0][0]) > 5
+    assert lists[0] == lists[1] == lists[2]
+
+
+def test_views_of_one_centre_make_no_pair():
+    data = dataset([0, 10, 10])
+    views = dict(data.scenes[0].views)
+    views[4] = View(views[1].K, views[2].R, views[2].R @ views[1].R.T @ views[1].t)  # 1, turned
+    scene = Scene("scan1", 1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE, {})
+    data = Dataset(Path("/dtu"), "raw", (scene,), ())
+    found = find_view_pairs(data, ViewPairOptions(min_rotation=0, min_overlap=0))
+    assert [(p.view1, p.view2) for p in found] == [(1, 2), (1, 3), (2, 4), (3, 4)]
+    for one, two in ((1, 4), (2, 3), (1, 1)):
+        with pytest.raises(InputError, match=f"views {one} and {two} of scan1 have one and the"):
+            view_pair(scene, one, two)
+    with pytest.raises(InputError, match="scan1 has views 1 to 49, not 77"):
+        view_pair(scene, 1, 77)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pairs": 0},
+        {"bins": 0},
+        {"min_rotation": 40.0, "max_rotation": 40.0},
+        {"min_rotation": -1.0},
+        {"max_rotation": 181.0},
+        {"min_overlap": 1.5},
+        {"min_overlap": float("nan")},
+    ],
+)
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(InputError):
+        ViewPairOptions(**wrong)

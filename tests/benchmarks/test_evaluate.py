@@ -1,0 +1,170 @@
+"""The benchmarks' loop: its records are right, and the same however the work is cut up."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import dense_scene
+import evaluation_pairs
+import numpy as np
+import pytest
+from evaluation_pairs import METHODS, NAMES, OPTIONS, Net, evaluation, posed_pairs, view_of
+
+from dgc_pose.benchmarks.evaluate import RunOptions
+from dgc_pose.benchmarks.methods import Engine, Engines, parse_methods
+from dgc_pose.benchmarks.scoring import Scored, pair_seed
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.matches import Matches
+from dgc_pose.matching import MatchResult
+from dgc_pose.refinement import RefinementOptions
+
+
+def _rows(pairs, options=None, first=0, methods=None) -> list[list[Scored]]:
+    return list(evaluation(pairs, methods, options).run(first))
+
+
+def _results(rows) -> list[dict[str, object]]:
+    """The records without their times."""
+    return [
+        {k: v for k, v in asdict(one.score).items() if not k.endswith("_seconds")}
+        for scored in rows
+        for one in scored
+    ]
+
+
+def test_a_row_a_pair_and_method_in_order(tmp_path) -> None:
+    rows = _rows(posed_pairs(tmp_path, 3))
+    keys = [one.score.key for scored in rows for one in scored]
+    assert keys == [(m.name, 65, 1, view2) for view2 in (2, 3, 4) for m in METHODS]
+    assert all(one.score.match_seconds >= 0 for scored in rows for one in scored)
+    assert all(one.score.estimate_seconds > 0 for scored in rows for one in scored)
+    true = rows[0][0].score
+    assert true.success and true.rotation_error_deg < 0.5 and true.translation_error_deg < 2
+    assert true.true_baseline_mm == 120 and true.overlap == 0.8 and true.protocol == "native"
+    assert true.true_rotation_deg == pytest.approx(
+        np.degrees(np.arccos((np.trace(dense_scene.R) - 1) / 2)), abs=1e-4
+    )
+
+
+def test_the_epipolar_error_is_that_of_the_map(tmp_path) -> None:
+    """Noise of sigma in each coordinate of image 1 is a distance to the line with a median of
+    0.67 sigma there; the distance in image 2 is about the same, the views being alike."""
+    for scored in _rows(posed_pairs(tmp_path, 4)):
+        sigma = 0.05 * scored[0].score.view2
+        for one in scored[:2]:
+            assert one.score.epipolar_all_px == pytest.approx(0.67 * sigma, rel=0.1)
+            assert one.score.epipolar_all_mean_px == pytest.approx(0.8 * sigma, rel=0.1)
+        assert np.isnan(scored[2].score.epipolar_all_px)
+        assert scored[2].score.epipolar_confident_px < 1e-3
+
+
+def test_all_takes_what_the_mask_leaves_out(tmp_path) -> None:
+    """The cells whose place lies outside image 1 never become matches; matchability aside."""
+    unlimited = posed_pairs(tmp_path, 1, "paper")
+    masked, everywhere, some = (s.score.num_matches for s in _rows(unlimited)[0])
+    found = dense_scene.true_map(error_px=0.1)
+    # The map is that of dense_scene whatever the protocol: its own size decides what is inside.
+    inside = (found.map >= -0.5).all(-1) & (found.map <= np.array(dense_scene.SIZE) - 0.5).all(-1)
+    assert masked == int((found.matchability > 0.5).sum()) and everywhere == int(inside.sum())
+    assert some == 60
+
+
+@pytest.mark.parametrize("options", [RunOptions(batch=2), RunOptions(workers=2, batch=4)])
+def test_the_records_are_independent_of_workers_and_batches(tmp_path, options: RunOptions) -> None:
+    pairs = posed_pairs(tmp_path, 5)
+    expected = _results(_rows(pairs))
+    np.testing.assert_equal(_results(_rows(pairs, options)), expected)
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_a_run_that_goes_on_gives_the_remaining_rows(tmp_path, batch: int) -> None:
+    pairs = posed_pairs(tmp_path, 5)
+    options = RunOptions(batch=batch)
+    whole = _rows(pairs, options)
+    for first in range(6):
+        rest = _rows(pairs, options, first)
+        np.testing.assert_equal(_results(rest), _results(whole[first:]))
+
+
+def test_a_batch_begins_where_it_would_have_begun(tmp_path) -> None:
+    """After a kill in the middle of a batch, the network sees the same batch again."""
+    seen: list[list[int]] = []
+
+    class Remembering(Net):
+        def match_batch(self, pairs):
+            seen.append([view_of(image2) for _, image2 in pairs])
+            return super().match_batch(pairs)
+
+    found = evaluation_pairs.engines(Remembering())
+    pairs = posed_pairs(tmp_path, 5)
+    list(evaluation(pairs, METHODS[:1], RunOptions(batch=2), found).run(first=3))
+    assert seen == [[4, 5], [6]]
+
+
+def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
+    calls = []
+
+    class Counting(Net):
+        def match(self, image1, image2):
+            calls.append(1)
+            return super().match(image1, image2)
+
+    found = evaluation_pairs.engines(Counting())
+    methods = parse_methods(["net", "net/all", "net:matchability=0.5:estimator=opencv"], OPTIONS)
+    rows = list(evaluation(posed_pairs(tmp_path, 2), methods, found=found).run())
+    assert len(calls) == 2 and len(rows[0]) == 3
+
+
+def test_a_refiner_sees_the_trusted_matches_alone(tmp_path) -> None:
+    """Of two methods of one engine the one without a mask keeps its matches."""
+
+    class Halves:
+        def refine(self, image1, image2, given):
+            found, matches = given.correspondence_map, given.matches
+            assert image1.size == found.size1 and len(matches) <= 400
+            halved = Matches(
+                matches.points1[::2], matches.points2[::2], matches.confidence[::2], 0.25
+            )
+            return MatchResult(halved, found)
+
+    pairs = posed_pairs(tmp_path, 1)
+    found = evaluation_pairs.engines()
+    refiners = {RefinementOptions(): Halves()}
+    refining = {key: Engine(one.matcher, refiners) for key, one in found.passes.items()}
+    refined = parse_methods(NAMES, replace(OPTIONS, refinement=RefinementOptions()), ["some"])
+    (plain,) = evaluation(pairs).run()
+    (halved,) = evaluation(pairs, refined, found=Engines(refining, {})).run()
+    counts = [[one.score.num_matches for one in scored] for scored in (plain, halved)]
+    assert counts[1] == [-(-counts[0][0] // 2), *counts[0][1:]]
+
+
+def test_another_seed_gives_other_poses(tmp_path) -> None:
+    pairs = posed_pairs(tmp_path, 2)
+    other = parse_methods(
+        NAMES, replace(OPTIONS, estimation=replace(OPTIONS.estimation, seed=1))
+    )
+    assert _results(_rows(pairs)) != _results(_rows(pairs, methods=other))
+    seeds = {pair_seed(s, a, b, c) for s in (0, 1) for a in (1, 2) for b in (1, 2) for c in (1, 2)}
+    assert len(seeds) == 16
+
+
+def test_a_sample_is_of_the_matches_and_tells_inliers(tmp_path) -> None:
+    (scored,) = _rows(posed_pairs(tmp_path, 1))
+    for one in scored:
+        sample = one.sample
+        assert len(sample) == 60
+        assert sample.inliers.mean() == pytest.approx(one.score.inlier_ratio, abs=0.25)
+        places = dense_scene.points_in_image1(sample.points2)
+        assert np.abs(sample.points1 - places).max() < 1
+
+
+def test_what_cannot_be_used_is_refused(tmp_path) -> None:
+    pairs = posed_pairs(tmp_path, 1)
+    with pytest.raises(InputError, match="points and no map"):
+        _rows(posed_pairs(tmp_path, 1), methods=parse_methods(["some/all"]))
+    (tmp_path / "two_2.png").write_bytes(b"no image")
+    with pytest.raises(ImageError, match="two_2.png"):
+        _rows(pairs, RunOptions(workers=2))
+    for name in ("workers", "batch"):
+        with pytest.raises(InputError, match=name):
+            RunOptions(**{name: 0})

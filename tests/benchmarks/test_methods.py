@@ -1,0 +1,173 @@
+"""Methods by specification, and what each takes of a map."""
+
+from __future__ import annotations
+
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks import methods as methods_module
+from dgc_pose.benchmarks.methods import (
+    Engine,
+    MethodOptions,
+    load_engines,
+    parse_methods,
+)
+from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
+from dgc_pose.refinement import RefinementOptions
+
+IMAGE = Image(np.zeros((10, 10, 3), np.uint8))
+REFINED = MethodOptions(refinement=RefinementOptions())
+
+
+def test_names_stand_for_methods() -> None:
+    methods = parse_methods(["sift", "a/b.pth/all", "raft"], stored=["raft", "other"])
+    assert [(one.name, one.engine, one.everywhere) for one in methods] == [
+        ("sift", "sift", False),
+        ("a/b.pth/all", "a/b.pth", True),
+        ("raft", "raft", False),
+        ("other", "other", False),
+    ]
+    # One that is asked for without its mask alone is not added with it.
+    (one,) = parse_methods(["raft/all"], stored=["raft"])
+    assert (one.name, one.engine, one.everywhere) == ("raft/all", "raft", True)
+
+
+@pytest.mark.parametrize(
+    ("names", "stored", "reason"),
+    [
+        ([], [], "no methods"),
+        (["dis", "sift", "dis"], [], "'dis' is named twice"),
+        (["/all"], [], "is none"),
+        (["sift/all"], [], "key points alone"),
+        (["dis"], ["sift"], "there already"),
+        (["dis"], ["dgcm-lite"], "there already"),
+        (["dis:magic=1"], [], "dis:magic=1: no option magic"),
+        (["dis:runs=many"], [], "runs cannot be 'many'"),
+        (["dis:align=maybe"], [], "align cannot be 'maybe'|no option align"),
+        (["net:refine=sift"], [], "refine cannot be 'sift'"),
+        (["net:refine=map:align=maybe"], [], "align cannot be 'maybe'"),
+        (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
+        (["net:estimator=guess"], [], "estimator cannot be 'guess'"),
+    ],
+)
+def test_names_that_stand_for_none(names, stored, reason) -> None:
+    with pytest.raises(InputError, match=reason):
+        parse_methods(names, stored=stored)
+
+
+def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
+    (method,) = parse_methods(["net:refine=flow:max_matches=300:align=false:runs=2"], REFINED)
+    refinement = method.options.refinement
+    assert method.options.matching == MatchingOptions(max_matches=300)
+    assert method.options.estimation == EstimationOptions(runs=2)
+    assert refinement.source == "flow" and not refinement.alignment.align
+    assert (refinement.flow.max_matches, refinement.alignment.max_matches) == (300, 300)
+    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
+    assert other.options.estimation == EstimationOptions(threshold_px=1.5, refine=False)
+    assert other.options.matching == MatchingOptions(finest=60, cycle_px=3.0)
+    (none,) = parse_methods(
+        ["net:cycle_px=none"], MethodOptions(matching=MatchingOptions(cycle_px=3.0))
+    )
+    assert none.options.matching.cycle_px is None
+
+
+def test_networks_alone_are_refined_unless_asked_for() -> None:
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "raft", "sift:refine=map"]
+    methods = parse_methods(names, REFINED, ["raft"])
+    sources = [one.options.refinement and one.options.refinement.source for one in methods]
+    assert sources == ["auto", None, None, None, None, None, "map"]
+
+
+def test_a_path_may_hold_colons_and_equals_signs() -> None:
+    (method,) = parse_methods(["C:/runs=2/net.pth/all:runs=2"])
+    assert (method.engine, method.everywhere) == ("C:/runs=2/net.pth", True)
+    assert method.options.estimation.runs == 2
+
+
+def test_methods_that_differ_after_the_map_share_its_pass() -> None:
+    names = ["n", "n/all", "n:matchability=0.2", "n:estimator=opencv", "n:refine=map"]
+    passes = {one.key for one in parse_methods(names, REFINED)}
+    assert len(passes) == 1
+    others = ["n:finest=60", "n:cycle_px=2", "n:rotate_below=0"]
+    assert len(passes | {one.key for one in parse_methods(others)}) == 4
+
+
+def _map() -> CorrespondenceMap:
+    """10 x 10 cells onto themselves; half of them trusted, a corner outside image 1."""
+    grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0)), -1).astype(np.float32)
+    place = grid.copy()
+    place[:2, :2] -= 5
+    trust = np.zeros((10, 10), np.float32)
+    trust[:, :5] = 0.8
+    return CorrespondenceMap(place, grid, trust, (10, 10), (10, 10), None)
+
+
+def _taken(name: str, found: CorrespondenceMap | Matches, options: MatchingOptions) -> Matches:
+    (method,) = parse_methods([name], MethodOptions(matching=options))
+    none = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
+    result = MatchResult(none, found)
+    if isinstance(found, Matches):
+        result = MatchResult(found, None)
+    engine = Engine(dense_scene.MapMatcher(dense_scene.true_map()), {})
+    return engine.matches(method, IMAGE, IMAGE, result)
+
+
+def test_a_method_takes_what_it_trusts_or_everything() -> None:
+    options = MatchingOptions(min_share=0.9)  # more than the mask leaves
+    trusting = MatchingOptions(matchability=0.5)
+    everywhere = _taken("n/all", _map(), options)
+    assert len(everywhere) == 96
+    assert len(_taken("n", _map(), trusting)) == 46
+    assert len(_taken("n", _map(), MatchingOptions(matchability=0.9))) == 0
+    assert len(_taken("n", _map(), options)) == 0
+    few = MatchingOptions(max_matches=10)
+    assert len(_taken("n/all", _map(), few)) <= 10
+
+
+def test_points_have_no_everywhere() -> None:
+    points = Matches(np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3), 1.0)
+    assert _taken("p", points, MatchingOptions()) is points
+    with pytest.raises(InputError, match="points and no map"):
+        _taken("p/all", points, MatchingOptions())
+
+
+def test_an_engine_is_loaded_once(tmp_path) -> None:
+    methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
+    folders = {"mine": tmp_path}
+    engines = load_engines(methods, device="cpu", stored=folders, stem=lambda *names: "pair")
+    assert {name for name, _ in engines.passes} == {"dis", "mine"} and len(engines.passes) == 2
+    assert not engines.caches
+    with pytest.raises(WeightsError, match="nowhere"):
+        load_engines(parse_methods(["nowhere"]), device="cpu")
+
+
+def test_a_network_is_read_once_for_all_its_passes(monkeypatch) -> None:
+    read = []
+    true_loader = methods_module.load_dense_matcher
+
+    def load(name, **options):
+        read.append(name)
+        return true_loader(name, **options)
+
+    monkeypatch.setattr(methods_module, "load_dense_matcher", load)
+    names = ["dgcm-lite", "dgcm-lite:finest=60", "dgcm-lite:finest=60:refine=none"]
+    methods = parse_methods(names, REFINED)
+    engines = load_engines(methods, device="cpu", keep_features=True)
+    assert read == ["dgcm-lite"] and len(engines.passes) == 2
+    assert set(engines.caches) == set(engines.fingerprints) == {"dgcm-lite"}
+    refined, coarse, plain = (engines.of(method) for method in methods)
+    assert coarse is plain is not refined
+    assert set(refined.refiners) == set(coarse.refiners) == {RefinementOptions()}
+
+
+def test_refinement_by_features_needs_a_network() -> None:
+    with pytest.raises(InputError, match="sift: refine=features needs"):
+        load_engines(parse_methods(["sift:refine=features"]), device="cpu")
+    methods = parse_methods(["sift:refine=map", "dis:refine=flow"])
+    passes = load_engines(methods, device="cpu").passes
+    assert all(len(engine.refiners) == 1 for engine in passes.values())

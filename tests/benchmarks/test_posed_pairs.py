@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import dense_scene
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from verdict_folder import write_photos
+
+from dgc_pose.benchmarks import posed_pairs
+from dgc_pose.benchmarks.evaluate import Evaluation
+from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions
+from dgc_pose.benchmarks.pair_list import read_pairs
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPairs, require_images
+from dgc_pose.camera import Camera
+from dgc_pose.cli.main import main
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher, MatchResult
+from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.metrics import rotation_error_deg
+
+OPTIONS = EstimationOptions(runs=2, iterations=200)
+
+
+class NoMatches(Matcher):
+    name = "none"
+
+    def match(self, image1, image2):
+        none = np.zeros((0, 2))
+        return MatchResult(Matches(none, none, np.zeros(0), 1.0), None)
+
+
+class Backwards(Matcher):
+    """The true matches with the images exchanged: a pose that is wrong by a known amount."""
+
+    name = "backwards"
+
+    def match(self, image1, image2):
+        found = dense_scene.MapMatcher(dense_scene.true_map()).match(image1, image2).matches
+        return MatchResult(replace(found, points1=found.points2, points2=found.points1), None)
+
+
+def run(pairs, matchers, options):
+    """The records of matchers by name, one by one."""
+    methods = [Method(name, name, options=MethodOptions(estimation=options)) for name in matchers]
+    passes = {
+        one.key: Engine(matchers[one.engine], {}) for one in methods
+    }
+    for scored in Evaluation(ListedPairs(pairs), methods, Engines(passes, {})).run():
+        yield from (one.score for one in scored)
+
+
+@pytest.fixture
+def pairs(tmp_path):
+    return read_pairs(dense_scene.write_pair_list(tmp_path, pairs=2))
+
+
+def test_every_method_meets_every_pair(pairs):
+    methods = {"true": dense_scene.MapMatcher(dense_scene.true_map()), "none": NoMatches()}
+    results = list(run(pairs, methods, OPTIONS))
+    assert [result.method for result in results] == ["true", "none", "true", "none"]
+    good, lost = results[:2]
+    assert good.success and good.status == "ok"
+    assert good.rotation_error_deg < 0.05
+    assert good.translation_error_deg < 0.2
+    assert good.translation_folded_deg == good.translation_error_deg
+    angle = np.degrees(np.arccos((np.trace(dense_scene.R) - 1) / 2))
+    assert good.true_rotation_deg == pytest.approx(angle)
+    assert 0 < good.num_inliers <= good.num_matches
+    assert not lost.success and lost.num_matches == 0
+    assert lost.rotation_error_deg == math.inf
+    assert lost.translation_error_deg == lost.translation_folded_deg == math.inf
+
+
+def test_a_wrong_pose_has_its_error(pairs):
+    (result,) = run(pairs[:1], {"backwards": Backwards()}, OPTIONS)
+    # The pose found is cam1_from_cam2: its rotation is off by twice the true one.
+    assert result.success
+    assert result.rotation_error_deg == pytest.approx(2 * result.true_rotation_deg, abs=0.1)
+    cosine = float(dense_scene.T @ (-dense_scene.R.T @ dense_scene.T))
+    assert result.translation_error_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.3)
+    folded = min(result.translation_error_deg, 180 - result.translation_error_deg)
+    assert result.translation_folded_deg == folded
+
+
+def test_sift_finds_the_pose_of_the_pictures(pairs):
+    (result,) = run(pairs[:1], {"sift": SiftMatcher()}, EstimationOptions())
+    assert result.success
+    assert result.rotation_error_deg < 1
+    assert result.translation_error_deg < 5
+
+
+def test_results_come_one_by_one(pairs):
+    pairs[1] = replace(pairs[1], name1="gone.png")
+    results = run(pairs, {"none": NoMatches()}, OPTIONS)
+    assert next(results).method == "none"
+    with pytest.raises(ImageError):
+        next(results)
+
+
+def test_a_missing_image_is_known_before_the_work(pairs):
+    require_images(pairs)
+    pairs[1].path2.unlink()
+    with pytest.raises(ImageError, match=r"two\.png"):
+        require_images(pairs)
+
+
+def test_the_K_of_another_image_is_refused(pairs):
+    far = Camera(np.array([[900.0, 0, 800], [0, 900, 600], [0, 0, 1]]))
+    with pytest.raises(InputError, match=r"K of .*two\.png"):
+        list(run([replace(pairs[0], camera2=far)], {"none": NoMatches()}, OPTIONS))
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    monkeypatch.setattr(posed_pairs, "RENDERED_SIZE", 160)
+    write_photos(tmp_path / "photos", 60)
+    return tmp_path / "photos"
+
+
+def test_rendered_pairs_are_the_same_from_any_of_them_on(photos):
+    pairs = RenderedPairs(photos, 3, 7)
+    whole, rest = list(pairs.read()), list(pairs.read(1))
+    assert [one.truth.ids for one in whole] == pairs.ids
+    assert [one.truth.ids for one in rest] == pairs.ids[1:]
+    for one, again in zip(whole[1:], rest, strict=True):
+        assert np.array_equal(one.image2.pixels, again.image2.pixels)
+        assert np.array_equal(one.truth.R, again.truth.R)
+    for one in whole:
+        assert one.image1.size == one.truth.camera1.size == (160, 160)
+        assert 5 <= rotation_error_deg(one.truth.R, np.eye(3)) <= 45
+        assert np.linalg.norm(one.truth.t) > 0
+
+
+def test_rendered_pairs_have_their_distances_from_the_epipolar_lines(photos, tmp_path):
+    answer = CliRunner().invoke(
+        main,
+        ["bench-pairs", "--rendered", "2", "--photos", str(photos), "--methods", "dis,sift"]
+        + ["--json", str(tmp_path / "s.json")],
+    )
+    assert answer.exit_code == 0, answer.output
+    head, *lines = answer.stdout.splitlines()[-3:]
+    assert head.split()[-7:] == ["D_e", "all", "D_e", "conf", "matches", "pose", "s"]
+    assert [line.split()[0] for line in lines] == ["dis", "sift"]
+    dis, sift = json.loads((tmp_path / "s.json").read_text())["methods"]
+    assert dis["median_epipolar_px"] > 0 and sift["median_epipolar_px"] is None

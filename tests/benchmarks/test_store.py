@@ -1,0 +1,194 @@
+"""A run's folder: what a kill leaves, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from evaluation_pairs import METHODS, evaluation, posed_pairs
+
+from dgc_pose.benchmarks.samples import MatchSample, read_sample
+from dgc_pose.benchmarks.scores import DtuScore, PairScore
+from dgc_pose.benchmarks.scoring import Scored
+from dgc_pose.benchmarks.store import RunStore, keys_of
+from dgc_pose.errors import InputError
+
+SETTINGS = {"protocol": "native", "seed": 0}
+PAIRS = 3
+COLUMNS = {
+    "results.csv": (
+        "method scene view1 view2 image1 image2 protocol true_rotation_deg true_baseline_mm "
+        "overlap status success num_matches num_inliers inlier_ratio rotation_error_deg "
+        "translation_error_deg translation_folded_deg epipolar_all_px epipolar_confident_px "
+        "epipolar_all_mean_px epipolar_confident_mean_px"
+    ).split(),
+    "timings.csv": "method scene view1 view2 match_seconds pose_seconds".split(),
+}
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    """The rows of three pairs by three methods."""
+    return list(evaluation(posed_pairs(tmp_path_factory.mktemp("images"), PAIRS)).run())
+
+
+@pytest.fixture
+def open_store(rows, tmp_path):
+    keys = [[one.score.key for one in scored] for scored in rows]
+
+    def make(resume: bool = False, settings=SETTINGS) -> RunStore[DtuScore]:
+        out = tmp_path / "run"
+        return RunStore(out, DtuScore, keys, settings, resume=resume, samples=True)
+
+    return make
+
+
+@pytest.fixture
+def finished(rows, open_store, tmp_path):
+    """The folder of the whole run, and its results.csv."""
+    with open_store() as store:
+        for scored in rows:
+            store.add(scored)
+    return tmp_path / "run", (tmp_path / "run/results.csv").read_bytes()
+
+
+def test_the_files_hold_the_rows(rows, finished) -> None:
+    folder, _ = finished
+    flat = [one for scored in rows for one in scored]
+    assert list(COLUMNS) == ["results.csv", "timings.csv"]
+    for name, columns in COLUMNS.items():
+        with (folder / name).open(newline="") as stream:
+            table = list(csv.DictReader(stream))
+        assert [list(line) for line in table] == [columns] * len(flat)
+        for line, one in zip(table, flat, strict=True):
+            values = asdict(one.score) | {"pose_seconds": one.score.estimate_seconds}
+            assert line == {name: str(values[name]) for name in columns}
+    sample = read_sample(folder, flat[0].score.key)
+    assert np.allclose(sample.points1, flat[0].sample.points1, atol=0.01)
+
+
+def test_rows_read_back_are_the_rows_written(rows, finished, open_store) -> None:
+    store = open_store(resume=True)
+    assert store.done == PAIRS
+    np.testing.assert_equal(
+        [asdict(row) for row in store.scores],
+        [asdict(one.score) for scored in rows for one in scored],
+    )
+
+
+def test_the_keys_are_known_before_the_work(rows, tmp_path) -> None:
+    keys = keys_of(posed_pairs(tmp_path, PAIRS), [method.name for method in METHODS])
+    assert keys == [[one.score.key for one in scored] for scored in rows]
+
+
+def test_records_are_kept_without_a_folder(rows) -> None:
+    keys = [[one.score.key for one in scored] for scored in rows]
+    with RunStore(None, DtuScore, keys, SETTINGS) as store:
+        store.add(rows[0])
+    assert store.done == 1 and store.scores == [one.score for one in rows[0]]
+
+
+def test_any_cut_is_mended(rows, finished, open_store) -> None:
+    """Cut anywhere, in either table, and resumed from the first pair that the cut leaves undone."""
+    folder, whole = finished
+    timings = (folder / "timings.csv").read_bytes()
+    for cut in range(0, len(whole), 97):
+        for cut_timings in (len(timings), len(timings) * cut // len(whole)):
+            (folder / "results.csv").write_bytes(whole[:cut])
+            (folder / "timings.csv").write_bytes(timings[:cut_timings])
+            with open_store(resume=True) as store:
+                lines = whole[:cut].count(b"\n") - 1
+                timed = timings[:cut_timings].count(b"\n") - 1
+                assert store.done == max(0, min(lines, timed)) // len(METHODS)
+                for scored in rows[store.done :]:
+                    store.add(scored)
+            assert (folder / "results.csv").read_bytes() == whole
+            assert (folder / "timings.csv").read_bytes() == timings
+
+
+def test_a_run_that_is_there_is_not_begun_again(finished, open_store) -> None:
+    folder, whole = finished
+    with pytest.raises(InputError, match="--resume goes on"):
+        open_store()
+    with pytest.raises(InputError, match=r'had protocol "native", not "paper"'):
+        open_store(resume=True, settings={**SETTINGS, "protocol": "paper"})
+    assert (folder / "results.csv").read_bytes() == whole
+
+
+def test_results_of_another_command_are_kept(open_store, tmp_path) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/results.csv").write_text("method,pairs\n")
+    for resume in (False, True):
+        with pytest.raises(InputError, match="of no run of this command"):
+            open_store(resume=resume)
+    assert (tmp_path / "run/results.csv").read_text() == "method,pairs\n"
+
+
+def test_resume_begins_where_there_is_nothing(open_store) -> None:
+    assert open_store(resume=True).done == 0
+
+
+def test_tables_that_were_changed_are_refused(finished, open_store) -> None:
+    folder, whole = finished
+    lines = whole.splitlines(keepends=True)
+    for changed, reason in (
+        ([lines[0], *lines[2:]], "results.csv:2: expected the row of"),
+        ([lines[0].replace(b"status", b"state"), *lines[1:]], "expected the columns"),
+        ([lines[0], lines[1].replace(b"True", b"maybe"), *lines[2:]], "not a row"),
+        ([*lines, lines[-1]], "more rows"),
+    ):
+        (folder / "results.csv").write_bytes(b"".join(changed))
+        with pytest.raises(InputError, match=reason):
+            open_store(resume=True)
+    (folder / "results.csv").write_bytes(whole)
+    (folder / "run.json").write_text("{")
+    with pytest.raises(InputError, match="not the settings"):
+        open_store(resume=True)
+
+
+def pair_score(**changes) -> PairScore:
+    values = {
+        "method": "sift",
+        "image1": "a, b.png",
+        "image2": "c.png",
+        "true_rotation_deg": 12.5,
+        "status": "ok",
+        "success": True,
+        "num_matches": 100,
+        "num_inliers": 80,
+        "inlier_ratio": 0.8,
+        "rotation_error_deg": 0.5,
+        "translation_error_deg": 177.0,
+        "translation_folded_deg": 3.0,
+        "match_seconds": 0.25,
+        "estimate_seconds": 0.125,
+    }
+    return PairScore(**(values | changes))
+
+
+NO_MATCHES = MatchSample(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, bool))
+
+
+def test_each_row_is_out_as_soon_as_it_is_added(tmp_path) -> None:
+    keys = [[pair_score().key]] * 3
+    with RunStore(tmp_path, PairScore, keys, {}) as store:
+        for count in range(1, 4):
+            store.add([Scored(pair_score(num_matches=count), NO_MATCHES)])
+            rows = list(csv.DictReader(io.StringIO((tmp_path / "results.csv").read_text())))
+            assert [row["num_matches"] for row in rows] == [str(n) for n in range(1, count + 1)]
+
+
+def test_a_row_holds_every_field(tmp_path) -> None:
+    lost = pair_score(success=False, rotation_error_deg=math.inf)
+    with RunStore(tmp_path, PairScore, [[lost.key]], {}) as store:
+        store.add([Scored(lost, NO_MATCHES)])
+    (row,) = csv.DictReader(io.StringIO((tmp_path / "results.csv").read_text()))
+    assert row["image1"] == "a, b.png"
+    assert row["success"] == "False"
+    assert float(row["rotation_error_deg"]) == math.inf
+    assert float(row["translation_error_deg"]) == pytest.approx(177)
+    assert sorted(row) == sorted(asdict(lost))

@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_pairs import METHODS, evaluation, posed_pairs
+
+from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.summary import (
+    MethodSummary,
+    by_method,
+    heading,
+    map_table,
+    summarise,
+    summarise_maps,
+    summary_data,
+    summary_table,
+)
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+
+KEYS = [
+    "method",
+    "pairs",
+    "failures",
+    "median_rotation_deg",
+    "median_translation_deg",
+    "median_translation_folded_deg",
+    "auc5",
+    "auc10",
+    "auc20",
+    "seconds_per_pair",
+]
+GOOD = MethodSummary("dgcm-lite", 64, 2, 1.25, 3.5, 3.25, 61.0, 75.5, 83.25, 0.4)
+LOST = MethodSummary("sift", 64, 40, math.inf, math.inf, math.inf, 10.0, 12.0, 14.0, 1.5)
+
+
+def test_the_summary_is_valid_json_with_the_keys():
+    data = json.loads(json.dumps(summary_data([GOOD, LOST]), allow_nan=False))
+    assert list(data) == ["methods"]
+    assert [list(method) for method in data["methods"]] == [KEYS, KEYS]
+    assert data["methods"][0]["median_rotation_deg"] == 1.25
+    assert data["methods"][1]["median_rotation_deg"] is None
+    assert data["methods"][1]["failures"] == 40
+
+
+def test_the_table_tells_infinite_medians_and_the_share_of_failures():
+    header, good, lost = summary_table([GOOD, LOST]).splitlines()
+    assert len(header) == len(good) == len(lost)
+    assert good.split() == "dgcm-lite 64 2 (3.1 %) 1.25 3.50 3.25 61.0 75.5 83.2 0.40".split()
+    assert lost.split() == "sift 64 40 (62.5 %) inf inf inf 10.0 12.0 14.0 1.50".split()
+
+
+def test_the_heading_names_the_estimator():
+    text = heading(EstimationOptions(estimator="opencv", runs=3, iterations=200, threshold_px=1.5))
+    assert "opencv, 3 runs of 200 iterations, threshold 1.5 px" in text
+
+
+def score(rotation, translation, method="m"):
+    success = math.isfinite(rotation)
+    folded = min(translation, 180 - translation) if success else math.inf
+    return PairScore(
+        method=method,
+        image1="a",
+        image2="b",
+        true_rotation_deg=10.0,
+        status="ok" if success else "too_few_matches",
+        success=success,
+        num_matches=10,
+        num_inliers=8,
+        inlier_ratio=0.8,
+        rotation_error_deg=rotation,
+        translation_error_deg=translation,
+        translation_folded_deg=folded,
+        match_seconds=0.5,
+        estimate_seconds=0.25 if success else 0.05,
+    )
+
+
+def test_the_summary_of_known_errors():
+    results = [score(1, 2), score(3, 178), score(4, 1), score(math.inf, math.inf)]
+    summary = summarise(results)
+    assert (summary.method, summary.pairs, summary.failures) == ("m", 4, 1)
+    assert summary.median_rotation_deg == 3.5
+    assert summary.median_translation_deg == 90.0  # between 2 and 178
+    assert summary.median_translation_folded_deg == 2.0
+    assert summary.seconds_per_pair == pytest.approx((3 * 0.75 + 0.55) / 4)
+    # Pair errors 2, 3, 4 and infinite: the recall is 0 at 0, then 1/4, 2/4, 3/4, and stays.
+    area = 2 * 0.25 / 2 + (0.25 + 0.5) / 2 + (0.5 + 0.75) / 2
+    for auc, threshold in ((summary.auc5, 5), (summary.auc10, 10), (summary.auc20, 20)):
+        assert auc == pytest.approx(100 * (area + (threshold - 4) * 0.75) / threshold)
+
+
+def test_the_median_is_infinite_where_half_of_the_pairs_failed():
+    failed = [score(math.inf, math.inf)] * 2
+    assert summarise([score(1, 2), score(1, 2), *failed]).median_rotation_deg == math.inf
+    assert summarise([score(1, 2)] * 3 + failed).median_rotation_deg == 1
+
+
+@pytest.mark.parametrize("results", [[], [score(1, 2, "a"), score(1, 2, "b")]])
+def test_a_summary_is_of_one_method(results):
+    with pytest.raises(InputError):
+        summarise(results)
+
+
+def test_the_summary_is_that_of_the_records(tmp_path) -> None:
+    rows = evaluation(posed_pairs(tmp_path, 3)).run()
+    results = [one.score for scored in rows for one in scored]
+    results[0] = replace(
+        results[0],
+        success=False,
+        rotation_error_deg=np.inf,
+        translation_error_deg=np.inf,
+        translation_folded_deg=np.inf,
+    )
+    net, everywhere, some = (summarise_maps(own) for own in by_method(results).values())
+    assert [s.method for s in (net, everywhere, some)] == [m.name for m in METHODS]
+    own = results[::3]
+    assert (net.pairs, net.failures) == (3, 1)
+    assert net.median_rotation_deg == sorted(r.rotation_error_deg for r in own)[1]
+    assert net.median_epipolar_px == sorted(r.epipolar_all_px for r in own)[1]
+    assert net.median_epipolar_confident_px == sorted(r.epipolar_confident_px for r in own)[1]
+    assert np.isnan(some.median_epipolar_px)
+    pose, match = (
+        [getattr(one, f"{part}_seconds") for one in results[1::3]] for part in ("estimate", "match")
+    )
+    assert everywhere.pose_seconds_per_pair == pytest.approx(sum(pose) / 3)
+    assert everywhere.seconds_per_pair == pytest.approx((sum(pose) + sum(match)) / 3)
+    head, *lines = map_table([net, everywhere, some]).splitlines()
+    assert head.split()[-7:] == ["D_e", "all", "D_e", "conf", "matches", "pose", "s"]
+    assert lines[0].split()[-4] == f"{net.median_epipolar_px:.2f}"
+    assert lines[2].split()[-4:-1] == ["-", "0.00", "60"]

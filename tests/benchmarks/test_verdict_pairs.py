@@ -1,0 +1,175 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from verdict_folder import write_photos
+
+from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
+from dgc_pose.benchmarks.verdict_pairs import (
+    VerdictPairs,
+    changed,
+    facade,
+    listed,
+    unrelated_photos,
+    unrelated_scenes,
+)
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.image import Image
+from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.synthesis.photos import held_back_paths, load_held_back
+from dgc_pose.synthesis.render.scene_pair import render_scene_pair
+
+SIZE = (200, 160)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return render_scene_pair(2, size1=SIZE, size2=SIZE)
+
+
+@pytest.fixture(scope="module")
+def case(pair):
+    truth = Truth({}, Camera(pair.K1, SIZE), Camera(pair.K2, SIZE), pair.R, pair.t)
+    return PosedPair(truth, Image(pair.image1), Image(pair.image2))
+
+
+def changed_pair(case, change):
+    image1, image2, truth = changed(case, change, 0)
+    return PosedPair(truth, image1, image2)
+
+
+def distances(case, points1, points2):
+    """Sampson distances in pixels, by the case's cameras and pose."""
+    truth = case.truth
+    E = essential_from_pose(truth.R, truth.t / np.linalg.norm(truth.t))
+    normal = truth.camera1.normalise(points1), truth.camera2.normalise(points2)
+    return sampson_distance(*normal, E) * truth.camera1.focal
+
+
+def true_matches(pair):
+    y, x = np.nonzero(pair.visible)
+    return pair.map[y, x], np.column_stack([x, y]).astype(float)
+
+
+@pytest.mark.parametrize(("change", "turns"), [("roll 90", 1), ("roll 180", 2)])
+def test_a_rolled_view_has_the_pose_that_belongs_to_it(pair, case, change, turns):
+    rolled = changed_pair(case, change)
+    points1, points2 = true_matches(pair)
+    width, height = SIZE
+    moved = points2
+    for _ in range(turns):
+        moved = np.column_stack([moved[:, 1], width - 1 - moved[:, 0]])
+        width, height = height, width
+    assert distances(case, points1, points2).max() < 1e-3
+    assert distances(rolled, points1, moved).max() < 1e-3
+    x, y = moved.astype(int).T
+    a, b = points2.astype(int).T
+    assert np.array_equal(rolled.image2.pixels[y, x], pair.image2[b, a])
+    assert rolled.truth.camera2.size == rolled.image2.size == (width, height)
+    assert rotation_error_deg(rolled.truth.R, pair.R) == pytest.approx(90 * turns)
+    assert np.linalg.det(rolled.truth.R) == pytest.approx(1)
+
+
+def test_a_zoomed_view_is_the_middle_of_the_old_one(pair, case):
+    zoomed = changed_pair(case, "4x zoom")
+    assert zoomed.image2.size == zoomed.truth.camera2.size == (50, 40)
+    points1, points2 = true_matches(pair)
+    moved = points2 - (75, 60)
+    inside = ((moved >= 0) & (moved < (50, 40))).all(1)
+    assert inside.any()
+    assert distances(zoomed, points1[inside], moved[inside]).max() < 1e-3
+    assert np.array_equal(zoomed.image2.pixels, pair.image2[60:100, 75:125])
+
+
+def test_night_is_dark_and_of_the_same_place(pair, case):
+    night = changed_pair(case, "night")
+    assert np.array_equal(night.image2.pixels, changed_pair(case, "night").image2.pixels)
+    assert night.image2.pixels.mean() < 0.5 * pair.image2.mean()
+    assert np.array_equal(night.truth.R, case.truth.R)
+    assert night.truth.camera2 is case.truth.camera2
+    day, dark = (cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in (pair.image2, night.image2.pixels))
+    assert np.corrcoef(day.ravel(), dark.ravel())[0, 1] > 0.3
+
+
+def test_the_facades_pose_is_that_of_its_pictures():
+    image1, image2, truth = facade(1)
+    made = PosedPair(truth, image1, image2)
+    matches = SiftMatcher().match(made.image1, made.image2).matches
+    off = distances(made, matches.points1, matches.points2)
+    assert len(off) > 50 and np.median(off) < 1.0
+    away = changed_pose(made)
+    assert np.median(distances(away, matches.points1, matches.points2)) > 3.0
+    assert 16 <= rotation_error_deg(made.truth.R, np.eye(3)) <= 24
+    assert np.array_equal(facade(1)[0].pixels, made.image1.pixels)
+    assert not np.array_equal(facade(2)[0].pixels, made.image1.pixels)
+
+
+def changed_pose(case):
+    tilt = cv2.Rodrigues(np.array([0.05, 0.0, 0.05]))[0]
+    return replace(case, truth=replace(case.truth, R=tilt @ case.truth.R))
+
+
+def test_unrelated_photographs_are_two_that_training_holds_back(tmp_path):
+    paths = write_photos(tmp_path / "photos", 90)
+    held_back = held_back_paths(tmp_path / "photos")
+    assert set(held_back) < set(paths)
+    assert len(held_back) == len(load_held_back(tmp_path / "photos", side=16).pixels)
+    cases = list(unrelated_photos(tmp_path / "photos", 12, seed=0))
+    assert len(cases) == 12
+    for one in cases:
+        first, second = str(one.truth.ids["name"]).split()
+        assert first != second
+        assert {first, second} <= {f"photos/{path.name}" for path in held_back}
+        assert one.truth.ids["kind"] == "unrelated" and one.truth.R is None
+        assert one.truth.camera1.size == one.image1.size
+    again = [one.truth.ids["name"] for one in unrelated_photos(tmp_path / "photos", 12, seed=0)]
+    assert again == [one.truth.ids["name"] for one in cases]
+
+
+def test_unrelated_scenes_are_photographs_of_two_folders(tmp_path):
+    for folder in ("a", "b", "c"):
+        write_photos(tmp_path / folder, 3)
+    folders = [tmp_path / folder for folder in ("a", "b", "c")]
+    met = set()
+    for one in unrelated_scenes(folders, 30, seed=0):
+        first, second = (name.split("/")[0] for name in str(one.truth.ids["name"]).split())
+        assert first != second
+        met.add(frozenset((first, second)))
+    assert len(met) == 3
+    with pytest.raises(InputError, match="two scenes"):
+        list(unrelated_scenes(folders[:1], 1, seed=0))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no photographs"):
+        list(unrelated_scenes([folders[0], tmp_path / "empty"], 1, seed=0))
+
+
+def test_fewer_than_two_photographs_held_back_are_too_few(tmp_path):
+    (tmp_path / "photos").mkdir()
+    with pytest.raises(InputError, match="need two"):
+        list(unrelated_photos(tmp_path / "photos", 1, seed=0))
+
+
+def test_of_a_list_an_even_choice_is_taken(tmp_path):
+    write_photos(tmp_path / "scene", 10)
+    K = "90 0 47.5 0 90 39.5 0 0 1"
+    T = "1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1"
+    lines = [f"photo0_{k:03d}.png photo0_000.png 0 0 {K} {K} {T}" for k in range(1, 10)]
+    (tmp_path / "scene" / "house_pairs.txt").write_text("\n".join(lines) + "\n")
+    chosen = list(listed(tmp_path / "scene" / "house_pairs.txt", None, 3))
+    seconds = [str(one.truth.ids["name"]).split()[1] for one in chosen]
+    assert seconds == [f"photo0_00{k}.png" for k in (1, 5, 9)]
+    assert {one.truth.ids["group"] for one in chosen} == {"house_pairs"}
+    assert len(list(listed(tmp_path / "scene" / "house_pairs.txt", None, None))) == 9
+
+
+def test_groups_follow_each_other_and_are_begun_anywhere(tmp_path):
+    write_photos(tmp_path / "photos", 90)
+    group = unrelated_photos(tmp_path / "photos", 3, seed=0)
+    pairs = VerdictPairs([group, group])
+    names = [one.truth.ids["name"] for one in pairs.read()]
+    assert names == [ids["name"] for ids in pairs.ids] and len(names) == 6
+    assert [one.truth.ids["name"] for one in pairs.read(4)] == names[4:]

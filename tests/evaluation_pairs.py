@@ -1,0 +1,87 @@
+"""A data set for the evaluation's loop: the two views of `dense_scene`, over and over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import dense_scene
+import numpy as np
+
+from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol, protocol_options
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
+from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
+from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions, parse_methods
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.camera import Camera
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+
+NAMES = ["net", "net/all", "some"]
+OPTIONS = MethodOptions(
+    matching=MatchingOptions(max_matches=400), estimation=EstimationOptions(runs=2, iterations=100)
+)
+METHODS = parse_methods(NAMES, OPTIONS)
+
+
+class Net(Matcher):
+    """Finds the true map with an error that depends on the view of image 2."""
+
+    name = "net"
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        found = dense_scene.true_map(error_px=0.05 * view_of(image2))
+        none = np.zeros((0, 2))
+        return MatchResult(Matches(none, none, np.zeros(0), 1.0), found)
+
+
+class Some(Matcher):
+    """Finds 60 points of the true map, and no map."""
+
+    name = "some"
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        found = dense_scene.true_map()
+        inside = found.matchability > 0.5
+        rng = np.random.default_rng(view_of(image2))
+        chosen = rng.choice(int(inside.sum()), 60, replace=False)
+        points1, points2 = found.map[inside][chosen], found.grid[inside][chosen]
+        return MatchResult(Matches(points1, points2, np.ones(60), 0.5), None)
+
+
+def view_of(image: Image) -> int:
+    """The number of a view, from the name of its file."""
+    return int(Path(image.name).stem.partition("_")[2])
+
+
+def posed_pairs(folder: Path, count: int, protocol: Protocol = "native") -> DtuPairs:
+    """`count` pairs of scan 65, (1, 2), (1, 3) and so on, of the same two pictures."""
+    dense_scene.write_pictures(folder)
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    views, pairs = [], []
+    for view in range(2, 2 + count):
+        name = f"two_{view}.png"
+        (folder / name).write_bytes((folder / "two.png").read_bytes())
+        t = 120 * dense_scene.T
+        pairs.append(Pair("one.png", name, folder, camera, camera, dense_scene.R, t))
+        views.append(ViewPair(65, 1, view, 14.0, 0.8, 120.0))
+    return DtuPairs(views, pairs, protocol)
+
+
+def engines(net: Matcher | None = None, **refiners: object) -> Engines:
+    """What `METHODS` match with."""
+    passes = {METHODS[0].key: Engine(net or Net(), {}), METHODS[2].key: Engine(Some(), {})}
+    return Engines(passes, caches={})
+
+
+def evaluation(
+    pairs: DtuPairs,
+    methods: list[Method] | None = None,
+    options: RunOptions | None = None,
+    found: Engines | None = None,
+) -> Evaluation:
+    """`METHODS` on pairs; in the paper's protocol with its options."""
+    if methods is None:
+        methods = parse_methods(NAMES, protocol_options(pairs.protocol, OPTIONS))
+    return Evaluation(pairs, methods, found or engines(), options or RunOptions())

@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dgc_pose.metrics.epipolar import median_and_mean
+
+
+def test_epipolar_figures_are_those_of_the_equation() -> None:
+    """Against the distances of points and lines, one by one, and in the presence of infinities."""
+    rng = np.random.default_rng(0)
+    F = rng.standard_normal((3, 3))
+    points1, points2 = rng.uniform(0, 100, (2, 25, 2))
+    expected = []
+    for (x1, y1), (x2, y2) in zip(points1, points2, strict=True):
+        a, b, c = F @ [x1, y1, 1]
+        d, e, f = F.T @ [x2, y2, 1]
+        to_line2 = abs(a * x2 + b * y2 + c) / np.hypot(a, b)
+        to_line1 = abs(d * x1 + e * y1 + f) / np.hypot(d, e)
+        expected.append((to_line1 + to_line2) / 2)
+    found = median_and_mean(points1.reshape(5, 5, 2), points2.reshape(5, 5, 2), F)
+    assert found == pytest.approx((np.median(expected), np.mean(expected)))
+    points1[:3] = np.inf
+    median, mean = median_and_mean(points1, points2, F)
+    assert median == pytest.approx(np.sort([np.inf] * 3 + expected[3:])[12]) and mean == np.inf
+    assert median_and_mean(np.zeros((0, 2)), np.zeros((0, 2)), F) == (np.inf, np.inf)
