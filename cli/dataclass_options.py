@@ -82,9 +82,7 @@ class _Option:
         return {**settings, "show_default": self.default not in (MISSING, None)}
 
 
-def _chosen(
-    cls: type, only: Collection[str] | None, defaults: Any, path: str
-) -> Iterator[_Option]:
+def _chosen(cls: type, only: Collection[str] | None, defaults: Any, path: str) -> Iterator[_Option]:
     types = field_types(cls)
     for field in fields(cls):
         if only is not None and field.name not in only:

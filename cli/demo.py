@@ -9,7 +9,8 @@ import click
 import numpy as np
 
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs
-from dgc_pose.cli.options import MatcherChoice, estimator_options, matcher_options
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -23,8 +24,8 @@ def bundled_pair() -> Pair:
 
 
 @click.command()
-@matcher_options
-@estimator_options
+@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(EstimationOptions, "estimation")
 @click.option("--plot", "plot_path", metavar="PATH.png", help="Draw what the pose was found from.")
 def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
     """Estimate the pose of the bundled pair and print it beside the known one."""

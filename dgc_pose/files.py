@@ -16,11 +16,11 @@ def staged(*paths: str | None) -> Iterator[Callable[[str], Path]]:
     """Open the output files of a command, so that one that cannot be written stops it at once.
 
     Yields a function from an output's path to the file to write instead, which stands beside it.
-    When the block ends they take their places; after an exception they are removed, and what stood
-    at the outputs is untouched. Paths that are None are passed over.
+    When the block ends they replace the outputs. After an exception they are removed, and old
+    outputs are untouched. Paths that are None are passed over.
 
     Raises:
-        InputError: where two outputs are the same file, or one is a folder or a device.
+        InputError: if two outputs are the same file, or one is a folder or a device.
         OSError: naming the output that cannot be written.
     """
     targets = {path: _target(path) for path in paths if path is not None}
@@ -76,8 +76,3 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. Raises what `staged` raises."""
     with staged(str(path)) as stage:
         stage(str(path)).write_text(text, encoding="utf-8")
-
-
-def finite_or_none(value: float | None) -> float | None:
-    """A number for JSON, which has no infinity and no NaN: None for those."""
-    return value if value is not None and math.isfinite(value) else None

@@ -16,6 +16,7 @@ from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.options import check_options, option
 
 _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are the same
 
@@ -24,23 +25,22 @@ _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are t
 class ViewPairOptions:
     """Which pairs to draw. Raises InputError, naming the field, on a value out of range."""
 
-    pairs: int = 64  # over all scenes
-    min_rotation: float = 5.0  # degrees
-    max_rotation: float = 40.0  # degrees
-    min_overlap: float = 0.4  # share of points seen by both views, 0 to 1
-    bins: int = 7  # equal rotation bins, drawn from in turn
-    seed: int = 0
+    pairs: int = option(64, "How many pairs to draw.", min=1)  # over all scenes
+    min_rotation: float = option(5.0, "Smallest relative rotation, degrees.")
+    max_rotation: float = option(40.0, "Largest relative rotation, degrees.")
+    min_overlap: float = option(
+        0.4, "Least share of the space at DTU's depths that both views see.", min=0, max=1
+    )
+    bins: int = option(7, min=1)  # equal rotation bins, drawn from in turn
+    seed: int = option(0, "The same seed, the same list.")
 
     def __post_init__(self) -> None:
-        if self.pairs < 1 or self.bins < 1:
-            raise InputError("pairs and bins must be at least 1")
+        check_options(self)
         if not 0 <= self.min_rotation < self.max_rotation <= 180:
             raise InputError(
                 "rotations must satisfy 0 <= min-rotation < max-rotation <= 180, "
                 f"not {self.min_rotation:g} and {self.max_rotation:g}"
             )
-        if not 0 <= self.min_overlap <= 1:
-            raise InputError(f"min-overlap must lie in 0 to 1, not {self.min_overlap:g}")
 
 
 @dataclass(frozen=True)
