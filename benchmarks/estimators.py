@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import get_args
 
 import cv2
@@ -28,6 +29,7 @@ CAMERA = Camera(np.array([[1600.0, 0, 799.5], [0, 1600, 599.5], [0, 0, 1]]), SIZ
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 OUTLIERS = 0.5
 _BARE: tuple[EstimatorName, ...] = ("pycolmap", "poselib")  # beside the whole pose stage
+_ERRORS = ("R error deg", "t error deg")
 _CONFIDENCE = 1 - 1e-15  # with less, OpenCV's RANSAC ends after a few iterations
 
 Errors = tuple[float, float]  # of R and of t in degrees, infinite without a pose
@@ -75,42 +77,35 @@ def measure(
 
 def backends_table(seeds: int) -> list[str]:
     """Every estimator over counts and noise."""
-    errors = ("R error deg", "t error deg")
-    lines = _header("estimator", "matches", "sigma px", *errors, "poses", "CPU seconds")
-    for estimator in ESTIMATORS:
-        for count in (5_000, 20_000):
-            for sigma in (1.0, 3.0):
-                options = EstimationOptions(estimator=estimator)
-                R, t, seconds, poses = measure(seeds, count, sigma, options)
-                lines.append(
-                    f"| {estimator} | {count} | {sigma:g} | {R:.4f} | {t:.4f} | "
-                    f"{poses} of {seeds} | {seconds:.2f} |"
-                )
-    return lines
+    rows = [("estimator", "matches", "sigma px", *_ERRORS, "poses", "CPU seconds")]
+    for estimator, count, sigma in product(ESTIMATORS, (5_000, 20_000), (1.0, 3.0)):
+        options = EstimationOptions(estimator=estimator)
+        R, t, seconds, poses = measure(seeds, count, sigma, options)
+        errors = f"{R:.4f}", f"{t:.4f}"
+        found = f"{poses} of {seeds}"
+        rows.append((estimator, str(count), f"{sigma:g}", *errors, found, f"{seconds:.2f}"))
+    return _markdown(rows)
 
 
 def thresholds_table(seeds: int) -> list[str]:
     """The default estimator over the threshold, as a multiple of the noise."""
-    lines = _header("threshold_factor", "refined", "R error deg", "t error deg", "poses")
-    for refine in (True, False):
-        for factor in (1.0, 1.5, 2.0, 3.0, 4.0):
-            options = EstimationOptions(threshold_factor=factor, refine=refine)
-            R, t, _, poses = measure(seeds, 2_000, 2.0, options)
-            lines.append(
-                f"| {factor:g} | {'yes' if refine else 'no'} | {R:.4f} | {t:.4f} | "
-                f"{poses} of {seeds} |"
-            )
-    return lines
+    rows = [("threshold_factor", "refined", *_ERRORS, "poses")]
+    for refine, factor in product((True, False), (1.0, 1.5, 2.0, 3.0, 4.0)):
+        options = EstimationOptions(threshold_factor=factor, refine=refine)
+        R, t, _, poses = measure(seeds, 2_000, 2.0, options)
+        errors = f"{R:.4f}", f"{t:.4f}"
+        rows.append((f"{factor:g}", "yes" if refine else "no", *errors, f"{poses} of {seeds}"))
+    return _markdown(rows)
 
 
 def speed_table(seeds: int) -> list[str]:
     """The whole pose stage on 20,000 matches beside one bare run of pycolmap, and of PoseLib."""
-    rows = []
+    measured = []
     for seed in range(seeds):
         matches, R, t = synthetic_matches(seed, 20_000, 1.0, OUTLIERS)
         start = time.process_time()
         pose = estimate_pose(matches, CAMERA, CAMERA)
-        row = [(*pose_errors(pose, R, t), time.process_time() - start)]
+        of_seed = [(*pose_errors(pose, R, t), time.process_time() - start)]
         problem = TwoViewProblem.of(matches, CAMERA, CAMERA)
         points1, points2 = problem.points1, problem.points2
         for name in _BARE:
@@ -120,26 +115,26 @@ def speed_table(seeds: int) -> list[str]:
             seconds = time.process_time() - start
             model = Model.of_essential(problem, found[0])
             errors = rotation_error_deg(model.R, R), translation_error_deg(model.t, t)
-            row.append((*errors, seconds))
-        rows.append(row)
-    medians = np.median(np.array(rows), axis=0)
+            of_seed.append((*errors, seconds))
+        measured.append(of_seed)
+    medians = np.median(np.array(measured), axis=0)
     labels = ("pose stage, 5 x 1000 iterations", "pycolmap, 1 x 1000", "PoseLib, 1 x 1000")
-    lines = _header("20,000 matches", "R error deg", "t error deg", "CPU seconds", "over pycolmap")
+    rows = [("20,000 matches", *_ERRORS, "CPU seconds", "over pycolmap")]
     for label, (R_error, t_error, seconds) in zip(labels, medians, strict=True):
-        ratio = seconds / medians[1, 2]
-        lines.append(f"| {label} | {R_error:.4f} | {t_error:.4f} | {seconds:.3f} | {ratio:.2f} |")
-    return lines
+        ratio = f"{seconds / medians[1, 2]:.2f}"
+        rows.append((label, f"{R_error:.4f}", f"{t_error:.4f}", f"{seconds:.3f}", ratio))
+    return _markdown(rows)
 
 
 def chance_table(seeds: int) -> list[str]:
     """How often random matches get a pose, over their count and the threshold."""
     thresholds = (1.0, 3.0, 10.0, 20.0)
-    lines = _header("random matches", *(f"{threshold:g} px" for threshold in thresholds))
+    rows = [("random matches", *(f"{threshold:g} px" for threshold in thresholds))]
     for count in (20, 30, 50, 100, 500, 2_000, 20_000):
         trials = max(seeds, seeds * 200 // count)
-        cells = [f"{false_poses(trials, count, threshold)} of {trials}" for threshold in thresholds]
-        lines.append(f"| {count} | " + " | ".join(cells) + " |")
-    return lines
+        cells = (f"{false_poses(trials, count, one)} of {trials}" for one in thresholds)
+        rows.append((str(count), *cells))
+    return _markdown(rows)
 
 
 def false_poses(trials: int, count: int, threshold_px: float) -> int:
@@ -240,9 +235,10 @@ def comparison_table(methods: Sequence[tuple[str, Sequence[Compared]]], estimato
     return aligned(rows)
 
 
-def _header(*columns: str) -> list[str]:
-    """The first two lines of a table in Markdown."""
-    return ["| " + " | ".join(columns) + " |", "|---|" + "---|" * (len(columns) - 1)]
+def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a table in Markdown."""
+    head, *lines = ("| " + " | ".join(row) + " |" for row in rows)
+    return [head, "|---|" + "---|" * (len(rows[0]) - 1), *lines]
 
 
 def _project(points: np.ndarray) -> np.ndarray:

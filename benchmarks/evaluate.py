@@ -20,21 +20,19 @@ from dgc_pose.benchmarks.pool import pose_pool, result
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, map_errors
-from dgc_pose.errors import InputError
 from dgc_pose.matching import MatchResult
+from dgc_pose.options import check_options, option
 
 
 @dataclass(frozen=True)
 class RunOptions:
     """How a data set is worked through. Raises InputError, naming the field, below 1."""
 
-    workers: int = 1  # processes that estimate poses; one is this process
-    batch: int = 1  # pairs that a network matches together
+    workers: int = option(1, min=1)  # processes that estimate poses; one is this process
+    batch: int = option(1, min=1)  # pairs that a network matches together
 
     def __post_init__(self) -> None:
-        for name in ("workers", "batch"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, not {getattr(self, name)}")
+        check_options(self)
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from pathlib import Path
-from types import NoneType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -29,6 +28,7 @@ from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.device import choose_device
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network, shipped
+from dgc_pose.options import field_types
 from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.source import MapMatches
@@ -244,29 +244,25 @@ def _parse(text: str, defaults: MethodOptions, stored: Sequence[str]) -> Method:
 def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:
     """Options (a dataclass) with settings put in wherever a field has their name, as well in the
     dataclasses within; the names found are added to `used`."""
-    hints = get_type_hints(type(options))
+    cls: Any = type(options)
     changes: dict[str, Any] = {}
-    for one in fields(options):  # type: ignore[arg-type]
-        value, key = getattr(options, one.name), _KEYS.get(one.name, one.name)
+    for name, (kind, optional) in field_types(cls).items():
+        value, key = getattr(options, name), _KEYS.get(name, name)
         if is_dataclass(value):
-            changes[one.name] = _changed(value, settings, used)
+            changes[name] = _changed(value, settings, used)
         elif key in settings:
             used.add(key)
             try:
-                changes[one.name] = _value(settings[key], hints[one.name])
+                changes[name] = _value(settings[key], kind, optional)
             except (KeyError, ValueError):
                 raise InputError(f"{key} cannot be {settings[key]!r}") from None
     return replace(options, **changes)  # type: ignore[type-var]
 
 
-def _value(text: str, hint: Any) -> Any:
-    """A value of a field's type: a number, true or false, a word of a Literal, or none. Raises
-    ValueError or KeyError."""
-    if get_origin(hint) is Literal:
-        return {str(word): word for word in get_args(hint)}[text]
-    if NoneType in get_args(hint):
-        (other,) = (one for one in get_args(hint) if one is not NoneType)
-        return None if text == "none" else _value(text, other)
-    if hint is bool:
-        return {"true": True, "false": False}[text]
-    return hint(text)
+def _value(text: str, kind: Any, optional: bool) -> Any:
+    """A number, true or false, a word of a Literal, or none. Raises ValueError or KeyError."""
+    if optional and text == "none":
+        return None
+    if get_origin(kind) is Literal:
+        return {str(word): word for word in get_args(kind)}[text]
+    return {"true": True, "false": False}[text] if kind is bool else kind(text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic
 
@@ -147,11 +147,8 @@ class RenderedPairs(PairSet[MapScore]):
             pose = views.cam2_from_cam1[0].double().numpy()
             cameras = [Camera(K[0].double().numpy(), size) for K in (views.K1, views.K2)]
             truth = Truth(ids, cameras[0], cameras[1], pose[:, :3], pose[:, 3])
-            images = [
-                replace(_image(view[0]), name=str(ids[name]))
-                for view, name in ((views.image1, "image1"), (views.image2, "image2"))
-            ]
-            yield PosedPair(truth, images[0], images[1])
+            image1, image2 = _image(views.image1[0]), _image(views.image2[0])
+            yield PosedPair(truth, image1, image2)
 
 
 def require_images(pairs: Sequence[Pair]) -> None:
@@ -164,5 +161,4 @@ def require_images(pairs: Sequence[Pair]) -> None:
 
 def _image(view: torch.Tensor) -> Image:
     """An image from a tensor (3, H, W) in [0, 1]."""
-    pixels = (255 * view.permute(1, 2, 0)).round().byte().contiguous().numpy()
-    return Image(pixels)
+    return Image((255 * view.permute(1, 2, 0)).round().byte().contiguous().numpy())

@@ -15,8 +15,10 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import finite_or_none
 from dgc_pose.metrics import pose_auc
 
-COLUMNS = ("method", "pairs", "failures", "R med", "t med", "t folded")
-COLUMNS += ("AUC@5", "AUC@10", "AUC@20", "s/pair")
+COLUMNS = (
+    *("method", "pairs", "failures", "R med", "t med", "t folded"),
+    *("AUC@5", "AUC@10", "AUC@20", "s/pair"),
+)
 MAP_COLUMNS = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
 
 
@@ -56,6 +58,18 @@ def by_method(scores: Iterable[Score]) -> dict[str, list[Score]]:
     if not found:
         raise InputError("no results")
     return found
+
+
+def columns(scores: Iterable[PoseScore]) -> dict[str, dict[str, np.ndarray]]:
+    """The numbers of the records as arrays, by method and field."""
+    return {
+        method: {
+            name: np.array([getattr(one, name) for one in own], dtype=np.float64)
+            for name, value in vars(own[0]).items()
+            if isinstance(value, float)
+        }
+        for method, own in by_method(scores).items()
+    }
 
 
 def summarise(scores: Sequence[PoseScore]) -> MethodSummary:

@@ -27,33 +27,26 @@ if TYPE_CHECKING:
     from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
     from dgc_pose.refinement import RefinementOptions, Refiner
 
-# The module of each public name. Imported on first use, because torch takes seconds to import.
-_HOMES = {
-    "Camera": "camera",
-    "parse_camera": "camera",
-    "DgcPoseError": "errors",
-    "ImageError": "errors",
-    "InputError": "errors",
-    "WeightsError": "errors",
-    "EstimationOptions": "estimation",
-    "RelativePose": "estimation",
-    "estimate_pose": "estimation",
-    "Image": "image",
-    "load_image": "image",
-    "Matches": "matches",
-    "MatcherCaches": "matchers",
-    "load_matcher": "matchers",
-    "CorrespondenceMap": "matching",
-    "DenseMatcher": "matching",
-    "MatchResult": "matching",
-    "Matcher": "matching",
-    "MatchingOptions": "matching",
-    "load_dense_matcher": "matching",
-    "RefinementOptions": "refinement",
-    "Refiner": "refinement",
-    "estimate_relative_pose": "pose",
-    "trace_relative_pose": "pose",
+# The public names of each module. Imported on first use, because torch takes seconds to import.
+_PUBLIC = {
+    "camera": ("Camera", "parse_camera"),
+    "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
+    "estimation": ("EstimationOptions", "RelativePose", "estimate_pose"),
+    "image": ("Image", "load_image"),
+    "matchers": ("MatcherCaches", "load_matcher"),
+    "matches": ("Matches",),
+    "matching": (
+        "CorrespondenceMap",
+        "DenseMatcher",
+        "MatchResult",
+        "Matcher",
+        "MatchingOptions",
+        "load_dense_matcher",
+    ),
+    "refinement": ("RefinementOptions", "Refiner"),
+    "pose": ("estimate_relative_pose", "trace_relative_pose"),
 }
+_HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
     "Camera",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import NativeCache, native_cache
-from dgc_pose.refinement.options import RefinementOptions, SourceName
+from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.refinement.refiner import Refiner
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
@@ -69,10 +68,11 @@ def refined(
     dense: DenseMatcher, options: RefinementOptions, cache: NativeCache | None = None
 ) -> Refiner:
     """A network's matcher with refinement, whose features are of the same network."""
-    sources: Mapping[SourceName, Callable[[], tuple[MatchSource, ...]]] = {
-        "map": lambda: (MapMatches(),),
-        "features": lambda: (FeatureMatches(dense.net, options.features, cache),),
-        "flow": lambda: (FlowMatches(options.flow),),
-        "auto": lambda: (FeatureMatches(dense.net, options.features, cache), MapMatches()),
-    }
-    return Refiner(dense, sources[options.source](), options.alignment)
+    sources: list[MatchSource] = []
+    if options.source in ("auto", "features"):
+        sources.append(FeatureMatches(dense.net, options.features, cache))
+    if options.source in ("auto", "map"):
+        sources.append(MapMatches())
+    if options.source == "flow":
+        sources.append(FlowMatches(options.flow))
+    return Refiner(dense, sources, options.alignment)

@@ -9,7 +9,7 @@ import numpy as np
 
 SIZE1 = (320, 240)  # width, height of image 1
 SIZE2 = (300, 260)  # of every other
-# x2 ~ H x1 in pixels: a turn, a zoom and some perspective.
+# x2 ~ H x1 in pixels: rotation, scale and some perspective.
 H = np.array([[0.95, 0.15, 10.0], [-0.12, 1.02, 25.0], [2e-4, -1e-4, 1.0]])
 
 

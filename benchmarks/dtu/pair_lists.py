@@ -71,17 +71,11 @@ def choose_pairs(
 def read_pair_file(
     path: str | Path, dataset: Dataset, *, scenes: Collection[int] | None = None
 ) -> list[ViewPair]:
-    """Read a list in one of the formats at the top of this file.
+    """Read a list in one of the formats at the top of this file; with `scenes`, of these alone.
 
-    Args:
-        path: the list.
-        dataset: where its views are.
-        scenes: pairs of others are ignored, unless this is None.
-
-    Raises:
-        InputError: with the path and the line number, for a line that is no pair, names a missing
-            view or repeats another line; for a list without any pair.
-        OSError: if the file cannot be read.
+    Raises InputError, with the path and the line number, for a line that is no pair, names a view
+    that the data set lacks or repeats another line, and for a list without any pair; OSError if the
+    file cannot be read.
     """
     path = Path(path)
     first: dict[tuple[int, int, int], int] = {}
@@ -190,7 +184,5 @@ def _integers(words: Sequence[str], where: str) -> list[int]:
     try:
         return [int(word) for word in words]
     except ValueError:
-        found = " ".join(words)
-        raise InputError(
-            f"{where}: expected whole numbers of scene and views, found {found}"
-        ) from None
+        expected = "expected whole numbers of scene and views"
+        raise InputError(f"{where}: {expected}, found {' '.join(words)}") from None

@@ -5,20 +5,19 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jinja2
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
-from dgc_pose.benchmarks.dtu.figures import plot_against_motion, plot_histograms
 from dgc_pose.benchmarks.dtu.page_data import data_uri, page_data
 from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
 from dgc_pose.benchmarks.samples import method_file_name, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.benchmarks.summary import by_method
+from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.viz.figure import save_figure
+from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
 PAGE = "report.html"
 PICTURED = 300  # pairs with pictures in the page: more make a file that opens slowly
@@ -29,33 +28,6 @@ _CAPTIONS = {
     "epipolar.svg": "Median symmetric epipolar distance of a pair: share of pairs not above it",
     "motion.png": "Errors against the true rotation and the baseline, with medians",
 }
-
-
-@dataclass(frozen=True)
-class _Column:
-    """A column of the page's table: `key` of a pair or of a result in the page's data."""
-
-    key: str
-    label: str
-    title: str
-    decimals: int = 0
-
-
-_COLUMNS = (
-    _Column("pair", "pair", "scene and views, in the order of the list"),
-    _Column("rotation", "rotation°", "true rotation between the views, degrees", 1),
-    _Column("baseline", "mm", "distance between the cameras, millimetres"),
-    _Column("overlap", "overlap", "share of space at the object that both views see", 2),
-    _Column("R", "R err°", "rotation error, degrees", 2),
-    _Column("t", "t err°", "translation error, 0 to 180 degrees", 2),
-    _Column("folded", "t folded°", "translation error e as min(e, 180 - e), degrees", 2),
-    _Column("all", "D_e all", "median symmetric epipolar distance of all pixels, pixels", 2),
-    _Column("confident", "D_e conf", "the same of the matches that the pose is from, pixels", 2),
-    _Column("matches", "matches", "matches that the pose was estimated from"),
-    _Column("inliers", "inliers", "matches that the estimated pose agrees with"),
-    _Column("seconds", "pose s", "seconds to estimate the pose", 3),
-    _Column("status", "status", "the estimator's verdict"),
-)
 
 
 def write_report(
@@ -83,13 +55,13 @@ def write_report(
     Returns the files written. Raises InputError without rows or for a malformed sample, ImageError
     for an image that cannot be read.
     """
-    methods = by_method(rows)
+    methods, errors = by_method(rows), columns(rows)
     with tempfile.TemporaryDirectory(dir=out, prefix=".report-") as name:
         folder = Path(name)
-        for figure_name, figure in plot_histograms(rows).items():
+        for figure_name, figure in plot_histograms(errors, pairs.protocol).items():
             for kind in ("png", "svg"):
                 save_figure(figure, folder / f"{figure_name}.{kind}", picture_format=kind)
-        save_figure(plot_against_motion(rows), folder / "motion.png")
+        save_figure(plot_against_motion(errors), folder / "motion.png")
         for method, own in methods.items():
             worst = worst_pairs(own)
             shown = [pairs.by_key((row.scene, row.view1, row.view2)) for row in worst]
@@ -135,7 +107,6 @@ def _render(
         facts=facts,
         table=table,
         plots=list(_plots(folder)),
-        columns=_COLUMNS,
         data=data,
         pictured=pictured,
     )

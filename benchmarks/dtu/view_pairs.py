@@ -25,20 +25,20 @@ _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are t
 class ViewPairOptions:
     """Which pairs to draw. Raises InputError, naming the field, on a value out of range."""
 
-    pairs: int = option(64, "How many pairs to draw.", min=1)  # over all scenes
-    min_rotation: float = option(5.0, "Smallest relative rotation, degrees.")
-    max_rotation: float = option(40.0, "Largest relative rotation, degrees.")
+    pairs: int = option(64, "How many pairs to draw, over all scenes.", min=1)
+    min_rotation: float = option(5.0, "Smallest relative rotation, degrees.", min=0, max=180)
+    max_rotation: float = option(40.0, "Largest relative rotation, degrees.", min=0, max=180)
     min_overlap: float = option(
         0.4, "Least share of the space at DTU's depths that both views see.", min=0, max=1
     )
-    bins: int = option(7, min=1)  # equal rotation bins, drawn from in turn
     seed: int = option(0, "The same seed, the same list.")
+    bins: int = option(7, min=1)  # equal rotation bins, drawn from in turn
 
     def __post_init__(self) -> None:
         check_options(self)
-        if not 0 <= self.min_rotation < self.max_rotation <= 180:
+        if not self.min_rotation < self.max_rotation:
             raise InputError(
-                "rotations must satisfy 0 <= min-rotation < max-rotation <= 180, "
+                "min_rotation must be below max_rotation, "
                 f"not {self.min_rotation:g} and {self.max_rotation:g}"
             )
 

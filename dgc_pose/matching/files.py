@@ -88,28 +88,26 @@ class FileMatcher(Matcher):
         """
         path = self.path(image1.name, image2.name)
         try:
-            found = _read(path, image1, image2)
+            arrays = _read(path)
+            if "flow" in arrays or "map" in arrays:
+                found = _map(arrays, image1, image2)
+                return MatchResult(select_matches(found, self.options), found)
+            return MatchResult(_points(arrays, image1, image2), None)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise InputError(f"{path}: cannot be read ({reason})") from None
-        if isinstance(found, Matches):
-            return MatchResult(found, None)
-        return MatchResult(select_matches(found, self.options), found)
 
 
-def _read(path: Path, image1: Image, image2: Image) -> CorrespondenceMap | Matches:
+def _read(path: Path) -> Mapping[str, np.ndarray]:
+    """The arrays of a file by name, as the module's docstring has them."""
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as archive:
-            return _from_arrays({key: archive[key] for key in archive.files}, image1, image2)
+            return {key: archive[key] for key in archive.files}
     if path.suffix == ".npy":
-        flow = _planes_last(np.load(path, allow_pickle=False), "flow")
-    elif path.suffix == ".flo":
-        flow = read_flo(path)
-    else:
-        flow = read_kitti(path)
-    return _from_map(_flow_ends(flow), None, image1, image2)
+        return {"flow": np.load(path, allow_pickle=False)}
+    return {"flow": read_flo(path) if path.suffix == ".flo" else read_kitti(path)}
 
 
 def read_flo(path: Path) -> np.ndarray:
@@ -139,46 +137,21 @@ def read_kitti(path: Path) -> np.ndarray:
     return flow
 
 
-def _from_arrays(
-    arrays: Mapping[str, np.ndarray], image1: Image, image2: Image
-) -> CorrespondenceMap | Matches:
-    matchability = arrays.get("matchability", arrays.get("certainty"))
+def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> CorrespondenceMap:
+    grid = None
     if "flow" in arrays:
-        points1 = _flow_ends(_planes_last(arrays["flow"], "flow"))
-        return _from_map(points1, matchability, image1, image2)
-    if "map" in arrays:
+        flow = _planes_last(arrays["flow"], "flow")
+        points1 = pixel_grid((flow.shape[1], flow.shape[0])) + flow
+    else:
         points1 = _planes_last(arrays["map"], "map")
-        if "grid" not in arrays:
-            return _from_map(points1, matchability, image1, image2)
-        grid = _planes_last(arrays["grid"], "grid")
-        return _from_grid(points1, grid, matchability, image1, image2)
-    if "points1" in arrays and "points2" in arrays:
-        return _from_points(arrays, image1, image2)
-    found = ", ".join(sorted(arrays)) or "nothing"
-    raise InputError(f"expected flow, map, or points1 and points2, found {found}")
-
-
-def _flow_ends(flow: np.ndarray) -> np.ndarray:
-    return pixel_grid((flow.shape[1], flow.shape[0])) + flow
-
-
-def _from_map(
-    points1: np.ndarray, matchability: np.ndarray | None, image1: Image, image2: Image
-) -> CorrespondenceMap:
-    matchability, points1 = _checked(matchability, points1)
-    return _thinned(scaled_map(points1, matchability, image1.size, image2.size))
-
-
-def _from_grid(
-    points1: np.ndarray,
-    grid: np.ndarray,
-    matchability: np.ndarray | None,
-    image1: Image,
-    image2: Image,
-) -> CorrespondenceMap:
+        grid = None if "grid" not in arrays else _planes_last(arrays["grid"], "grid")
+    known = np.isfinite(points1).all(-1)
+    points1 = np.where(known[..., None], points1, -np.inf)
+    matchability = np.where(known, _matchability(arrays, known.shape), np.float32(0))
+    if grid is None:
+        return _thinned(scaled_map(points1, matchability, image1.size, image2.size))
     if grid.shape != points1.shape:
         raise InputError(f"map has shape {points1.shape}, grid {grid.shape}")
-    matchability, points1 = _checked(matchability, points1)
     found = CorrespondenceMap(
         map=_from_stored(points1, image1).astype(np.float32),
         grid=_from_stored(grid, image2).astype(np.float32),
@@ -189,7 +162,23 @@ def _from_grid(
     return _thinned(found)
 
 
-def _from_points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Matches:
+def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
+    """The matchability (H, W) float32 of a map of that shape; 1 if none is stored."""
+    stored = arrays.get("matchability", arrays.get("certainty"))
+    if stored is None:
+        return np.ones(shape, np.float32)
+    matchability = np.asarray(stored, dtype=np.float32).squeeze()
+    if matchability.shape != shape:
+        raise InputError(f"matchability has shape {matchability.shape}, the map {shape}")
+    if not ((matchability >= 0) & (matchability <= 1)).all():
+        raise InputError("matchability must lie in 0 to 1")
+    return matchability
+
+
+def _points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Matches:
+    if "points1" not in arrays or "points2" not in arrays:
+        found = ", ".join(sorted(arrays)) or "nothing"
+        raise InputError(f"expected flow, map, or points1 and points2, found {found}")
     points1, points2 = (np.asarray(arrays[key], np.float64) for key in ("points1", "points2"))
     if points1.ndim != 2 or points1.shape[1] != 2 or points1.shape != points2.shape:
         raise InputError(
@@ -233,23 +222,6 @@ def _thinned(found: CorrespondenceMap) -> CorrespondenceMap:
         grid=found.grid[cells],
         matchability=found.matchability[cells],
     )
-
-
-def _checked(
-    matchability: np.ndarray | None, points1: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The matchability (H, W) float32, by default 1, and the points (H, W, 2). If a point is
-    unknown, its matchability is 0 and the point is -inf."""
-    known = np.isfinite(points1).all(-1)
-    points1 = np.where(known[..., None], points1, -np.inf)
-    if matchability is None:
-        return known.astype(np.float32), points1
-    given = np.asarray(matchability, dtype=np.float32).squeeze()
-    if given.shape != known.shape:
-        raise InputError(f"matchability has shape {given.shape}, the map {known.shape}")
-    if not ((given >= 0) & (given <= 1)).all():
-        raise InputError("matchability must lie in 0 to 1")
-    return np.where(known, given, np.float32(0)), points1
 
 
 def _planes_last(array: np.ndarray, name: str) -> np.ndarray:

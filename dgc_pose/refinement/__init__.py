@@ -14,28 +14,12 @@ from dgc_pose.refinement.options import (
 )
 
 if TYPE_CHECKING:
-    from dgc_pose.refinement.features import FeatureMatches
-    from dgc_pose.refinement.flow import FlowMatches
     from dgc_pose.refinement.refiner import Refiner
-    from dgc_pose.refinement.source import MapMatches, MatchSource
-
-# Imported on first use, because torch takes seconds to import.
-_HOMES = {
-    "FeatureMatches": "features",
-    "FlowMatches": "flow",
-    "MapMatches": "source",
-    "MatchSource": "source",
-    "Refiner": "refiner",
-}
 
 __all__ = [
     "AlignmentOptions",
-    "FeatureMatches",
     "FeatureOptions",
-    "FlowMatches",
     "FlowOptions",
-    "MapMatches",
-    "MatchSource",
     "RefinementOptions",
     "Refiner",
     "SourceName",
@@ -43,6 +27,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(f"dgc_pose.refinement.{_HOMES[name]}"), name)
+    if name == "Refiner":  # on first use, because SciPy takes its time to import
+        return importlib.import_module("dgc_pose.refinement.refiner").Refiner
     raise AttributeError(f"module 'dgc_pose.refinement' has no attribute '{name}'")

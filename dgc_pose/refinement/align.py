@@ -44,27 +44,6 @@ class Aligned:
     pixel: float = 1.0  # of the images aligned, in pixels of the originals: mean over both
 
 
-@dataclass(frozen=True)
-class _Patches:
-    """Patches around points2, to be aligned with those that `affinity` cuts around points1."""
-
-    grey1: np.ndarray  # (H1, W1) float32
-    grey2: np.ndarray  # (H2, W2) float32
-    points1: np.ndarray  # (N, 2) float64, pixels of image 1
-    points2: np.ndarray  # (N, 2) float64, pixels of image 2
-    affinity: np.ndarray  # (N, 2, 2) float64, from offsets in image 2 to offsets in image 1
-    radius: int  # pixels of image 2
-
-    def part(self, start: int) -> _Patches:
-        part = slice(start, start + _CHUNK)
-        return replace(
-            self,
-            points1=self.points1[part],
-            points2=self.points2[part],
-            affinity=self.affinity[part],
-        )
-
-
 def align(
     pixels1: np.ndarray,
     pixels2: np.ndarray,
@@ -127,9 +106,9 @@ def _align(
     corners, affinity = corners[chosen], matches.affinity[chosen]
     moved = corners - matches.points2[chosen]
     start = matches.points1[chosen] + np.einsum("nij,nj->ni", affinity, moved)
-    patches = _Patches(grey1, grey2, start, corners, affinity, radius)
     found = in_threads(
-        lambda first: _shift(patches.part(first)), range(0, max(1, len(start)), _CHUNK)
+        lambda part: _shift(grey1, grey2, start[part], corners[part], affinity[part], radius),
+        [slice(i, i + _CHUNK) for i in range(0, max(1, len(start)), _CHUNK)],
     )
     points1, zncc, step = (np.concatenate(values) for values in zip(*found, strict=True))
     settled = (points1 >= 0).all(1) & (points1 <= (grey1.shape[1] - 1, grey1.shape[0] - 1)).all(1)
@@ -167,29 +146,38 @@ def spread(
         side *= 1.1
 
 
-def _shift(patches: _Patches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (N, 2) in image 1 after alignment, their correlation, and the last step in pixels."""
-    axis = np.arange(-patches.radius, patches.radius + 1.0)
+def _shift(
+    grey1: np.ndarray,
+    grey2: np.ndarray,
+    points1: np.ndarray,
+    points2: np.ndarray,
+    affinity: np.ndarray,
+    radius: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (N, 2) in image 1 after alignment, their correlation, and the last step in pixels.
+
+    grey: (H, W) float32. affinity: (N, 2, 2), of offsets in image 2 to offsets in image 1.
+    """
+    axis = np.arange(-radius, radius + 1.0)
     offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)  # (P, 2)
-    weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * patches.radius) ** 2)).astype(np.float32)
+    weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
     weights /= weights.sum()
-    grey2, around2 = patches.grey2, patches.points2[:, None] + offsets
+    around2 = points2[:, None] + offsets
     template, contrast = _standardised(bilinear(grey2, around2), weights)
     slopes = [bilinear(grey2, around2 + half) - bilinear(grey2, around2 - half) for half in _HALVES]
     jacobian = np.stack(slopes, -1) / contrast[..., None]  # (N, P, 2)
     weighted = jacobian * weights[:, None]
     hessian = jacobian.transpose(0, 2, 1) @ weighted + 1e-6 * np.eye(2)
     gain = np.linalg.inv(hessian).astype(np.float32) @ weighted.transpose(0, 2, 1)  # (N, 2, P)
-    affinity = patches.affinity
     around1 = (offsets @ affinity.transpose(0, 2, 1)).astype(np.float32)
-    points1 = patches.points1.copy()
+    points1 = points1.copy()
     zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
     for _ in range(_ITERATIONS):
         moving = np.flatnonzero(length >= _STILL)
         if len(moving) == 0:
             break
         around = points1[moving, None].astype(np.float32) + around1[moving]
-        patch, _ = _standardised(bilinear(patches.grey1, around), weights)
+        patch, _ = _standardised(bilinear(grey1, around), weights)
         zncc[moving] = (patch * template[moving]) @ weights
         step = (gain[moving] @ (patch - template[moving])[..., None])[..., 0]
         length[moving] = np.linalg.norm(step, axis=1)

@@ -68,33 +68,19 @@ class FeatureMatches:
 
         If the map is weak, other scales are tried, and that with the most consistent matches kept.
         """
-        cache = self.cache or native_cache()
-
-        def at(scale: float) -> Matches:
-            return match_features(
-                self.net,
-                image1,
-                image2,
-                correspondence_map,
-                scale=scale,
-                options=self.options,
-                cache=cache,
-            )
-
-        def count_consistent(found: Matches) -> int:
-            return len(consistent(found, self.options.neighbours).index)
-
+        options, cache = self.options, self.cache or native_cache()
+        given = (self.net, image1, image2, correspondence_map, options, cache)
         shown = 2.0 ** round(math.log2(scale_between(correspondence_map)))
-        found = at(shown)
-        if correspondence_map.matchability.mean() >= self.options.other_scales_below:
+        found = match_features(*given, scale=shown)
+        if correspondence_map.matchability.mean() >= options.other_scales_below:
             return found
-        most = count_consistent(found)
+        most = len(consistent(found, options.neighbours).index)
         # Equal scale is always tried: that of a weak map is no more likely.
         for scale in (1.0, *_OTHER_SCALES):
             if scale == shown or (scale != 1.0 and most >= _FEW * len(found)):
                 continue
-            other = at(scale)
-            count = count_consistent(other)
+            other = match_features(*given, scale=scale)
+            count = len(consistent(other, options.neighbours).index)
             if count > most:
                 found, most = other, count
         return found
@@ -106,10 +92,10 @@ def match_features(
     image1: Image,
     image2: Image,
     correspondence_map: CorrespondenceMap,
-    *,
-    scale: float,
     options: FeatureOptions,
     cache: NativeCache,
+    *,
+    scale: float,
 ) -> Matches:
     """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
 
@@ -218,8 +204,7 @@ def to_pixels(cells: Tensor, level: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def _similar_cells(source: Features, target: Features, count: int) -> Tensor:
-    """The `count` cells of stride 16 of the source most similar to each of the target's: (n,
-    count)."""
+    """The most similar cells of stride 16 of the source for each of the target's: (n, count)."""
     own, other = source.coarse.flatten(1), target.coarse.flatten(1).T
     count = min(count, own.shape[1])
     return torch.cat([(part @ own).topk(count, 1).indices for part in other.split(_CHUNK)])

@@ -17,6 +17,7 @@ from dgc_pose.matching.selection import even_subsample
 from dgc_pose.pixels import pixel_grid, rescale
 from dgc_pose.refinement.guide import points_in_image1
 from dgc_pose.refinement.options import FlowOptions
+from dgc_pose.refinement.sampling import bilinear
 
 ERROR_PX = 0.5  # of a match along one axis, pixels of the resized image 2
 _CYCLE_PX = 1.0  # largest cycle error, pixels of the resized image 2
@@ -49,19 +50,19 @@ class FlowMatches:
         points2 = rescale(grid, small2, image2.size)
         mapped = points_in_image1(correspondence_map, points2.reshape(-1, 2)).reshape(grid.shape)
         mapped = rescale(mapped, image1.size, small1).astype(np.float32)
-        warped = _sampled(first, mapped)
+        warped = bilinear(first, mapped)
         flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         forward, backward = (
             flow.calc(one, other, np.zeros((height, width, 2), np.float32))
             for one, other in ((second, warped), (warped, second))
         )
         moved = grid + forward
-        cycle = np.linalg.norm(forward + _sampled(backward, moved), axis=-1)
+        cycle = np.linalg.norm(forward + bilinear(backward, moved), axis=-1)
         matchability = cv2.resize(correspondence_map.matchability, small2)
         keep = (cycle <= _CYCLE_PX) & (matchability >= self.options.matchability)
         keep &= (moved >= 0).all(-1) & (moved <= (width - 1, height - 1)).all(-1)
         keep = even_subsample(keep, matchability, self.options.max_matches)
-        points1 = rescale(_sampled(mapped, moved)[keep], small1, image1.size)
+        points1 = rescale(bilinear(mapped, moved)[keep], small1, image1.size)
         inside = (points1 >= -0.5).all(-1) & (points1 <= np.array(image1.size) - 0.5).all(-1)
         return Matches(
             points1[inside],
@@ -69,9 +70,3 @@ class FlowMatches:
             matchability[keep][inside],
             error_px=ERROR_PX / scale,
         )
-
-
-def _sampled(image: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """An image at points (h, w, 2), bilinear, its edge repeated."""
-    x, y = (np.ascontiguousarray(axis, np.float32) for axis in np.moveaxis(points, -1, 0))
-    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -9,9 +9,9 @@ _CHUNK = 30000  # rows at a time: cv2.remap makes no image with a side of 32768 
 
 
 def bilinear(image: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Values (N, P) float32 of an image (H, W) float32 at points (N, P, 2), its edge repeated."""
+    """Values (N, P[, C]) of an image (H, W[, C]) at points (N, P, 2), its edge repeated."""
     x, y = np.moveaxis(points.astype(np.float32), -1, 0)
-    values = np.empty(x.shape, np.float32)
+    values = np.empty((*x.shape, *image.shape[2:]), image.dtype)
     for i in range(0, len(x), _CHUNK):
         rows = slice(i, i + _CHUNK)
         values[rows] = cv2.remap(

@@ -84,7 +84,7 @@ class SceneOptions:
     elevation_deg: Range = option((-5.0, 60.0), min=-80, max=80)  # of camera 1, as seen from there
     focal: Range = option((0.7, 2.0), min=1e-3)  # focal length over image size, log-uniform
     principal_offset: float = option(0.05, min=0, max=0.5)  # at most, of the image size
-    zoom: float = option(0.35, min=0)  # largest |log| of the change of scale between the views
+    log_scale: float = option(0.35, min=0)  # largest |log| of the scale between the views
     look_aside: float = option(0.08, min=0)  # sigma of the common point's distance off-axis
     free_share: float = option(0.15, min=0, max=1)  # of pairs with centre 2 anywhere near centre 1
     quads: int = option(2, min=0)  # tilted rectangles beside the table and the background

@@ -43,10 +43,9 @@ def load_photos(
     A photograph's name alone decides whether it is held back: one that validates a run never
     trains another. Raises ImageError if the folder holds none.
     """
-    paths = _paths(Path(root), limit)
-    held_back = [path for path in paths if _is_held_back(path)]
-    training = [path for path in paths if not _is_held_back(path)]
-    lacking = f"{root}: {len(paths)} photographs; training needs dozens at least"
+    training, held_back = _split(root, limit)
+    count = len(training) + len(held_back)
+    lacking = f"{root}: {count} photographs; training needs dozens at least"
     return _decode(training, side, lacking), _decode(held_back, side, lacking)
 
 
@@ -55,15 +54,15 @@ def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
 
     Raises ImageError if there is none.
     """
-    paths = _paths(Path(root))
-    held_back = [path for path in paths if _is_held_back(path)]
-    lacking = f"{root}: {len(paths)} photographs, none of them held back: take dozens at least"
+    training, held_back = _split(root)
+    count = len(training) + len(held_back)
+    lacking = f"{root}: {count} photographs, none of them held back: take dozens at least"
     return _decode(held_back, side, lacking)
 
 
 def held_back_paths(root: str | Path) -> list[Path]:
     """The files below a folder that `load_photos` holds back, sorted."""
-    return [path for path in _paths(Path(root)) if _is_held_back(path)]
+    return _split(root)[1]
 
 
 def resized_planes(pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
@@ -74,8 +73,11 @@ def resized_planes(pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(resized.transpose(2, 0, 1)))
 
 
-def _paths(root: Path, limit: int | None = None) -> list[Path]:
-    return sorted(p for p in root.rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
+def _split(root: str | Path, limit: int | None = None) -> tuple[list[Path], list[Path]]:
+    """The first `limit` photographs below a folder, sorted: those that train, those held back."""
+    paths = sorted(p for p in Path(root).rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
+    training = [path for path in paths if not _is_held_back(path)]
+    return training, [path for path in paths if _is_held_back(path)]
 
 
 def _is_held_back(path: Path) -> bool:

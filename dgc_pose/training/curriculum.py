@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from dgc_pose.errors import InputError
+from dgc_pose.options import check_options, option
 from dgc_pose.synthesis.options import PairOptions, SceneOptions, WarpOptions
 
 
@@ -12,13 +12,11 @@ from dgc_pose.synthesis.options import PairOptions, SceneOptions, WarpOptions
 class Curriculum:
     """Ranges grow linearly from a share of the full ones to all of them."""
 
-    start: float = 0.3  # of the full ranges, at the beginning
-    ramp: float = 0.5  # share of the run's progress after which the ranges are full
+    start: float = option(0.3, above=0, max=1)  # of the full ranges, at the beginning
+    ramp: float = option(0.5, above=0, max=1)  # of the run's progress, then the ranges are full
 
     def __post_init__(self) -> None:
-        for name in ("start", "ramp"):
-            if not 0 < getattr(self, name) <= 1:
-                raise InputError(f"{name} must lie in (0, 1], not {getattr(self, name)}")
+        check_options(self)
 
     def at(self, progress: float, options: PairOptions) -> PairOptions:
         """The options of pairs at a progress of the run from 0 to 1, from the full `options`.
@@ -56,7 +54,7 @@ def _narrowed_scenes(full: SceneOptions, reach: float) -> SceneOptions:
         rotation_deg=(low, low + reach * (high - low)),
         roll_deg=reach * full.roll_deg,
         wild_roll_share=reach * full.wild_roll_share,
-        zoom=reach * full.zoom,
+        log_scale=reach * full.log_scale,
         free_share=reach * full.free_share,
     )
 

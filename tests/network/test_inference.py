@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from dgc_pose.image import load_image
-from dgc_pose.matching import DenseMatcher
+from dgc_pose.matching.dense import network_input
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
@@ -30,9 +30,9 @@ def _net(name: str) -> DGCNet:
 
 def _inputs(net: DGCNet) -> list[Tensor]:
     folder = resources.files("dgc_pose") / "data" / "demo"
-    matcher = DenseMatcher(net)
+    device = next(net.parameters()).device
     images = [load_image(str(folder / f"image{number}.jpg")) for number in (1, 2)]
-    return [matcher._input(image.pixels) for image in images]
+    return [network_input(image.pixels, device) for image in images]
 
 
 def _apart_px(one: Prediction, other: Prediction) -> Tensor:

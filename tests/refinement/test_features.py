@@ -71,15 +71,9 @@ def test_factors_make_the_scales_equal(
 def _match(
     net: DGCNet, first: np.ndarray, second: np.ndarray, guide: CorrespondenceMap, scale: float = 1.0
 ) -> Matches:
-    return match_features(
-        net,
-        Image(first),
-        Image(second),
-        guide,
-        scale=scale,
-        options=FeatureOptions(long_side=192, candidates=4),
-        cache=native_cache(),
-    )
+    options = FeatureOptions(long_side=192, candidates=4)
+    images = Image(first), Image(second)
+    return match_features(net, *images, guide, options, native_cache(), scale=scale)
 
 
 def _random_features(seed: int, rows: int, columns: int) -> Features:

@@ -8,7 +8,8 @@ import numpy as np
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
-from dgc_pose.refinement import FlowMatches, FlowOptions
+from dgc_pose.refinement import FlowOptions
+from dgc_pose.refinement.flow import FlowMatches
 
 
 def _match(

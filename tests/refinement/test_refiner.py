@@ -20,16 +20,15 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement import (
     AlignmentOptions,
-    FeatureMatches,
     FeatureOptions,
-    FlowMatches,
     FlowOptions,
-    MapMatches,
-    MatchSource,
     RefinementOptions,
     Refiner,
 )
+from dgc_pose.refinement.features import FeatureMatches
+from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import native_cache
+from dgc_pose.refinement.source import MapMatches, MatchSource
 
 _OPTIONS = MatchingOptions(max_matches=1500)
 

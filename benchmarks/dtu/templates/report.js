@@ -8,7 +8,7 @@
   const someWithout = data.pairs.some((pair) => !pair.F);
   const stage = byId("stage");
 
-  // Everything that the page shows follows from this and from the data; it stands in the address.
+  // Everything that the page shows follows from this and from the data; it is kept in the address.
   const state = { method: 0, pair: null, sort: "pair", order: "ascending", match: null, point: null };
 
   // --- the table -------------------------------------------------------------------------------
@@ -68,13 +68,13 @@
 
   // --- geometry: pixels of the images that the methods saw, (0, 0) the centre of the first ------
 
-  // The line a x + b y + c = 0 in the other image of a place in image `from` (1 or 2).
+  // The line a x + b y + c = 0 in the other image of a point in image `from` (1 or 2).
   function epipolarLine(F, from, [x, y]) {
     const at = (row, column) => (from === 1 ? F[3 * row + column] : F[3 * column + row]);
     return [0, 1, 2].map((row) => at(row, 0) * x + at(row, 1) * y + at(row, 2));
   }
 
-  // The part of a line within an image, as two places; null where it misses the image.
+  // The part of a line within an image, as two points; null where it misses the image.
   function clip([a, b, c], { width, height }) {
     const [left, top, right, bottom] = [-0.5, -0.5, width - 0.5, height - 0.5];
     const ends = [];
@@ -97,10 +97,10 @@
     return Math.abs(a * x + b * y + c) / Math.hypot(a, b);
   }
 
-  // D_e: the mean of both places' distances to the other's epipolar line.
-  function epipolarDistance(F, [place1, place2]) {
-    return (distanceToLine(place2, epipolarLine(F, 1, place1))
-      + distanceToLine(place1, epipolarLine(F, 2, place2))) / 2;
+  // D_e: the mean of both points' distances to the other's epipolar line.
+  function epipolarDistance(F, [point1, point2]) {
+    return (distanceToLine(point2, epipolarLine(F, 1, point1))
+      + distanceToLine(point1, epipolarLine(F, 2, point2))) / 2;
   }
 
   // --- the pair ---------------------------------------------------------------------------------
@@ -115,14 +115,14 @@
       size: [left + scale * two.width, one.height],
       onto: (number, [x, y]) => (number === 1 ? [x + 0.5, y + 0.5]
         : [left + (x + 0.5) * scale, (y + 0.5) * scale]),
-      // The image number and the place in it; null between the images.
+      // The image number and the point in it; null between the images.
       from: ([x, y]) => {
-        const [number, place] = x < left ? [1, [x - 0.5, y - 0.5]]
+        const [number, point] = x < left ? [1, [x - 0.5, y - 0.5]]
           : [2, [(x - left) / scale - 0.5, y / scale - 0.5]];
         const { width, height } = number === 1 ? one : two;
-        const within = place[0] >= -0.5 && place[1] >= -0.5
-          && place[0] <= width - 0.5 && place[1] <= height - 0.5;
-        return within ? [number, place] : null;
+        const within = point[0] >= -0.5 && point[1] >= -0.5
+          && point[0] <= width - 0.5 && point[1] <= height - 0.5;
+        return within ? [number, point] : null;
       },
     };
   }
@@ -132,7 +132,7 @@
     const matches = [];
     for (let i = 0; i < flat.length; i += 5) {
       const [x1, y1, x2, y2] = flat.slice(i, i + 4).map((tenths) => tenths / 10);
-      matches.push({ places: [[x1, y1], [x2, y2]], inlier: flat[i + 4] === 1 });
+      matches.push({ points: [[x1, y1], [x2, y2]], inlier: flat[i + 4] === 1 });
     }
     return matches;
   }
@@ -194,15 +194,15 @@
     if (!shown) return;
     const kind = match.inlier ? "inlier" : "outlier";
     const group = element("g", { class: `match ${kind}`, "data-index": index }, parent);
-    const ends = match.places.map((place, i) => layout.onto(i + 1, place));
+    const ends = match.points.map((point, i) => layout.onto(i + 1, point));
     drawLine(...ends, group);
     for (const [cx, cy] of ends) element("circle", { cx, cy, r: layout.size[1] / 110 }, group);
   }
 
-  // The true epipolar lines of the chosen match, or of one that the pointer is over, or of a place.
+  // The true epipolar lines of the chosen match, or of one that the pointer is over, or of a point.
   function drawSelection(layout, hovered = null) {
     const note = byId("selection");
-    note.textContent = "Click a match or a place in either image for its true epipolar line.";
+    note.textContent = "Click a match or a point in either image for its true epipolar line.";
     if (!layout) return;
     const group = byId("lines");
     group.replaceChildren();
@@ -213,27 +213,27 @@
     }
     const match = number === null ? null : matchesOf(state.pair)[number];
     if (match) {
-      match.places.forEach((place, i) => drawEpipolar(pair.F, i + 1, place, layout, group));
-      const distance = epipolarDistance(pair.F, match.places).toFixed(2);
+      match.points.forEach((point, i) => drawEpipolar(pair.F, i + 1, point, layout, group));
+      const distance = epipolarDistance(pair.F, match.points).toFixed(2);
       note.textContent = `Match ${number}: ${match.inlier ? "an inlier" : "an outlier"}, `
         + `${distance} px from the true epipolar lines.`;
     } else if (state.point) {
-      const [from, place] = state.point;
-      const met = drawEpipolar(pair.F, from, place, layout, group);
-      note.textContent = `Place (${place.map((one) => one.toFixed(1)).join(", ")}) of image ${from}: `
+      const [from, point] = state.point;
+      const met = drawEpipolar(pair.F, from, point, layout, group);
+      note.textContent = `Point (${point.map((one) => one.toFixed(1)).join(", ")}) of image ${from}: `
         + (met ? `its true epipolar line in image ${3 - from}.`
           : `its true epipolar line passes image ${3 - from} by.`);
     }
   }
 
-  function drawEpipolar(F, from, place, layout, parent) {
-    const [cx, cy] = layout.onto(from, place);
-    const ends = clip(epipolarLine(F, from, place), layout.images[2 - from]);
+  function drawEpipolar(F, from, point, layout, parent) {
+    const [cx, cy] = layout.onto(from, point);
+    const ends = clip(epipolarLine(F, from, point), layout.images[2 - from]);
     if (ends) {
       const [start, end] = ends.map((one) => layout.onto(3 - from, one));
       drawLine(start, end, parent, { class: "epipolar", "data-image": 3 - from });
     }
-    element("circle", { cx, cy, r: layout.size[1] / 90, class: "place", "data-image": from }, parent);
+    element("circle", { cx, cy, r: layout.size[1] / 90, class: "point", "data-image": from }, parent);
     return ends !== null;
   }
 
@@ -254,7 +254,7 @@
     history.replaceState(null, "", `#${parts}`);
   }
 
-  // What cannot be understood is passed over.
+  // What cannot be understood is ignored.
   function recall() {
     const parts = new URLSearchParams(location.hash.slice(1));
     state.method = Math.max(0, data.methods.indexOf(parts.get("method")));
@@ -264,9 +264,9 @@
     const index = data.pairs.findIndex((pair) => pair.name === parts.get("pair"));
     state.pair = index < 0 ? null : index;
     state.match = /^\d+$/.test(parts.get("match") || "") ? Number(parts.get("match")) : null;
-    const [from, ...place] = (parts.get("point") || "").split(",").map(Number);
-    const valid = [1, 2].includes(from) && place.length === 2 && place.every(Number.isFinite);
-    state.point = valid ? [from, place] : null;
+    const [from, ...point] = (parts.get("point") || "").split(",").map(Number);
+    const valid = [1, 2].includes(from) && point.length === 2 && point.every(Number.isFinite);
+    state.point = valid ? [from, point] : null;
     drawTable();
     drawPair();
   }

@@ -36,8 +36,9 @@ def random_camera_pair(
     rotation1 = _about_z(roll1) @ look_at(centre1, torch.zeros_like(centre1))
 
     rotation2 = _relative_rotation(draw, batch, options) @ rotation1
-    zoom = draw.uniform(batch, low=-options.zoom, high=options.zoom).exp()
-    distance2 = distance1 * focal2 / focal1 * zoom
+    change = options.log_scale
+    scale = draw.uniform(batch, low=-change, high=change).exp()
+    distance2 = distance1 * focal2 / focal1 * scale
     aside = options.look_aside * draw.normal(batch, 2)
     seen_at = torch.cat((aside, focal2[:, None]), dim=1) * (distance2 / focal2)[:, None]
     orbiting = -(rotation2.mT @ seen_at[..., None])[..., 0]

@@ -137,7 +137,7 @@ def test_visible_pixels_look_alike_without_shading(bank):
     smooth = torch.nn.functional.interpolate(
         torch.rand(6, 3, 5, 5, generator=torch.Generator().manual_seed(1)), (96, 96), mode="bicubic"
     ).clamp(0, 1)
-    pairs = rendered(TextureBank.from_photos(smooth), size=96, shading=0.0, zoom=0.1)
+    pairs = rendered(TextureBank.from_photos(smooth), size=96, shading=0.0, log_scale=0.1)
     warped = grid_sample(pairs.image1, pairs.map / 95 * 2 - 1, align_corners=True)
     difference = (warped - pairs.image2).abs().mean(1)
     assert difference[pairs.visible].median() < 0.01

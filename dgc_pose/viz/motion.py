@@ -1,4 +1,4 @@
-"""The figures of a DTU run: normalised cumulative histograms, and errors against the motion."""
+"""Pose errors of a data set: cumulative histograms, and errors against the true motion."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.histograms import draw_cumulative, shown_limit
 
@@ -21,7 +19,11 @@ _BINS = 8
 _LEAST_PER_BIN = 5  # pairs
 
 Styles = Mapping[str, Mapping[str, Any]]
-Rows = Mapping[str, Sequence[DtuScore]]  # by method
+# By method, then by quantity, a value a pair: rotation_error_deg, translation_error_deg (0 to 180),
+# translation_folded_deg (min(e, 180 - e)), true_rotation_deg, true_baseline_mm, and the medians of
+# D_e epipolar_all_px and epipolar_confident_px. Errors are infinite without a pose, NaN if a method
+# has no such figure.
+Columns = Mapping[str, Mapping[str, np.ndarray]]
 
 
 def method_styles(methods: Sequence[str]) -> Styles:
@@ -36,30 +38,29 @@ def method_styles(methods: Sequence[str]) -> Styles:
     return styles
 
 
-def plot_histograms(rows: Sequence[DtuScore]) -> dict[str, Figure]:
+def plot_histograms(methods: Columns, protocol: str) -> dict[str, Figure]:
     """The paper's three figures (section 4.4) by name: rotation, translation and epipolar.
 
     Each is the share of pairs whose error is not above a value, a curve a method, the median in the
     legend; a pair without a pose has an infinite error. Translation is the angle from 0 to 180
     degrees. Epipolar is a pair's median D_e, to the left over all pixels of image 2 for methods
-    with a dense map, to the right over the matches that the pose was estimated from.
+    with a dense map, to the right over the matches that the pose was estimated from. protocol: what
+    D_e is measured in, for the label.
     """
-    methods = by_method(rows)
     styles = method_styles(list(methods))
     return {
         "rotation": _angles(methods, "rotation_error_deg", "rotation error", styles),
         "translation": _angles(methods, "translation_error_deg", "translation error", styles),
-        "epipolar": _epipolar(methods, styles, rows[0].protocol),
+        "epipolar": _epipolar(methods, styles, protocol),
     }
 
 
-def plot_against_motion(rows: Sequence[DtuScore]) -> Figure:
+def plot_against_motion(methods: Columns) -> Figure:
     """Rotation and folded translation error against the true rotation and the baseline.
 
     A dot a pair and a line through the medians of pairs of similar motion, a colour a method; pairs
     without a pose are drawn at 180 degrees and count in the medians.
     """
-    methods = by_method(rows)
     styles = method_styles(list(methods))
     figure = new_figure(9.0, 7.0)
     errors = (("rotation_error_deg", "rotation"), ("translation_folded_deg", "folded translation"))
@@ -89,22 +90,22 @@ def binned_medians(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return np.array([m[0] for m in medians]), np.array([m[1] for m in medians])
 
 
-def _angles(methods: Rows, field: str, quantity: str, styles: Styles) -> Figure:
-    errors = {method: _column(own, field) for method, own in methods.items()}
+def _angles(methods: Columns, field: str, quantity: str, styles: Styles) -> Figure:
+    errors = {method: own[field] for method, own in methods.items()}
     figure = new_figure(6.5, 4.5)
     limit = shown_limit(errors)
     draw_cumulative(figure.subplots(), errors, quantity=quantity, limit=limit, styles=styles)
     return figure
 
 
-def _epipolar(methods: Rows, styles: Styles, protocol: str) -> Figure:
+def _epipolar(methods: Columns, styles: Styles, protocol: str) -> Figure:
     panels = (("epipolar_all_px", "all pixels"), ("epipolar_confident_px", "the pose's matches"))
     figure = new_figure(9.0, 4.5)
     columns = [
         {
-            method: values
+            method: own[field]
             for method, own in methods.items()
-            if not np.isnan(values := _column(own, field)).any()
+            if not np.isnan(own[field]).any()
         }
         for field, _ in panels
     ]
@@ -122,17 +123,15 @@ def _epipolar(methods: Rows, styles: Styles, protocol: str) -> Figure:
     return figure
 
 
-def _draw_against(axes: Axes, methods: Rows, motion: str, error: str, styles: Styles) -> None:
+def _draw_against(
+    axes: Axes, methods: Columns, motion: str, error: str, styles: Styles
+) -> None:
     for method, own in methods.items():
-        x = _column(own, motion)
-        y = np.clip(_column(own, error), _LEAST, WORST)
+        x = own[motion]
+        y = np.clip(own[error], _LEAST, WORST)
         style = styles[method]
         axes.scatter(x, y, s=8, alpha=0.35, color=style["color"], linewidths=0)
         axes.plot(*binned_medians(x, y), marker="o", markersize=3, label=method, **style)
     axes.set_yscale("log")
     axes.set_ylim(top=1.25 * WORST)
     axes.grid(alpha=0.3)
-
-
-def _column(rows: Sequence[DtuScore], field: str) -> np.ndarray:
-    return np.array([getattr(row, field) for row in rows], dtype=np.float64)

@@ -6,20 +6,23 @@ import dtu_report
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu.figures import (
-    WORST,
-    binned_medians,
-    method_styles,
-    plot_against_motion,
-    plot_histograms,
-)
-from dgc_pose.benchmarks.summary import by_method
+from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.errors import InputError
+from dgc_pose.viz import motion
+from dgc_pose.viz.motion import WORST, binned_medians, method_styles
 
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory):
     return dtu_report.finished_run(tmp_path_factory.mktemp("run")).rows
+
+
+def plot_histograms(rows):
+    return motion.plot_histograms(columns(rows), rows[0].protocol)
+
+
+def plot_against_motion(rows):
+    return motion.plot_against_motion(columns(rows))
 
 
 def legend(axes):
