@@ -29,16 +29,14 @@ from dgc_pose.benchmarks.summary import (
     summarise_maps,
     summary_data,
 )
-from dgc_pose.cli.bench_run import RunChoice, open_store, work
+from dgc_pose.cli.bench_run import MethodChoice, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.dtu_pairs import FolderChoice
-from dgc_pose.cli.options import RefineChoice, split_names
+from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import write_text
 from dgc_pose.matchers import SIFT
-from dgc_pose.matching import MatchingOptions
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FLOWS
 from dgc_pose.network.weights import shipped
@@ -91,19 +89,15 @@ class Experiment:
     help="Maps, flows or matches that another program computed, as scanN_VIEW1_VIEW2 with the "
     "ending .flo, .npz, .npy or .png.",
 )
-@dataclass_options(MatchingOptions, "matching", only=("matchability",))
 @dataclass_options(RunChoice, "run")
-@dataclass_options(RefineChoice, "refine")
-@dataclass_options(EstimationOptions, "estimation")
+@dataclass_options(MethodChoice, "user")
 def bench_dtu(
     experiment: Experiment,
     folder: FolderChoice,
     methods: str,
     matches: tuple[str, ...],
-    matching: MatchingOptions,
     run: RunChoice,
-    refine: RefineChoice,
-    estimation: EstimationOptions,
+    user: MethodChoice,
 ) -> None:
     """Repeat the paper's experiment on relative camera pose over DTU.
 
@@ -114,11 +108,12 @@ def bench_dtu(
     """
     stored = _folders(matches)
     protocol, out = experiment.protocol, Path(experiment.out)
-    options = MethodOptions(matching, refine.options(matching), estimation)
-    defaults = protocol_options(protocol, options)
+    defaults = protocol_options(protocol, user.options)
     chosen = parse_methods(split_names(methods), defaults, [*stored])
     dataset = folder.open(experiment.root, experiment.scenes)
-    views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
+    views = choose_pairs(
+        dataset, experiment.pairs, seed=user.estimation.seed, scenes=experiment.scenes
+    )
     pairs = dtu_pairs(dataset, views, protocol)
     require_images(pairs.pairs)
     stems = pairs.stems

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
 import click
 
 from dgc_pose.benchmarks.estimators import STUDIES, Compared, compare, comparison_table
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
-from dgc_pose.cli.bench_run import limit_option, listed_pairs, pair_list_argument, root_option
-from dgc_pose.cli.options import DeviceName, split_names
+from dgc_pose.cli.bench_run import (
+    RunChoice,
+    limit_option,
+    listed_pairs,
+    pair_list_argument,
+    root_option,
+)
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import split_names
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 
@@ -31,13 +36,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
 @click.option(
     "--seeds", type=click.IntRange(1), default=5, show_default=True, help="Synthetic scenes each."
 )
-@click.option(
-    "--device",
-    type=click.Choice(get_args(DeviceName)),
-    default="auto",
-    show_default=True,
-    help="Where the network runs.",
-)
+@dataclass_options(RunChoice, "run", only=("device",))
 def bench_estimators(
     pair_list: str | None,
     root: str | None,
@@ -45,7 +44,7 @@ def bench_estimators(
     methods: str,
     study: tuple[str, ...],
     seeds: int,
-    device: str,
+    run: RunChoice,
 ) -> None:
     """Measure the estimators on synthetic matches, half of them wrong.
 
@@ -59,7 +58,7 @@ def bench_estimators(
     pairs = listed_pairs(pair_list, root, limit)
     options = EstimationOptions()
     chosen = parse_methods(split_names(methods), MethodOptions(estimation=options))
-    evaluation = Evaluation(pairs, chosen, load_engines(chosen, device=device))
+    evaluation = Evaluation(pairs, chosen, load_engines(chosen, device=run.device))
     found: dict[str, list[Compared]] = {method.name: [] for method in chosen}
     for pair in pairs.read():
         for job in evaluation.match([pair])[0]:

@@ -11,7 +11,7 @@ import click
 import numpy as np
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
+from dgc_pose.benchmarks.methods import load_engines, parse_methods
 from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPairs
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.summary import (
@@ -25,6 +25,7 @@ from dgc_pose.benchmarks.summary import (
     summary_table,
 )
 from dgc_pose.cli.bench_run import (
+    MethodChoice,
     RunChoice,
     limit_option,
     listed_pairs,
@@ -34,13 +35,11 @@ from dgc_pose.cli.bench_run import (
     work,
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.options import RefineChoice, split_names
+from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import staged
 from dgc_pose.matchers import SIFT
-from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.weights import shipped
 from dgc_pose.options import check_options, option
 from dgc_pose.viz import plot_errors, save_figure
@@ -86,9 +85,7 @@ class SceneChoice:
 )
 @click.option("--json", "json_path", metavar="PATH", help="Write the summary as JSON.")
 @dataclass_options(RunChoice, "run")
-@dataclass_options(MatchingOptions, "matching", only=("matchability", "cycle_px", "max_matches"))
-@dataclass_options(RefineChoice, "refine")
-@dataclass_options(EstimationOptions, "estimation")
+@dataclass_options(MethodChoice, "defaults")
 def bench_pairs(
     pair_list: str | None,
     root: str | None,
@@ -98,9 +95,7 @@ def bench_pairs(
     out: str | None,
     json_path: str | None,
     run: RunChoice,
-    matching: MatchingOptions,
-    refine: RefineChoice,
-    estimation: EstimationOptions,
+    defaults: MethodChoice,
 ) -> None:
     """Score methods on the pairs of LIST, in SuperGlue's format, or on rendered pairs.
 
@@ -114,8 +109,7 @@ def bench_pairs(
         pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
     else:
         raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
-    defaults = MethodOptions(matching, refine.options(matching), estimation)
-    chosen = parse_methods(split_names(methods), defaults)
+    chosen = parse_methods(split_names(methods), defaults.options)
     with staged(json_path) as stage:
         engines = load_engines(chosen, device=run.device)
         evaluation = Evaluation(pairs, chosen, engines, run.options)
@@ -133,7 +127,7 @@ def bench_pairs(
             stage(json_path).write_text(data, encoding="utf-8")
     if out is not None:
         _write_summary(out, data, results)
-    click.echo(heading(estimation))
+    click.echo(heading(defaults.estimation))
     click.echo(table)
 
 

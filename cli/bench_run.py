@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,15 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
+from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.store import RunStore, keys_of
-from dgc_pose.cli.options import DeviceName
+from dgc_pose.cli.options import DeviceName, RefineChoice
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.device import choose_device
 from dgc_pose.options import check_options, option
 
@@ -57,6 +60,19 @@ class RunChoice:
         """Without --batch it is that of the device."""
         gpu = self.device_type == "cuda"
         return RunOptions(self.workers, self.batch or (GPU_BATCH if gpu else 1))
+
+
+@dataclass(frozen=True)
+class MethodChoice:
+    """The options of all methods that a specification leaves open."""
+
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    refine: RefineChoice = field(default_factory=RefineChoice)
+    estimation: EstimationOptions = field(default_factory=EstimationOptions)
+
+    @property
+    def options(self) -> MethodOptions:
+        return MethodOptions(self.matching, self.refine.options(self.matching), self.estimation)
 
 
 def listed_pairs(pair_list: str, root: str | None, limit: int | None) -> ListedPairs:

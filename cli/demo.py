@@ -35,8 +35,7 @@ def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str |
         trace = run_pipeline(
             pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), matcher, estimation
         )
-        if plot_path is not None:
-            draw(trace, stage(plot_path), plot_path)
+        draw(trace, stage, plot_path)
     pose = trace.pose
     click.echo(f"image 1: {pair.path1}\nimage 2: {pair.path2}\n")
     click.echo(pose_text(pose) + "\n")

@@ -60,8 +60,7 @@ def estimate(
         if outputs.matches is not None:
             arrays = matches_arrays(trace.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)
-        if outputs.plot is not None:
-            draw(trace, stage(outputs.plot), outputs.plot)
+        draw(trace, stage, outputs.plot)
     if outputs.json != STDOUT:
         click.echo(pose_text(pose))
     else:

@@ -65,15 +65,13 @@ class LazyGroup(click.Group):
             _fail("interrupted", INTERRUPTED)
         except click.ClickException as error:
             _fail(error.format_message(), UNUSABLE_INPUT)
-        except OSError as error:
+        except (OSError, DgcPoseError) as error:
             _fail(_describe(error), UNUSABLE_INPUT)
-        except DgcPoseError as error:
-            _fail(str(error), UNUSABLE_INPUT)
         sys.exit(status)
 
 
-def _describe(error: OSError) -> str:
-    if error.filename is not None and error.strerror:
+def _describe(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
     return str(error)
 
