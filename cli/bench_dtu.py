@@ -46,7 +46,7 @@ from dgc_pose.options import option
 def _numbers(text: str) -> tuple[int, ...]:
     names = split_names(text)
     if not names or not all(name.isdecimal() for name in names):
-        raise InputError(f"--scenes takes numbers with commas between, not {text!r}")
+        raise InputError(f"--scenes takes comma-separated numbers, not {text!r}")
     return tuple(int(name) for name in names)
 
 
@@ -54,14 +54,14 @@ def _numbers(text: str) -> tuple[int, ...]:
 class Experiment:
     """Which pairs, in which protocol, and where the results go."""
 
-    root: str = option(help="The folder of DTU.", metavar="DIR")
-    out: str = option(help="Folder of the run; made if need be.", metavar="DIR")
+    root: str = option(help="Folder of DTU.", metavar="DIR")
+    out: str = option(help="Folder of the results; created if missing.", metavar="DIR")
     scenes: tuple[int, ...] | None = option(
-        None, "Numbers of the scenes; by default all found.", metavar="N,N", parse=_numbers
+        None, "Numbers of the scenes; default: all that are found.", metavar="N,N", parse=_numbers
     )
     pairs: str = option(
         str(PAIRS),
-        "How many pairs to draw over all scenes, or a list of them.",
+        "Number of pairs to draw over all scenes, or a list of pairs.",
         metavar="N|FILE",
     )
     protocol: Protocol = option(
@@ -101,9 +101,10 @@ def bench_dtu(
 ) -> None:
     """Repeat the paper's experiment on relative camera pose over DTU.
 
-    Each pair goes to DIR as soon as it is done: results.csv has a row for each pair and method,
-    timings.csv their times. At the end come summary.json, the figures and report.html. A pair
-    without a pose counts as an infinite error. `--seed` draws the pairs, and the poses' samples;
+    Each pair is written to DIR as soon as it is done: results.csv has a row for each pair and
+    method, timings.csv their times. At the end summary.json, the figures and report.html are
+    written. A pair
+    without a pose counts as an infinite error. `--seed` draws the pairs and the samples of RANSAC;
     `--refine` applies to the native protocol.
     """
     stored = _folders(matches)

@@ -28,13 +28,20 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
     "--methods",
     default=f"{DEFAULT_WEIGHTS}:refine=none,{DEFAULT_WEIGHTS}/all:max_matches=100000",
     show_default=True,
-    help="What matches the pairs, as in bench-pairs.",
+    help="Comma-separated methods that match the pairs, as in bench-pairs.",
 )
 @click.option(
-    "--study", type=click.Choice([*STUDIES]), multiple=True, help="Of synthetic matches; all."
+    "--study",
+    type=click.Choice([*STUDIES]),
+    multiple=True,
+    help="Study of synthetic matches; default: all.",
 )
 @click.option(
-    "--seeds", type=click.IntRange(1), default=5, show_default=True, help="Synthetic scenes each."
+    "--seeds",
+    type=click.IntRange(1),
+    default=5,
+    show_default=True,
+    help="Synthetic scenes of each study.",
 )
 @dataclass_options(RunChoice, "run", only=("device",))
 def bench_estimators(

@@ -59,7 +59,7 @@ class SceneChoice:
         None,
         "Folder of photographs, as for training; those that training holds back are used.",
     )
-    scene_seed: int = option(7, "Of the rendered scenes.")
+    scene_seed: int = option(7, "Seed of the rendered scenes.")
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -81,7 +81,7 @@ class SceneChoice:
 @click.option(
     "--out",
     metavar="DIR",
-    help="Write results.csv (a row at once for each pair), summary.json and errors.png there.",
+    help="Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
 )
 @click.option("--json", "json_path", metavar="PATH", help="Write the summary as JSON.")
 @dataclass_options(RunChoice, "run")

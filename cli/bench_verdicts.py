@@ -35,21 +35,21 @@ class PairChoice:
     )
     scenes: tuple[Path, ...] = option(
         (),
-        "Photographs of one scene; pairs of different folders are unrelated. Twice at least.",
+        "Photographs of one scene; pairs of different folders are unrelated. At least two folders.",
         flag="--scene",
     )
     lists: tuple[str, ...] = option(
         (),
-        "True pairs, in SuperGlue's format, with the folder of the images.",
+        "List of true pairs in SuperGlue's format, and the folder of its image paths.",
         flag="--list",
         metavar="LIST[,ROOT]",
     )
     limit: int | None = option(None, "Pairs of each list at most.", min=1)
-    unrelated: int = option(200, "Pairs of photographs.", min=0)
-    unrelated_scenes: int = option(100, "Pairs of --scene.", min=0)
+    unrelated: int = option(200, "Unrelated pairs of photographs.", min=0)
+    unrelated_scenes: int = option(100, "Unrelated pairs of the folders of --scene.", min=0)
     pairs: int = option(100, "Rendered true pairs.", min=0)
-    misleading: int = option(10, "Pairs of each kind.", min=0)
-    seed: int = option(11, "Of the pairs.", min=0)
+    misleading: int = option(10, "Misleading pairs of each kind.", min=0)
+    seed: int = option(11, "The same seed, the same pairs.", min=0)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -69,14 +69,14 @@ class PairChoice:
 @click.command()
 @dataclass_options(PairChoice, "choice")
 @click.option(
-    "--method", default=DEFAULT_WEIGHTS, show_default=True, help="As one of bench-pairs --methods."
+    "--method", default=DEFAULT_WEIGHTS, show_default=True, help="One of --methods of bench-pairs."
 )
-@click.option("--out", metavar="DIR", help="Write results.csv, a row at once for each pair.")
+@click.option("--out", metavar="DIR", help="Write results.csv, each pair as soon as it is done.")
 @dataclass_options(RunChoice, "run")
 def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunChoice) -> None:
     """Measure verdicts on unrelated pairs, true pairs, and pairs that mislead.
 
-    Prints two tables: what each kind of pair was called, and the gates on both halves.
+    Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
     """
     methods = parse_methods([method], MethodOptions(refinement=RefinementOptions()))
     engines = load_engines(methods, device=run.device)

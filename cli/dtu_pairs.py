@@ -21,8 +21,8 @@ from dgc_pose.options import option
 class FolderChoice:
     """What a folder of DTU holds."""
 
-    layout: Layout | None = option(None, "Of the files in the folder; by default found by looking.")
-    light: Light = option("3", "Which light.")
+    layout: Layout | None = option(None, "Layout of the files; default: the one that is found.")
+    light: Light = option("3", "Number of the light, or max.")
 
     def open(self, root: str, scenes: Sequence[int] | None) -> Dataset:
         """Find the views. Raises what `open_dataset` raises."""
@@ -40,7 +40,7 @@ def dtu_pairs(
 ) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
-    ROOT holds DTU as DTU ships it, or as it was prepared for MVSNet or NeuS. OUT.txt is a list in
+    ROOT holds DTU as its authors ship it, or as prepared for MVSNet or NeuS. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
     dataset = folder.open(root, [scan])
