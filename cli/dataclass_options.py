@@ -5,8 +5,8 @@
     def estimate(estimation: EstimationOptions) -> None: ...
 
 gives the command an option for each field of `EstimationOptions` that was made by
-`dgc_pose.options.option` with a help text, and hands it one instance. A field whose type is such a
-dataclass itself contributes that class's options.
+`dgc_pose.options.option` with a help text, and passes it one instance. A field whose type is such a
+dataclass, and whose default is that class's own, contributes the options of that class.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ Decorator = Callable[[Command], Command]
 
 
 def dataclass_options(
-    cls: type, argument: str, *, only: Collection[str] | None = None, defaults: Any = None
+    cls: type, argument: str, *, only: Collection[str] | None = None
 ) -> Decorator:
     """A decorator that adds the options of `cls` and passes an instance as keyword `argument`.
 
-    only: names of the fields that become options; None: all with a help text. defaults: an
-    instance that other values are taken from, the options' defaults too; None: the class's own.
+    only: names of the fields that become options; None: all with a help text. The other fields have
+    their defaults.
 
     The type decides the option: bool is a switch (--x, or --x/--no-x if it is True by default),
     Literal a choice, tuple[X, ...] may be given several times. An InputError of `__post_init__`
     reaches the caller, and thereby the user as one line.
     """
-    chosen = dict(_options(cls, only, defaults, argument))
+    chosen = dict(_options(cls, argument, only))
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
         def with_instance(*args: Any, **kwargs: Any) -> Any:
             values = {name: kwargs.pop(name) for name in chosen}
-            return command(*args, **kwargs, **{argument: _made(cls, values, defaults, argument)})
+            return command(*args, **kwargs, **{argument: _made(cls, values, argument)})
 
         decorated: Command = with_instance
         for decorator in reversed(chosen.values()):
@@ -54,7 +54,7 @@ def dataclass_options(
 
 
 def _options(
-    cls: type, only: Collection[str] | None, defaults: Any, path: str
+    cls: type, path: str, only: Collection[str] | None = None
 ) -> Iterator[tuple[str, Decorator]]:
     """The options by the name of the command's parameter: the path of fields, joined by "__"."""
     for field in fields(cls):
@@ -63,15 +63,13 @@ def _options(
         kind, optional = field_types(cls)[field.name]
         name, info = f"{path}__{field.name}", option_info(field)
         if info is not None and info.help:
-            default = field.default if defaults is None else getattr(defaults, field.name)
-            if info.text is not None and default == field.default:
-                default = info.text
             flag = info.flag or "--" + field.name.replace("_", "-")
-            if kind is bool and default is True:
+            if kind is bool and field.default is True:
                 flag += "/--no-" + flag[2:]
+            default = field.default if info.text is None else info.text
             yield name, click.option(flag, name, **_settings(kind, default, info))
         elif isinstance(kind, type) and is_dataclass(kind) and not optional:
-            yield from _options(kind, None, _value(field, defaults), name)
+            yield from _options(kind, name)
 
 
 def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
@@ -86,7 +84,7 @@ def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
     return settings | {"type": _parameter_type(kind, info), "show_default": shown}
 
 
-def _made(cls: type, values: Mapping[str, Any], defaults: Any, path: str) -> Any:
+def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
     """An instance with the values of the options, which `_options` named."""
     arguments: dict[str, Any] = {}
     for field in fields(cls):
@@ -94,20 +92,8 @@ def _made(cls: type, values: Mapping[str, Any], defaults: Any, path: str) -> Any
         if name in values:
             arguments[field.name] = values[name]
         elif any(other.startswith(name + "__") for other in values):
-            kind = field_types(cls)[field.name][0]
-            arguments[field.name] = _made(kind, values, _value(field, defaults), name)
-        elif defaults is not None and field.init:
-            arguments[field.name] = getattr(defaults, field.name)
+            arguments[field.name] = _made(field_types(cls)[field.name][0], values, name)
     return cls(**arguments)
-
-
-def _value(field: Any, defaults: Any) -> Any:
-    """A field's value in `defaults`, or else its own default; None if it has none."""
-    if defaults is not None:
-        return getattr(defaults, field.name)
-    if field.default_factory is not MISSING:
-        return field.default_factory()
-    return None if field.default is MISSING else field.default
 
 
 class _Parsed(click.ParamType):

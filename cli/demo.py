@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-from pathlib import Path
-
 import click
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair, read_pairs
+from dgc_pose.benchmarks.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
@@ -16,11 +13,6 @@ from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files import staged
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-
-
-def bundled_pair() -> Pair:
-    """The rendered pair that comes with the package, with its exact pose."""
-    return read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
 
 
 @click.command()
