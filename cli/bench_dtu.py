@@ -103,9 +103,8 @@ def bench_dtu(
 
     Each pair is written to DIR as soon as it is done: results.csv has a row for each pair and
     method, timings.csv their times. At the end summary.json, the figures and report.html are
-    written. A pair
-    without a pose counts as an infinite error. `--seed` draws the pairs and the samples of RANSAC;
-    `--refine` applies to the native protocol.
+    written. A pair without a pose counts as an infinite error. `--seed` draws the pairs and the
+    samples of RANSAC; `--refine` and `--max-matches` apply to the native protocol.
     """
     stored = _folders(matches)
     protocol, out = experiment.protocol, Path(experiment.out)
@@ -118,15 +117,13 @@ def bench_dtu(
     pairs = dtu_pairs(dataset, views, protocol)
     require_images(pairs.pairs)
     stems = pairs.stems
-    for place in stored.values():
-        FileMatcher(place, lambda *names: stems[names]).require(stems)
-    engines = load_engines(
-        chosen,
-        device=run.device,
-        stored=stored,
-        stem=lambda *names: stems[names],
-        keep_features=True,
-    )
+
+    def stem(name1: str, name2: str) -> str:
+        return stems[name1, name2]
+
+    for directory in stored.values():
+        FileMatcher(directory, stem).require(stems)
+    engines = load_engines(chosen, device=run.device, stored=stored, stem=stem, keep_features=True)
     evaluation = Evaluation(pairs, chosen, engines, run.options)
     for line in _opening(dataset, experiment.pairs, len(views)):
         click.echo(line)
@@ -170,7 +167,7 @@ def _write_results(
 
 
 def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
-    """What was found, and what was not."""
+    """What was found, and what was left out."""
     absent = sum(scene.absent for scene in dataset.scenes)
     views = sum(len(scene.views) for scene in dataset.scenes)
     lines = [

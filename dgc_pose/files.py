@@ -15,7 +15,7 @@ from dgc_pose.errors import InputError
 def staged(*paths: str | None) -> Iterator[Callable[[str], Path]]:
     """Open the output files of a command, so that one that cannot be written stops it at once.
 
-    Yields a function from an output's path to the file to write instead, which stands beside it.
+    Yields a function from an output's path to a temporary file beside it, to write instead.
     When the block ends they replace the outputs. After an exception they are removed, and old
     outputs are untouched. Paths that are None are passed over.
 
