@@ -46,7 +46,7 @@ from dgc_pose.options import option
 def _numbers(text: str) -> tuple[int, ...]:
     names = split_names(text)
     if not names or not all(name.isdecimal() for name in names):
-        raise InputError(f"--scenes takes comma-separated numbers, not {text!r}")
+        raise InputError(f"--scenes takes numbers separated by commas, not {text!r}")
     return tuple(int(name) for name in names)
 
 
