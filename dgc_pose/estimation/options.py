@@ -32,7 +32,7 @@ class VerdictOptions:
     # parallax below `min_parallax`.
     rotation_share: float = 0.8
     # "rotation_only" for any parallax: share of inliers that a rotation explains within the
-    # epipolar threshold. Errors of dense matches are smooth, which looks like a translation.
+    # epipolar threshold. Errors of dense matches are smooth and resemble a translation.
     strict_rotation_share: float = 0.9
     # Motion left by a rotation, over the epipolar error, that counts as a translation; more for few
     # matches.
