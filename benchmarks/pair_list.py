@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,11 @@ def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     return pairs
+
+
+def bundled_pair() -> Pair:
+    """The rendered pair that comes with the package, with its exact pose."""
+    return read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
 
 
 def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:

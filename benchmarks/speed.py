@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,7 +18,7 @@ import numpy as np
 import torch
 
 from dgc_pose.benchmarks.forwards import milliseconds, multiply_adds
-from dgc_pose.benchmarks.pair_list import read_pairs
+from dgc_pose.benchmarks.pair_list import bundled_pair
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.camera import Camera, check_size, parse_camera
 from dgc_pose.errors import InputError
@@ -149,7 +148,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
 
 def bundled_setup(folder: Path) -> tuple[Path, Path, Camera, Camera]:
     """The bundled pair enlarged to 1600 x 1200 and written into a folder, with its cameras."""
-    pair = read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
+    pair = bundled_pair()
     paths, cameras = [], []
     for path, camera in ((pair.path1, pair.camera1), (pair.path2, pair.camera2)):
         image = load_image(path)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
 import click
 
-from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, open_dataset
+from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.dtu_pairs import (
     DESCRIPTIONS,
     DtuPairs,
@@ -19,12 +18,10 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import (
 )
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_csv
 from dgc_pose.benchmarks.dtu.report_page import write_report
-from dgc_pose.benchmarks.dtu.scene import LIGHTS
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import EVERYWHERE, MethodOptions, load_engines, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
 from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.benchmarks.summary import (
     by_method,
     heading,
@@ -32,68 +29,57 @@ from dgc_pose.benchmarks.summary import (
     summarise_maps,
     summary_data,
 )
-from dgc_pose.cli.bench_run import RunChoice, open_store, run_options, work
-from dgc_pose.cli.options import (
-    device_option,
-    estimator_options,
-    matchability_option,
-    refine_option,
-    refinement_options,
-    split_names,
-)
+from dgc_pose.cli.bench_run import MethodChoice, RunChoice, open_store, work
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.dtu_pairs import FolderChoice
+from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import write_text
 from dgc_pose.matchers import SIFT
-from dgc_pose.matching import MatchingOptions
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FLOWS
 from dgc_pose.network.weights import shipped
-from dgc_pose.refinement import SourceName
+from dgc_pose.options import option
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    names = split_names(text)
+    if not names or not all(name.isdecimal() for name in names):
+        raise InputError(f"--scenes takes numbers separated by commas, not {text!r}")
+    return tuple(int(name) for name in names)
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """What is to be run."""
+class Experiment:
+    """Which pairs, in which protocol, and where the results go."""
 
-    evaluation: Evaluation[DtuScore]
-    pairs: DtuPairs
-    defaults: MethodOptions
-    facts: Mapping[str, str]  # for people
+    root: str = option(help="Folder of DTU.", metavar="DIR")
+    out: str = option(help="Folder of the results; created if missing.", metavar="DIR")
+    scenes: tuple[int, ...] | None = option(
+        None, "Numbers of the scenes; default: all that are found.", metavar="N,N", parse=_numbers
+    )
+    pairs: str = option(
+        str(PAIRS),
+        "Number of pairs to draw over all scenes, or a list of pairs.",
+        metavar="N|FILE",
+    )
+    protocol: Protocol = option(
+        "paper", "; ".join(f"{name}: {text}" for name, text in DESCRIPTIONS.items()) + "."
+    )
 
 
 @click.command()
-@click.option("--root", required=True, metavar="DIR", help="The folder of DTU.")
-@click.option("--out", required=True, metavar="DIR", help="Folder of the run; made if need be.")
-@click.option(
-    "--layout",
-    type=click.Choice(get_args(Layout)),
-    help="Of the files in that folder; by default found by looking.",
-)
-@click.option("--scenes", metavar="N,N", help="Numbers of the scenes; by default all found.")
-@click.option(
-    "--pairs",
-    default=str(PAIRS),
-    show_default=True,
-    metavar="N|FILE",
-    help="How many pairs to draw over all scenes, or a list of them.",
-)
-@click.option(
-    "--protocol",
-    type=click.Choice(get_args(Protocol)),
-    default="paper",
-    show_default=True,
-    help="; ".join(f"{name}: {text}" for name, text in DESCRIPTIONS.items()) + ".",
-)
+@dataclass_options(Experiment, "experiment")
+@dataclass_options(FolderChoice, "folder")
 @click.option(
     "--methods",
     default=lambda: ",".join(
         [*(name + end for name in shipped() for end in ("", EVERYWHERE)), SIFT, *FLOWS]
     ),
     show_default=f"all shipped weights with and without {EVERYWHERE}, {SIFT}, {', '.join(FLOWS)}",
-    help="Names or paths of weights, sift, dis, farneback, and names of --matches, with commas "
-    "between, each with options of its own if need be, as NAME:matchability=0.5:runs=1; "
+    help="Comma-separated names or paths of weights, sift, dis, farneback, and names of --matches, "
+    "each with options of its own, such as NAME:matchability=0.5:runs=1; "
     f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their matchability.",
 )
 @click.option(
@@ -103,87 +89,53 @@ class _Plan:
     help="Maps, flows or matches that another program computed, as scanN_VIEW1_VIEW2 with the "
     "ending .flo, .npz, .npy or .png.",
 )
-@click.option(
-    "--light", type=click.Choice(LIGHTS), default="3", show_default=True, help="Which light."
-)
-@matchability_option
-@run_options
-@device_option
-@refine_option
-@estimator_options
+@dataclass_options(RunChoice, "run")
+@dataclass_options(MethodChoice, "user")
 def bench_dtu(
-    root: str,
-    out: str,
-    layout: Layout | None,
-    scenes: str | None,
-    pairs: str,
-    protocol: Protocol,
+    experiment: Experiment,
+    folder: FolderChoice,
     methods: str,
     matches: tuple[str, ...],
-    light: str,
-    matchability: float,
     run: RunChoice,
-    device: str,
-    refine: SourceName | None,
-    estimation: EstimationOptions,
+    user: MethodChoice,
 ) -> None:
     """Repeat the paper's experiment on relative camera pose over DTU.
 
-    Each pair goes to DIR as soon as it is done: results.csv has a row for each pair and method,
-    timings.csv their times. At the end come summary.json, the figures and report.html. A pair
-    without a pose counts as an infinite error. `--seed` draws the pairs, and the poses' samples;
-    `--refine` is of the native protocol.
+    Each pair is written to DIR as soon as it is done: results.csv has a row for each pair and
+    method, timings.csv their times. At the end summary.json, the figures and report.html are
+    written. A pair without a pose counts as an infinite error. `--seed` draws the pairs and the
+    samples of RANSAC; `--refine` and `--max-matches` apply to the native protocol.
     """
-    numbers = None if scenes is None else _numbers(scenes)
     stored = _folders(matches)
-    matching = MatchingOptions(matchability=matchability)
-    refinement = refinement_options(refine, matching)
-    defaults = protocol_options(protocol, MethodOptions(matching, refinement, estimation))
+    protocol, out = experiment.protocol, Path(experiment.out)
+    defaults = protocol_options(protocol, user.options)
     chosen = parse_methods(split_names(methods), defaults, [*stored])
-    dataset = open_dataset(root, layout=layout, scenes=numbers, light=light)
-    views = choose_pairs(dataset, pairs, seed=estimation.seed, scenes=numbers)
-    posed = dtu_pairs(dataset, views, protocol)
-    require_images(posed.pairs)
-    stems = posed.stems
-    for folder in stored.values():
-        FileMatcher(folder, lambda *names: stems[names]).require(stems)
-    engines = load_engines(
-        chosen,
-        device=device,
-        stored=stored,
-        stem=lambda *names: stems[names],
-        keep_features=True,
+    dataset = folder.open(experiment.root, experiment.scenes)
+    views = choose_pairs(
+        dataset, experiment.pairs, seed=user.estimation.seed, scenes=experiment.scenes
     )
-    facts = _facts(dataset, posed, defaults, light)
-    plan = _Plan(Evaluation(posed, chosen, engines, run.options(device)), posed, defaults, facts)
-    for line in _opening(dataset, pairs, len(views)):
+    pairs = dtu_pairs(dataset, views, protocol)
+    require_images(pairs.pairs)
+    stems = pairs.stems
+
+    def stem(name1: str, name2: str) -> str:
+        return stems[name1, name2]
+
+    for directory in stored.values():
+        FileMatcher(directory, stem).require(stems)
+    engines = load_engines(chosen, device=run.device, stored=stored, stem=stem, keep_features=True)
+    evaluation = Evaluation(pairs, chosen, engines, run.options)
+    for line in _opening(dataset, experiment.pairs, len(views)):
         click.echo(line)
-    settings = {"protocol": protocol, "layout": dataset.layout, "light": light}
-    store = open_store(
-        plan.evaluation, out, device, settings, resume=run.resume, samples=True
-    )
-    write_pair_csv(Path(out, "pairs.csv"), views)
-    work(plan.evaluation, store)
-    _finish(plan, store, Path(out))
-
-
-def _finish(plan: _Plan, store: RunStore[DtuScore], out: Path) -> None:
-    """The savings, summary.json, figures and report, and the table."""
-    for name, caches in plan.evaluation.engines.caches.items():
-        kept = caches.features
-        if kept.asked:
-            click.echo(
-                f"{name}: {kept.made} encoder passes instead of {kept.asked}, "
-                f"{100 * (1 - kept.made / kept.asked):.0f} % saved"
-            )
-    protocol = plan.pairs.protocol
-    summaries = [summarise_maps(own) for own in by_method(store.scores).values()]
-    table = map_table(summaries)
-    data = {"protocol": protocol, "run": plan.facts, **summary_data(summaries)}
-    write_text(out / "summary.json", json_text(data))
-    write_report(out, plan.pairs, store.scores, facts=plan.facts, table=table)
+    settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
+    store = open_store(evaluation, experiment.out, run, settings, samples=True)
+    write_pair_csv(out / "pairs.csv", views)
+    work(evaluation, store)
+    _print_savings(evaluation)
+    data = f"DTU in the {dataset.layout} layout, light {folder.light}"
+    table = _write_results(out, pairs, store.scores, _facts(data, pairs, defaults))
     click.echo(f"{protocol} protocol: {DESCRIPTIONS[protocol]}")
-    click.echo(heading(plan.defaults.estimation))
+    click.echo(heading(defaults.estimation))
     click.echo(
         "D_e: median symmetric epipolar distance of a pair in pixels of the protocol's images, its "
         "median\nover pairs, over all pixels and over the pose's matches; pose s: estimating"
@@ -192,8 +144,30 @@ def _finish(plan: _Plan, store: RunStore[DtuScore], out: Path) -> None:
     click.echo(f"{out / 'report.html'}: the plots, and every pair with its matches")
 
 
+def _print_savings(evaluation: Evaluation[DtuScore]) -> None:
+    for name, caches in evaluation.engines.caches.items():
+        kept = caches.features
+        if kept.asked:
+            click.echo(
+                f"{name}: {kept.made} encoder passes instead of {kept.asked}, "
+                f"{100 * (1 - kept.made / kept.asked):.0f} % saved"
+            )
+
+
+def _write_results(
+    out: Path, pairs: DtuPairs, scores: Sequence[DtuScore], facts: Mapping[str, str]
+) -> str:
+    """Write summary.json, the figures and the report; returns the table."""
+    summaries = [summarise_maps(own) for own in by_method(scores).values()]
+    table = map_table(summaries)
+    data = {"protocol": pairs.protocol, "run": facts, **summary_data(summaries)}
+    write_text(out / "summary.json", json_text(data))
+    write_report(out, pairs, scores, facts=facts, table=table)
+    return table
+
+
 def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
-    """What was found, and what was not."""
+    """What was found, and what was left out."""
     absent = sum(scene.absent for scene in dataset.scenes)
     views = sum(len(scene.views) for scene in dataset.scenes)
     lines = [
@@ -208,27 +182,18 @@ def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
     return lines
 
 
-def _facts(
-    dataset: Dataset, pairs: DtuPairs, defaults: MethodOptions, light: str
-) -> dict[str, str]:
+def _facts(data: str, pairs: DtuPairs, defaults: MethodOptions) -> dict[str, str]:
+    """The run, for people."""
     estimation = defaults.estimation
-    scenes = sorted({scene for scene, _, _ in pairs.keys})
     return {
         "protocol": f"{pairs.protocol}: {DESCRIPTIONS[pairs.protocol]}",
-        "data": f"DTU in the {dataset.layout} layout, light {light}",
-        "scenes": ", ".join(map(str, scenes)),
+        "data": data,
+        "scenes": ", ".join(map(str, sorted({scene for scene, _, _ in pairs.keys}))),
         "pairs": str(len(pairs.keys)),
         "estimator": heading(estimation).splitlines()[0].removeprefix("estimator "),
         "matchability": f"{defaults.matching.matchability:g} at least",
         "seed": str(estimation.seed),
     }
-
-
-def _numbers(scenes: str) -> list[int]:
-    names = split_names(scenes)
-    if not names or not all(name.isdecimal() for name in names):
-        raise InputError(f"--scenes takes numbers with commas between, not {scenes!r}")
-    return [int(name) for name in names]
 
 
 def _folders(matches: Sequence[str]) -> dict[str, Path]:

@@ -7,30 +7,43 @@ import click
 from dgc_pose.benchmarks.estimators import STUDIES, Compared, compare, comparison_table
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
-from dgc_pose.benchmarks.pair_list import read_pairs
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
-from dgc_pose.cli.options import device_option, split_names
+from dgc_pose.cli.bench_run import (
+    RunChoice,
+    limit_option,
+    listed_pairs,
+    pair_list_argument,
+    root_option,
+)
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import split_names
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 
 
 @click.command()
-@click.argument("pair_list", metavar="[LIST]", required=False)
-@click.option("--root", help="Folder of the image paths; by default the list's own.")
-@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Only the first N pairs.")
+@pair_list_argument
+@root_option
+@limit_option
 @click.option(
     "--methods",
     default=f"{DEFAULT_WEIGHTS}:refine=none,{DEFAULT_WEIGHTS}/all:max_matches=100000",
     show_default=True,
-    help="What matches the pairs, as in bench-pairs.",
+    help="Comma-separated methods that match the pairs, as in bench-pairs.",
 )
 @click.option(
-    "--study", type=click.Choice([*STUDIES]), multiple=True, help="Of synthetic matches; all."
+    "--study",
+    type=click.Choice([*STUDIES]),
+    multiple=True,
+    help="Study of synthetic matches; default: all.",
 )
 @click.option(
-    "--seeds", type=click.IntRange(1), default=5, show_default=True, help="Synthetic scenes each."
+    "--seeds",
+    type=click.IntRange(1),
+    default=5,
+    show_default=True,
+    help="Synthetic scenes of each study.",
 )
-@device_option
+@dataclass_options(RunChoice, "run", only=("device",))
 def bench_estimators(
     pair_list: str | None,
     root: str | None,
@@ -38,7 +51,7 @@ def bench_estimators(
     methods: str,
     study: tuple[str, ...],
     seeds: int,
-    device: str,
+    run: RunChoice,
 ) -> None:
     """Measure the estimators on synthetic matches, half of them wrong.
 
@@ -49,17 +62,16 @@ def bench_estimators(
         for name in study or STUDIES:
             click.echo("\n".join([f"{name}, {seeds} scenes each", "", *STUDIES[name](seeds), ""]))
         return
-    pairs = read_pairs(pair_list, root)[:limit]
-    require_images(pairs)
+    pairs = listed_pairs(pair_list, root, limit)
     options = EstimationOptions()
     chosen = parse_methods(split_names(methods), MethodOptions(estimation=options))
-    evaluation = Evaluation(ListedPairs(pairs), chosen, load_engines(chosen, device=device))
+    evaluation = Evaluation(pairs, chosen, load_engines(chosen, device=run.device))
     found: dict[str, list[Compared]] = {method.name: [] for method in chosen}
-    for pair in evaluation.pairs.read():
+    for pair in pairs.read():
         for job in evaluation.match([pair])[0]:
             found[job.method].append(compare(job.matches, job.truth, job.options))
     click.echo(
-        f"{len(pairs)} pairs; {options.runs} runs of {options.iterations} iterations; medians in "
-        "degrees, a failure infinite"
+        f"{len(pairs.ids)} pairs; {options.runs} runs of {options.iterations} iterations; medians "
+        "in degrees, a failure infinite"
     )
     click.echo(comparison_table([*found.items()], options.estimator))

@@ -30,7 +30,7 @@ SEQUENCES = 59  # of a changing viewpoint in HPatches
 @click.option(
     "--lists",
     metavar="DIR",
-    help="Folder of the DGC-Net authors' hpatches_1_2.csv to hpatches_1_6.csv: take their pairs.",
+    help="Folder of the DGC-Net authors' hpatches_1_2.csv to hpatches_1_6.csv: use their pairs.",
 )
 @dataclass_options(MapBenchOptions, "bench")
 def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,8 @@ import click
 import numpy as np
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
-from dgc_pose.benchmarks.pair_list import read_pairs
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, PairSet, RenderedPairs, require_images
+from dgc_pose.benchmarks.methods import load_engines, parse_methods
+from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPairs
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.summary import (
     MethodSummary,
@@ -24,76 +24,78 @@ from dgc_pose.benchmarks.summary import (
     summary_data,
     summary_table,
 )
-from dgc_pose.cli.bench_run import RunChoice, open_store, run_options, work
-from dgc_pose.cli.options import (
-    device_option,
-    estimator_options,
-    filter_options,
-    refine_option,
-    refinement_options,
-    split_names,
+from dgc_pose.cli.bench_run import (
+    MethodChoice,
+    RunChoice,
+    limit_option,
+    listed_pairs,
+    open_store,
+    pair_list_argument,
+    root_option,
+    work,
 )
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import staged
 from dgc_pose.matchers import SIFT
-from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.weights import shipped
-from dgc_pose.refinement import SourceName
+from dgc_pose.options import check_options, option
 from dgc_pose.viz import plot_errors, save_figure
 
 
+@dataclass(frozen=True)
+class SceneChoice:
+    """Rendered pairs, instead of a list."""
+
+    rendered: int | None = option(
+        None,
+        "Instead of LIST: N pairs of rendered scenes, textured with --photos.",
+        metavar="N",
+        min=1,
+    )
+    photos: Path | None = option(
+        None,
+        "Folder of photographs, as for training; those that training holds back are used.",
+    )
+    scene_seed: int = option(7, "Seed of the rendered scenes.")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
 @click.command()
-@click.argument("pair_list", metavar="[LIST]", required=False)
-@click.option("--root", help="Folder of the image paths; by default the list's own.")
-@click.option(
-    "--rendered",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Instead of LIST: N pairs of rendered scenes, textured with --photos.",
-)
-@click.option(
-    "--photos",
-    type=click.Path(path_type=Path),
-    help="Folder of photographs, as for training; those that training holds back are used.",
-)
-@click.option("--scene-seed", default=7, show_default=True, help="Of the rendered scenes.")
+@pair_list_argument
+@root_option
+@dataclass_options(SceneChoice, "scenes")
 @click.option(
     "--methods",
     default=lambda: ",".join([*shipped(), SIFT]),
     show_default="all shipped weights, and sift",
-    help="With commas between: names or paths of weights, sift, dis, farneback, each with options "
-    "of its own if need be, as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps "
-    "into image 1.",
+    help="Comma-separated names or paths of weights, sift, dis, farneback, each with options of "
+    "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
+    "image 1.",
 )
-@click.option("--limit", type=click.IntRange(min=1), metavar="N", help="Only the first N pairs.")
+@limit_option
 @click.option(
     "--out",
     metavar="DIR",
-    help="Write results.csv (a row at once for each pair), summary.json and errors.png there.",
+    help="Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
 )
 @click.option("--json", "json_path", metavar="PATH", help="Write the summary as JSON.")
-@run_options
-@device_option
-@filter_options
-@refine_option
-@estimator_options
+@dataclass_options(RunChoice, "run")
+@dataclass_options(MethodChoice, "defaults")
 def bench_pairs(
     pair_list: str | None,
     root: str | None,
-    rendered: int | None,
-    photos: Path | None,
-    scene_seed: int,
+    scenes: SceneChoice,
     methods: str,
     limit: int | None,
     out: str | None,
     json_path: str | None,
     run: RunChoice,
-    device: str,
-    filters: MatchingOptions,
-    refine: SourceName | None,
-    estimation: EstimationOptions,
+    defaults: MethodChoice,
 ) -> None:
     """Score methods on the pairs of LIST, in SuperGlue's format, or on rendered pairs.
 
@@ -101,16 +103,20 @@ def bench_pairs(
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
     """
-    pairs = _pairs(pair_list, root, limit, rendered, photos, scene_seed)
-    defaults = MethodOptions(filters, refinement_options(refine, filters), estimation)
-    chosen = parse_methods(split_names(methods), defaults)
+    if pair_list is not None and scenes.rendered is None:
+        pairs: PairSet[Any] = listed_pairs(pair_list, root, limit)
+    elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
+        pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
+    else:
+        raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
+    chosen = parse_methods(split_names(methods), defaults.options)
     with staged(json_path) as stage:
-        engines = load_engines(chosen, device=device)
-        evaluation = Evaluation(pairs, chosen, engines, run.options(device))
-        store = open_store(evaluation, out, device, {}, resume=run.resume)
+        engines = load_engines(chosen, device=run.device)
+        evaluation = Evaluation(pairs, chosen, engines, run.options)
+        store = open_store(evaluation, out, run)
         work(evaluation, store)
         results = by_method(store.scores)
-        if rendered is None:
+        if scenes.rendered is None:
             summaries: Sequence[MethodSummary] = [summarise(own) for own in results.values()]
             table = summary_table(summaries)
         else:
@@ -121,25 +127,8 @@ def bench_pairs(
             stage(json_path).write_text(data, encoding="utf-8")
     if out is not None:
         _write_summary(out, data, results)
-    click.echo(heading(estimation))
+    click.echo(heading(defaults.estimation))
     click.echo(table)
-
-
-def _pairs(
-    pair_list: str | None,
-    root: str | None,
-    limit: int | None,
-    rendered: int | None,
-    photos: Path | None,
-    scene_seed: int,
-) -> PairSet[Any]:
-    if pair_list is not None and rendered is None:
-        pairs = read_pairs(pair_list, root)[:limit]
-        require_images(pairs)
-        return ListedPairs(pairs)
-    if pair_list is None and rendered is not None and photos is not None:
-        return RenderedPairs(photos, rendered, scene_seed)
-    raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
 
 
 def _write_summary(out: str, data: str, results: Mapping[str, Sequence[PairScore]]) -> None:

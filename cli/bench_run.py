@@ -1,10 +1,9 @@
-"""What the pose benchmarks share: --workers, --batch and --resume, and the run itself."""
+"""What the pose benchmarks share: lists of pairs, --workers, --batch and --resume, and the run."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,79 +11,100 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
+from dgc_pose.benchmarks.methods import MethodOptions
+from dgc_pose.benchmarks.pair_list import read_pairs
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.store import RunStore, keys_of
+from dgc_pose.cli.options import DeviceName, RefineChoice
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.device import choose_device
+from dgc_pose.options import check_options, option
 
-Command = Callable[..., Any]
 GPU_BATCH = 16
+
+pair_list_argument = click.argument("pair_list", metavar="[LIST]", required=False)
+root_option = click.option("--root", help="Folder of the image paths; by default the list's own.")
+limit_option = click.option(
+    "--limit", type=click.IntRange(min=1), metavar="N", help="Only the first N pairs."
+)
 
 
 @dataclass(frozen=True)
 class RunChoice:
-    """How the user wants a run worked through."""
+    """How a data set is worked through."""
 
-    workers: int
-    batch: int | None
-    resume: bool
+    workers: int = option(
+        1, "Processes that estimate poses; the results are the same for any number.", min=1
+    )
+    batch: int | None = option(
+        None,
+        f"Pairs that a network matches together; default: {GPU_BATCH} on a GPU, 1 on a CPU.",
+        min=1,
+    )
+    resume: bool = option(False, "Continue the run in --out, if there is one.")
+    device: DeviceName = option("auto", "Where the network runs.")
 
-    def options(self, device: str) -> RunOptions:
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def device_type(self) -> str:
+        """ "cpu" or "cuda". Raises InputError if there is no such device."""
+        return choose_device(self.device).type
+
+    @property
+    def options(self) -> RunOptions:
         """Without --batch it is that of the device."""
-        gpu = choose_device(device).type == "cuda"
+        gpu = self.device_type == "cuda"
         return RunOptions(self.workers, self.batch or (GPU_BATCH if gpu else 1))
 
 
-def run_options(command: Command) -> Command:
-    """--workers, --batch and --resume, as `run: RunChoice`."""
+@dataclass(frozen=True)
+class MethodChoice:
+    """The options of all methods that a specification leaves open."""
 
-    @click.option(
-        "--workers",
-        type=click.IntRange(min=1),
-        default=1,
-        show_default=True,
-        help="Processes that estimate poses; the results are the same for any number.",
-    )
-    @click.option(
-        "--batch",
-        type=click.IntRange(min=1),
-        show_default=f"{GPU_BATCH} on a GPU, 1 on a CPU",
-        help="Pairs that a network matches together.",
-    )
-    @click.option(
-        "--resume", is_flag=True, help="Go on with the run that --out holds, if it holds one."
-    )
-    @functools.wraps(command)
-    def wrapper(*args: Any, workers: int, batch: int | None, resume: bool, **kwargs: Any) -> Any:
-        return command(*args, run=RunChoice(workers, batch, resume), **kwargs)
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    refine: RefineChoice = field(default_factory=RefineChoice)
+    estimation: EstimationOptions = field(default_factory=EstimationOptions)
 
-    return wrapper
+    @property
+    def options(self) -> MethodOptions:
+        return MethodOptions(self.matching, self.refine.options(self.matching), self.estimation)
+
+
+def listed_pairs(pair_list: str, root: str | None, limit: int | None) -> ListedPairs:
+    """The first pairs of a list. Raises InputError if it is malformed or images are missing."""
+    pairs = read_pairs(pair_list, root)[:limit]
+    require_images(pairs)
+    return ListedPairs(pairs)
 
 
 def open_store(
     evaluation: Evaluation[Score],
     out: str | None,
-    device: str,
-    settings: Mapping[str, Any],
+    run: RunChoice,
+    settings: Mapping[str, Any] | None = None,
     *,
-    resume: bool,
     samples: bool = False,
 ) -> RunStore[Score]:
-    """The store of an evaluation, whose records depend on `settings` besides."""
-    if out is None and resume:
-        raise InputError("--resume needs the --out of the run to go on with")
+    """The store of an evaluation; its records depend on `settings` besides."""
+    if out is None and run.resume:
+        raise InputError("--resume needs the --out of the run to continue")
     return RunStore(
         None if out is None else Path(out),
         evaluation.pairs.kind,
         keys_of(evaluation.pairs, [method.name for method in evaluation.methods]),
-        {**settings, **evaluation.settings(choose_device(device).type)},
-        resume=resume,
+        {**(settings or {}), **evaluation.settings(run.device_type)},
+        resume=run.resume,
         samples=samples,
     )
 
 
 def work(evaluation: Evaluation[Score], store: RunStore[Score]) -> None:
-    """Do the pairs that are not done, with the time left on a terminal."""
+    """Work through the pairs that are not done yet, with a progress bar on a terminal."""
     first, total = store.done, len(evaluation.pairs.ids)
     if first:
         click.echo(f"{first} of {total} pairs are done already")

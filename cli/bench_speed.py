@@ -38,17 +38,26 @@ from dgc_pose.refinement import RefinementOptions
 @click.argument("image1", required=False, type=click.Path(path_type=Path))
 @click.argument("image2", required=False, type=click.Path(path_type=Path))
 @click.argument("k", metavar="[K]", required=False)
-@click.option("--weights", default=DEFAULT_WEIGHTS, show_default=True, help="A name or a path.")
+@click.option("--weights", default=DEFAULT_WEIGHTS, show_default=True, help="Name or path.")
 @click.option(
     "--forward",
     "networks",
     default="dgcm",
     show_default=True,
-    help="Presets, with random weights, whose passes are compared beside the weights' own; with "
-    "commas between.",
+    help="Comma-separated presets whose forward passes, with random weights, are timed too.",
 )
-@click.option("--repetitions", type=click.IntRange(1), default=7, show_default=True)
-@click.option("--threads", type=click.IntRange(1), help="Of torch and OpenCV; default: their own.")
+@click.option(
+    "--repetitions",
+    type=click.IntRange(1),
+    default=7,
+    show_default=True,
+    help="Their median counts.",
+)
+@click.option(
+    "--threads",
+    type=click.IntRange(1),
+    help="Threads of torch and OpenCV; default: their own choice.",
+)
 @click.option("--json", "json_path", metavar="PATH", help="Write all figures as JSON.")
 def bench_speed(
     image1: Path | None,

@@ -38,7 +38,7 @@ class SyntheticOptions:
         flag="--list",
         metavar="CSV",
     )
-    sets: str = option(",".join(SETS), "Which sets, with commas between.")
+    sets: str = option(",".join(SETS), "Comma-separated sets.")
     pairs: int = option(100, "Pairs of each set.", metavar="N", min=1)
     seed: int = option(0, "The same seed, the same pairs.")
     changed: bool = option(

@@ -1,7 +1,8 @@
-"""`dgc-pose bench-verdicts`: whether success can be trusted, and the error that a pose names."""
+"""`dgc-pose bench-verdicts`: whether a verdict and its expected error can be trusted."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -9,6 +10,7 @@ import click
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
 from dgc_pose.benchmarks.verdict_pairs import (
+    Group,
     VerdictPairs,
     listed,
     misleading,
@@ -17,79 +19,72 @@ from dgc_pose.benchmarks.verdict_pairs import (
     unrelated_scenes,
 )
 from dgc_pose.benchmarks.verdicts import gates_table, groups_table
-from dgc_pose.cli.bench_run import RunChoice, open_store, run_options, work
-from dgc_pose.cli.options import device_option
+from dgc_pose.cli.bench_run import RunChoice, open_store, work
+from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
+from dgc_pose.options import check_options, option
 from dgc_pose.refinement import RefinementOptions
 
 
+@dataclass(frozen=True)
+class PairChoice:
+    """Which pairs are judged."""
+
+    photos: Path = option(
+        help="Folder of photographs, as for training; those that training holds back are used."
+    )
+    scenes: tuple[Path, ...] = option(
+        (),
+        "Photographs of one scene; pairs of different folders are unrelated. At least two folders.",
+        flag="--scene",
+    )
+    lists: tuple[str, ...] = option(
+        (),
+        "List of true pairs in SuperGlue's format, and the folder of its image paths.",
+        flag="--list",
+        metavar="LIST[,ROOT]",
+    )
+    limit: int | None = option(None, "Pairs of each list at most.", min=1)
+    unrelated: int = option(200, "Unrelated pairs of photographs.", min=0)
+    unrelated_scenes: int = option(100, "Unrelated pairs of the folders of --scene.", min=0)
+    pairs: int = option(100, "Rendered true pairs.", min=0)
+    misleading: int = option(10, "Misleading pairs of each kind.", min=0)
+    seed: int = option(11, "The same seed, the same pairs.", min=0)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    def groups(self) -> list[Group]:
+        """Unrelated and true pairs. Raises ImageError or InputError if they cannot be made."""
+        groups = [unrelated_photos(self.photos, self.unrelated, self.seed)]
+        if self.scenes:
+            groups.append(unrelated_scenes(self.scenes, self.unrelated_scenes, self.seed))
+        groups.append(rendered(self.photos, self.pairs, self.seed))
+        for entry in self.lists:
+            pair_list, _, root = entry.partition(",")
+            groups.append(listed(Path(pair_list), Path(root) if root else None, self.limit))
+        return groups
+
+
 @click.command()
+@dataclass_options(PairChoice, "choice")
 @click.option(
-    "--photos",
-    required=True,
-    type=click.Path(path_type=Path),
-    help="Folder of photographs, as for training; those that training holds back are used.",
+    "--method", default=DEFAULT_WEIGHTS, show_default=True, help="One of --methods of bench-pairs."
 )
-@click.option(
-    "--scene",
-    "scenes",
-    multiple=True,
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Photographs of one scene; pairs of different folders are unrelated. Twice at least.",
-)
-@click.option(
-    "--list",
-    "lists",
-    multiple=True,
-    metavar="LIST[,ROOT]",
-    help="True pairs, in SuperGlue's format, with the folder of the images.",
-)
-@click.option("--limit", type=click.IntRange(1), help="Pairs of each list at most.")
-@click.option("--unrelated", default=200, show_default=True, help="Pairs of photographs.")
-@click.option(
-    "--unrelated-scenes", "between", default=100, show_default=True, help="Pairs of --scene."
-)
-@click.option("--pairs", default=100, show_default=True, help="Rendered true pairs.")
-@click.option("--misleading", "hard", default=10, show_default=True, help="Pairs of each kind.")
-@click.option(
-    "--method", default=DEFAULT_WEIGHTS, show_default=True, help="As one of bench-pairs --methods."
-)
-@click.option("--seed", default=11, show_default=True, help="Of the pairs.")
-@click.option("--out", metavar="DIR", help="Write results.csv, a row at once for each pair.")
-@run_options
-@device_option
-def bench_verdicts(
-    photos: Path,
-    scenes: tuple[Path, ...],
-    lists: tuple[str, ...],
-    limit: int | None,
-    unrelated: int,
-    between: int,
-    pairs: int,
-    hard: int,
-    method: str,
-    seed: int,
-    out: str | None,
-    run: RunChoice,
-    device: str,
-) -> None:
+@click.option("--out", metavar="DIR", help="Write results.csv, each pair as soon as it is done.")
+@dataclass_options(RunChoice, "run")
+def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunChoice) -> None:
     """Measure verdicts on unrelated pairs, true pairs, and pairs that mislead.
 
-    Prints two tables: what each kind of pair was called, and the gates on both halves.
+    Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
     """
     methods = parse_methods([method], MethodOptions(refinement=RefinementOptions()))
-    engines = load_engines(methods, device=device)
-    groups = [unrelated_photos(photos, unrelated, seed)]
-    if scenes:
-        groups.append(unrelated_scenes(scenes, between, seed))
-    groups.append(rendered(photos, pairs, seed))
-    for entry in lists:
-        pair_list, _, root = entry.partition(",")
-        groups.append(listed(Path(pair_list), Path(root) if root else None, limit))
+    engines = load_engines(methods, device=run.device)
+    groups = choice.groups()
     count = sum(len(group.names) for group in groups)
-    posed = VerdictPairs([*groups, *misleading(photos, hard, seed)])
-    evaluation = Evaluation(posed, methods, engines, run.options(device))
-    store = open_store(evaluation, out, device, {}, resume=run.resume)
+    hard = misleading(choice.photos, choice.misleading, choice.seed)
+    evaluation = Evaluation(VerdictPairs([*groups, *hard]), methods, engines, run.options)
+    store = open_store(evaluation, out, run)
     work(evaluation, store)
     # Gates are not chosen on what misleads.
     click.echo(f"{groups_table(store.scores)}\n\n{gates_table(store.scores[:count])}")

@@ -5,15 +5,15 @@
     def estimate(estimation: EstimationOptions) -> None: ...
 
 gives the command an option for each field of `EstimationOptions` that was made by
-`dgc_pose.options.option` with a help text, and hands it one instance. A field whose type is such a
-dataclass itself contributes that class's options.
+`dgc_pose.options.option` with a help text, and passes it one instance. A field whose type is such a
+dataclass, and whose default is that class's own, contributes the options of that class.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -22,109 +22,78 @@ import click
 from dgc_pose.options import OptionInfo, field_types, option_info
 
 Command = Callable[..., Any]
+Decorator = Callable[[Command], Command]
 
 
 def dataclass_options(
-    cls: type,
-    argument: str,
-    *,
-    only: Collection[str] | None = None,
-    defaults: Any = None,
-) -> Callable[[Command], Command]:
+    cls: type, argument: str, *, only: Collection[str] | None = None
+) -> Decorator:
     """A decorator that adds the options of `cls` and passes an instance as keyword `argument`.
 
-    only: names of the fields that become options; None: all with a help text. defaults: an
-    instance that other values are taken from, the options' defaults too; None: the class's own.
+    only: names of the fields that become options; None: all with a help text. The other fields have
+    their defaults.
 
     The type decides the option: bool is a switch (--x, or --x/--no-x if it is True by default),
     Literal a choice, tuple[X, ...] may be given several times. An InputError of `__post_init__`
     reaches the caller, and thereby the user as one line.
     """
-    chosen = list(_chosen(cls, only, defaults, argument))
+    chosen = dict(_options(cls, argument, only))
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
         def with_instance(*args: Any, **kwargs: Any) -> Any:
-            values = {one.name: kwargs.pop(one.name) for one in chosen}
-            return command(*args, **kwargs, **{argument: _made(cls, values, defaults, argument)})
+            values = {name: kwargs.pop(name) for name in chosen}
+            return command(*args, **kwargs, **{argument: _made(cls, values, argument)})
 
         decorated: Command = with_instance
-        for one in reversed(chosen):
-            decorated = one.decorate(decorated)
+        for decorator in reversed(chosen.values()):
+            decorated = decorator(decorated)
         return decorated
 
     return decorate
 
 
-@dataclass(frozen=True)
-class _Option:
-    name: str  # of the command's parameter: the argument and the path of fields, joined by "__"
-    flag: str
-    kind: Any
-    default: Any  # MISSING: required
-    info: OptionInfo
-
-    def decorate(self, command: Command) -> Command:
-        return click.option(self.flag, self.name, **self._settings())(command)
-
-    def _settings(self) -> dict[str, Any]:
-        settings: dict[str, Any] = {"help": self.info.help, "metavar": self.info.metavar}
-        if self.default is MISSING:
-            settings["required"] = True
-        else:
-            settings["default"] = self.default
-        if self.kind is bool:
-            return {**settings, "is_flag": True}
-        if get_origin(self.kind) is tuple and self.info.parse is None:
-            kind = get_args(self.kind)[0]
-            return {**settings, "multiple": True, "type": _parameter_type(kind, self.info)}
-        settings["type"] = _parameter_type(self.kind, self.info)
-        return {**settings, "show_default": self.default not in (MISSING, None)}
-
-
-def _chosen(
-    cls: type, only: Collection[str] | None, defaults: Any, path: str
-) -> Iterator[_Option]:
-    types = field_types(cls)
+def _options(
+    cls: type, path: str, only: Collection[str] | None = None
+) -> Iterator[tuple[str, Decorator]]:
+    """The options by the name of the command's parameter: the path of fields, joined by "__"."""
     for field in fields(cls):
         if only is not None and field.name not in only:
             continue
-        kind, optional = types[field.name]
+        kind, optional = field_types(cls)[field.name]
         name, info = f"{path}__{field.name}", option_info(field)
         if info is not None and info.help:
-            default = field.default if defaults is None else getattr(defaults, field.name)
-            if info.text is not None and default == field.default:
-                default = info.text
             flag = info.flag or "--" + field.name.replace("_", "-")
-            if kind is bool and default is True:
+            if kind is bool and field.default is True:
                 flag += "/--no-" + flag[2:]
-            yield _Option(name, flag, kind, default, info)
+            default = field.default if info.text is None else info.text
+            yield name, click.option(flag, name, **_settings(kind, default, info))
         elif isinstance(kind, type) and is_dataclass(kind) and not optional:
-            inner = _default(field) if defaults is None else getattr(defaults, field.name)
-            yield from _chosen(kind, None, inner, name)
+            yield from _options(kind, name)
 
 
-def _made(cls: type, values: Mapping[str, Any], defaults: Any, path: str) -> Any:
-    """An instance of the options' values, which `_chosen` named."""
+def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
+    """What click is told of an option; without a default it is required."""
+    settings: dict[str, Any] = {"help": info.help, "metavar": info.metavar}
+    settings |= {"required": True} if default is MISSING else {"default": default}
+    if kind is bool:
+        return settings | {"is_flag": True}
+    if get_origin(kind) is tuple and info.parse is None:
+        return settings | {"multiple": True, "type": _parameter_type(get_args(kind)[0], info)}
+    shown = default not in (MISSING, None)
+    return settings | {"type": _parameter_type(kind, info), "show_default": shown}
+
+
+def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
+    """An instance with the values of the options, which `_options` named."""
     arguments: dict[str, Any] = {}
     for field in fields(cls):
         name = f"{path}__{field.name}"
         if name in values:
             arguments[field.name] = values[name]
         elif any(other.startswith(name + "__") for other in values):
-            kind = field_types(cls)[field.name][0]
-            inner = _default(field) if defaults is None else getattr(defaults, field.name)
-            arguments[field.name] = _made(kind, values, inner, name)
-        elif defaults is not None and field.init:
-            arguments[field.name] = getattr(defaults, field.name)
+            arguments[field.name] = _made(field_types(cls)[field.name][0], values, name)
     return cls(**arguments)
-
-
-def _default(field: Any) -> Any:
-    """A field's default; None if it has none."""
-    if field.default_factory is not MISSING:
-        return field.default_factory()
-    return None if field.default is MISSING else field.default
 
 
 class _Parsed(click.ParamType):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-from pathlib import Path
-
 import click
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair, read_pairs
-from dgc_pose.cli.options import MatcherChoice, estimator_options, matcher_options
+from dgc_pose.benchmarks.pair_list import Pair, bundled_pair
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -17,14 +15,9 @@ from dgc_pose.files import staged
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 
-def bundled_pair() -> Pair:
-    """The rendered pair that comes with the package, with its exact pose."""
-    return read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
-
-
 @click.command()
-@matcher_options
-@estimator_options
+@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(EstimationOptions, "estimation")
 @click.option("--plot", "plot_path", metavar="PATH.png", help="Draw what the pose was found from.")
 def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
     """Estimate the pose of the bundled pair and print it beside the known one."""
@@ -34,8 +27,7 @@ def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str |
         trace = run_pipeline(
             pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), matcher, estimation
         )
-        if plot_path is not None:
-            draw(trace, stage(plot_path), plot_path)
+        draw(trace, stage, plot_path)
     pose = trace.pose
     click.echo(f"image 1: {pair.path1}\nimage 2: {pair.path2}\n")
     click.echo(pose_text(pose) + "\n")

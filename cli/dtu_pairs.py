@@ -2,51 +2,48 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import click
 
-from dgc_pose.benchmarks.dtu.dataset import Layout, open_dataset
-from dgc_pose.benchmarks.dtu.scene import LIGHTS
-from dgc_pose.benchmarks.dtu.view_pairs import (
-    ViewPairOptions,
-    draw,
-    find_view_pairs,
-    listed_pair,
-)
+from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, open_dataset
+from dgc_pose.benchmarks.dtu.scene import Light
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
 from dgc_pose.benchmarks.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
+from dgc_pose.options import option
+
+
+@dataclass(frozen=True)
+class FolderChoice:
+    """What a folder of DTU holds."""
+
+    layout: Layout | None = option(None, "Layout of the files; default: the one that is found.")
+    light: Light = option("3", "Number of the light, or max.")
+
+    def open(self, root: str, scenes: Sequence[int] | None) -> Dataset:
+        """Find the views. Raises what `open_dataset` raises."""
+        return open_dataset(root, layout=self.layout, scenes=scenes, light=self.light)
 
 
 @click.command()
 @click.argument("root", metavar="ROOT")
 @click.argument("out", metavar="OUT.txt")
 @click.option("--scan", type=int, required=True, help="Number of the scan.")
-@click.option(
-    "--layout",
-    type=click.Choice(get_args(Layout)),
-    help="Of the files in ROOT; by default found by looking.",
-)
-@click.option(
-    "--light", type=click.Choice(LIGHTS), default="3", show_default=True, help="Which light."
-)
+@dataclass_options(FolderChoice, "folder")
 @dataclass_options(ViewPairOptions, "options")
 def dtu_pairs(
-    root: str,
-    out: str,
-    scan: int,
-    layout: Layout | None,
-    light: str,
-    options: ViewPairOptions,
+    root: str, out: str, scan: int, folder: FolderChoice, options: ViewPairOptions
 ) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
-    ROOT holds DTU as DTU ships it, or as it was prepared for MVSNet or NeuS. OUT.txt is a list in
+    ROOT holds DTU as its authors ship it, or as prepared for MVSNet or NeuS. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
-    dataset = open_dataset(root, layout=layout, scenes=[scan], light=light)
+    dataset = folder.open(root, [scan])
     scene = dataset.scene(scan)
     candidates = find_view_pairs(dataset, options)
     if not candidates:

@@ -1,7 +1,7 @@
-"""The command `dgc-pose`: its subcommands, and the one place where their errors are shown.
+"""The command `dgc-pose`: its sub-commands, and the one place that prints their errors.
 
-A subcommand's module is imported when it is called, so that `dgc-pose --help` is quick. Exit codes:
-0 done, 2 unusable input, 3 no pose (set by the subcommand).
+A sub-command's module is imported when it is called, so that `dgc-pose --help` is quick.
+Exit codes: 0 done, 2 unusable input, 3 no pose (set by the sub-command).
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import click
@@ -23,66 +22,40 @@ INTERRUPTED = 130  # what shells report after SIGINT
 SPIN_COUNT = "10000"
 
 
-@dataclass(frozen=True)
-class Subcommand:
-    """The module and function of a subcommand, and its line in the help."""
-
-    module: str
-    attribute: str
-    summary: str
-
-
+# By name, the line in the help. `some-name` is the function `some_name` of cli/some_name.py.
 SUBCOMMANDS = {
-    "estimate": Subcommand(
-        "dgc_pose.cli.estimate", "estimate", "Estimate the relative pose of two photographs."
-    ),
-    "match": Subcommand("dgc_pose.cli.match", "match", "Match two photographs, no K needed."),
-    "demo": Subcommand("dgc_pose.cli.demo", "demo", "Estimate the pose of the bundled pair."),
-    "bench-pairs": Subcommand(
-        "dgc_pose.cli.bench_pairs", "bench_pairs", "Score methods on pairs with known poses."
-    ),
-    "bench-hpatches": Subcommand(
-        "dgc_pose.cli.bench_hpatches", "bench_hpatches", "Score maps on pairs with homographies."
-    ),
-    "bench-synthetic": Subcommand(
-        "dgc_pose.cli.bench_synthetic", "bench_synthetic", "Score maps on synthetic pairs."
-    ),
-    "bench-dtu": Subcommand(
-        "dgc_pose.cli.bench_dtu", "bench_dtu", "Repeat the paper's pose experiment on DTU."
-    ),
-    "bench-verdicts": Subcommand(
-        "dgc_pose.cli.bench_verdicts", "bench_verdicts", "Measure how far success can be trusted."
-    ),
-    "bench-estimators": Subcommand(
-        "dgc_pose.cli.bench_estimators", "bench_estimators", "Compare the robust estimators."
-    ),
-    "bench-speed": Subcommand(
-        "dgc_pose.cli.bench_speed", "bench_speed", "Show where the time of a pair goes."
-    ),
-    "dtu-pairs": Subcommand(
-        "dgc_pose.cli.dtu_pairs", "dtu_pairs", "Make a pair list from DTU's calibration."
-    ),
-    "train": Subcommand("dgc_pose.cli.train", "train", "Train a network on photographs."),
+    "estimate": "Estimate the relative pose of two photographs.",
+    "match": "Match two photographs, no K needed.",
+    "demo": "Estimate the pose of the bundled pair.",
+    "bench-pairs": "Score methods on pairs with known poses.",
+    "bench-hpatches": "Score maps on pairs with homographies.",
+    "bench-synthetic": "Score maps on synthetic pairs.",
+    "bench-dtu": "Repeat the paper's pose experiment on DTU.",
+    "bench-verdicts": "Measure how far success can be trusted.",
+    "bench-estimators": "Compare the robust estimators.",
+    "bench-speed": "Show where the time of a pair goes.",
+    "dtu-pairs": "Make a pair list from DTU's calibration.",
+    "train": "Train a network on photographs.",
 }
 
 
 class LazyGroup(click.Group):
-    """A group that imports a subcommand on its first use and reports errors in one line."""
+    """A group that imports a sub-command on its first use and reports errors in one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(SUBCOMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        subcommand = SUBCOMMANDS.get(cmd_name)
-        if subcommand is None:
+        if cmd_name not in SUBCOMMANDS:
             return None
-        command = getattr(importlib.import_module(subcommand.module), subcommand.attribute)
+        name = cmd_name.replace("-", "_")
+        command = getattr(importlib.import_module(f"dgc_pose.cli.{name}"), name)
         assert isinstance(command, click.Command)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, entry.summary) for name, entry in SUBCOMMANDS.items()])
+            formatter.write_dl([*SUBCOMMANDS.items()])
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
@@ -92,15 +65,13 @@ class LazyGroup(click.Group):
             _fail("interrupted", INTERRUPTED)
         except click.ClickException as error:
             _fail(error.format_message(), UNUSABLE_INPUT)
-        except OSError as error:
+        except (OSError, DgcPoseError) as error:
             _fail(_describe(error), UNUSABLE_INPUT)
-        except DgcPoseError as error:
-            _fail(str(error), UNUSABLE_INPUT)
         sys.exit(status)
 
 
-def _describe(error: OSError) -> str:
-    if error.filename is not None and error.strerror:
+def _describe(error: Exception) -> str:
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
     return str(error)
 
@@ -122,7 +93,7 @@ def main(ctx: click.Context) -> None:
 
     Exit codes: 0 success, 2 unusable input, 3 no pose (the reason is printed).
     """
-    # Read when torch is imported, which no subcommand has done yet.
+    # Read when torch is imported, which no sub-command has done yet.
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if ctx.invoked_subcommand is None:

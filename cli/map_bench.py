@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import click
 from tqdm import tqdm
@@ -20,7 +19,7 @@ from dgc_pose.benchmarks.map_report import (
 )
 from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, WorstPairs, map_outcomes
 from dgc_pose.benchmarks.methods import load_networks
-from dgc_pose.cli.options import split_names
+from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.files import staged
@@ -39,13 +38,14 @@ class MapBenchOptions:
     """What to measure, how, and where the files go."""
 
     methods: str | None = option(
-        None, "Names or paths of weights, with commas between; default: all shipped weights."
+        None, "Comma-separated names or paths of weights; default: all shipped weights."
     )
     per_axis: bool = option(
-        False, "PCK curves of max(|dx|, |dy|), as the paper's authors count; else Euclidean."
+        False,
+        "PCK curves of max(|dx|, |dy|), as by the paper's authors; else of the Euclidean error.",
     )
     worst: int = option(
-        4, "Pairs a method to draw in --out, those of largest AEPE.", metavar="N", min=1
+        4, "Pairs of largest AEPE to draw in --out, for each method.", metavar="N", min=1
     )
     out: str | None = option(
         None,
@@ -55,7 +55,7 @@ class MapBenchOptions:
     json_path: str | None = option(
         None, "Write all figures as JSON.", flag="--json", metavar="PATH"
     )
-    device: Literal["auto", "cpu", "cuda"] = option("auto", "Device of the network.")
+    device: DeviceName = option("auto", "Where the network runs.")
 
     def __post_init__(self) -> None:
         check_options(self)

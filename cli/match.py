@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import click
 
-from dgc_pose.cli.options import MatcherChoice, matcher_options
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matches_arrays, write_npz
+from dgc_pose.errors import InputError
 from dgc_pose.files import staged
 from dgc_pose.image import load_image
 
@@ -14,7 +16,7 @@ from dgc_pose.image import load_image
 @click.argument("image1", metavar="IMG1")
 @click.argument("image2", metavar="IMG2")
 @click.option("--out", required=True, metavar="PATH.npz", help="Where to write the matches.")
-@matcher_options
+@dataclass_options(MatcherChoice, "matcher")
 def match(image1: str, image2: str, out: str, matcher: MatcherChoice) -> None:
     """Match two photographs and write the dense map and the matches selected from it.
 
@@ -27,7 +29,8 @@ def match(image1: str, image2: str, out: str, matcher: MatcherChoice) -> None:
         first, second = load_image(image1), load_image(image2)
         found = matcher.load().match(first, second)
         dense = found.correspondence_map
-        assert dense is not None  # --weights names a network, which makes one
+        if dense is None:
+            raise InputError(f"--weights {matcher.weights} gives no dense map")
         arrays = {"map": dense.map, "grid": dense.grid, "matchability": dense.matchability}
         write_npz(stage(out), arrays | matches_arrays(found.matches))
     for warning in first.warnings + second.warnings:

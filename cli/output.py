@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.estimation import RelativePose
+from dgc_pose.files import finite_or_none
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 
@@ -18,7 +18,7 @@ from dgc_pose.matches import Matches
 def pose_data(pose: RelativePose) -> dict[str, Any]:
     """A pose for JSON: cam2_from_cam1, x2 = R x1 + t, t of unit length.
 
-    What is not known is null. Where there is no pose, the reason is the first of the warnings.
+    Unknown values are null. Without a pose, the reason is the first of the warnings.
     """
     return {
         "status": pose.status,
@@ -29,8 +29,8 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
         "E": _list(pose.E),
         "num_matches": pose.num_matches,
         "num_inliers": pose.num_inliers,
-        "inlier_ratio": _finite(pose.inlier_ratio),
-        "median_triangulation_angle_deg": _finite(pose.median_triangulation_angle_deg),
+        "inlier_ratio": finite_or_none(pose.inlier_ratio),
+        "median_triangulation_angle_deg": finite_or_none(pose.median_triangulation_angle_deg),
         "rotation_error_90_deg": pose.rotation_error_90_deg,
         "translation_error_90_deg": pose.translation_error_90_deg,
         "covariance": _list(pose.covariance),
@@ -105,7 +105,3 @@ def _headline(pose: RelativePose) -> str:
 
 def _list(array: np.ndarray | None) -> list[Any] | None:
     return None if array is None else array.tolist()
-
-
-def _finite(value: float | None) -> float | None:
-    return value if value is not None and math.isfinite(value) else None

@@ -42,12 +42,14 @@ def run_pipeline(
     return match_and_estimate(image1, image2, camera1, camera2, loaded, estimation, load_seconds)
 
 
-def draw(trace: Trace, file: Path, name: str) -> None:
-    """Draw the trace of a pose into a file, in the format that `name` ends in."""
+def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:
+    """Draw the trace of a pose into the staged output `name`, unless that is None."""
+    if name is None:
+        return
     from dgc_pose.viz import plot_pose, save_figure
     from dgc_pose.viz.figure import picture_format
 
-    save_figure(plot_pose(trace), file, picture_format=picture_format(name))
+    save_figure(plot_pose(trace), stage(name), picture_format=picture_format(name))
 
 
 def check_picture(name: str | None) -> None:

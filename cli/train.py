@@ -26,9 +26,9 @@ class TrainFiles:
     out: Path = option(help="Folder of the run's files.")
     resume: bool = option(False, "Continue the run in --out.")
     stop_after: float | None = option(
-        None, "Stop, to --resume later, after so many minutes.", above=0
+        None, "Stop after so many minutes; --resume continues the run.", above=0
     )
-    device: str = option("auto", "auto, cpu or cuda.")
+    device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
     threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1)
     rgbd: tuple[Path, ...] = option(
         (), "Folder of posed RGB-D frames (K.txt, poses.txt, images, depth); may be repeated."
@@ -37,9 +37,9 @@ class TrainFiles:
         None, "Share of the pairs from --rgbd; default: 0.25 with --rgbd.", min=0, max=1
     )
     precision: Literal["auto", "float32", "bfloat16"] = option(
-        "auto", "Of the convolutions; auto: bfloat16 if the processor multiplies it."
+        "auto", "Precision of the convolutions; auto: bfloat16 if the processor supports it."
     )
-    limit: int | None = option(None, "Use so many photographs only.", min=1)
+    limit: int | None = option(None, "Most photographs to use.", min=1)
 
     def __post_init__(self) -> None:
         check_options(self)

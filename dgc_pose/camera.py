@@ -19,18 +19,18 @@ from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.pixels import rescale
 
-# Offset of the principal point from the middle of the image, as a share of its side, beyond which K
-# may belong to an image of another size.
+# If the principal point is farther from the middle, as a share of the image's side, K may belong to
+# an image of another size.
 _USUAL_OFFSET = 0.2
 _MAX_FILE_BYTES = 4096  # of a file with nine numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A calibrated camera. Raises InputError if K is no intrinsic matrix, see `as_camera`."""
+    """A calibrated camera. Raises InputError if K is not an intrinsic matrix, see `as_camera`."""
 
     K: np.ndarray  # (3, 3) float64, pixels
-    size: tuple[int, int] | None = None  # (width, height) of the image K refers to, or unknown
+    size: tuple[int, int] | None = None  # (width, height) of the image K refers to; None if unknown
     distortion: Distortion | None = None  # of the lens; None for a pinhole
     warnings: tuple[str, ...] = ()  # about the origin of K, for the user
 
@@ -60,7 +60,7 @@ class Camera:
     def resized(self, size: tuple[int, int]) -> Camera:
         """The camera of the image resized to (width, height), each side by its own factor.
 
-        Raises InputError if the present size is not known.
+        Raises InputError if the camera has no size.
         """
         if self.size is None:
             raise InputError("a camera without a size cannot be resized")
@@ -138,7 +138,7 @@ def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, .
 
 
 def camera_for(value: Camera | Any, size: tuple[int, int], name: str) -> Camera:
-    """The camera, see `as_camera`, of an image of `size`; its warnings have those of `check_size`.
+    """The camera of an image of `size`, by `as_camera`; its warnings include those of `check_size`.
 
     Raises InputError, naming the argument `name`, if K is unusable or does not fit the image.
     """

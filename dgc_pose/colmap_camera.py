@@ -13,8 +13,8 @@ from dgc_pose.errors import ImageError, InputError
 if TYPE_CHECKING:
     import pycolmap
 
-# Distance to a point of its undistortion, distorted again, beyond which the distortion was not
-# undone. In focal lengths: a hundredth of a pixel at a focal length of 1000.
+# Largest error of a point that is undistorted and distorted again, in focal lengths: a hundredth of
+# a pixel at a focal length of 1000.
 _MAX_ROUND_TRIP = 1e-5
 
 
@@ -42,8 +42,8 @@ class Distortion:
     def undo(self, points: np.ndarray) -> np.ndarray:
         """Normalised points (N, 2) float64 without their distortion: x / z and y / z.
 
-        NaN if the model has no answer: for rays at 90 degrees or more from the axis, and for points
-        beyond the radius at which the distortion stops growing.
+        NaN if the model has no inverse there: for rays at 90 degrees or more from the axis, and for
+        points beyond the radius at which the distorted radius stops growing.
         """
         camera = _model(self.model)
         parameters = np.zeros(len(camera.params))
@@ -92,7 +92,7 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 
 
 def _matrix(camera: pycolmap.Camera) -> np.ndarray:
-    """K (3, 3) in pixels whose (0, 0) is the centre of the top-left one."""
+    """K (3, 3), pixels, (0, 0) the centre of the top-left pixel."""
     K = np.array(camera.calibration_matrix())
     K[:2, 2] -= 0.5
     return K

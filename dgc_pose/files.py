@@ -15,12 +15,12 @@ from dgc_pose.errors import InputError
 def staged(*paths: str | None) -> Iterator[Callable[[str], Path]]:
     """Open the output files of a command, so that one that cannot be written stops it at once.
 
-    Yields a function from an output's path to the file to write instead, which stands beside it.
-    When the block ends they take their places; after an exception they are removed, and what stood
-    at the outputs is untouched. Paths that are None are passed over.
+    Yields a function from an output's path to a temporary file beside it, to write instead.
+    When the block ends they replace the outputs. After an exception they are removed, and old
+    outputs are untouched. Paths that are None are passed over.
 
     Raises:
-        InputError: where two outputs are the same file, or one is a folder or a device.
+        InputError: if two outputs are the same file, or one is a folder or a device.
         OSError: naming the output that cannot be written.
     """
     targets = {path: _target(path) for path in paths if path is not None}

@@ -31,7 +31,7 @@ class Image:
 
     pixels: np.ndarray  # (H, W, 3) uint8, RGB, contiguous
     name: str = "image"  # the path, or the argument's name
-    warnings: tuple[str, ...] = ()  # what the user should know about how it was read
+    warnings: tuple[str, ...] = ()  # about how it was read, for the user
     # (width, height) as stored, if `pixels` were resized after reading; None if they were not
     stored_size: tuple[int, int] | None = None
 
@@ -115,7 +115,7 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
-    """Check what the header tells without decoding; returns warnings."""
+    """Check size, checksums and orientation without decoding; returns warnings."""
     header = _open_header(data)
     if header is None:
         return ()

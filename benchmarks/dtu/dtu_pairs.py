@@ -86,7 +86,7 @@ def dtu_pairs(dataset: Dataset, views: Sequence[ViewPair], protocol: Protocol) -
 
 
 def protocol_options(protocol: Protocol, options: MethodOptions) -> MethodOptions:
-    """The user's options with what the protocol says of the matches and of refinement."""
+    """The user's options with the protocol's settings for matches and refinement."""
     if protocol == "native":
         return options
     return MethodOptions(

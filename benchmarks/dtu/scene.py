@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 import PIL.Image
 
@@ -14,7 +15,8 @@ from dgc_pose.benchmarks.dtu.calibration import View
 from dgc_pose.camera import Camera, check_size
 from dgc_pose.errors import ImageError, InputError
 
-LIGHTS = ("0", "1", "2", "3", "4", "5", "6", "max")  # as they stand in the names of images
+Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
+LIGHTS: tuple[Light, ...] = get_args(Light)
 SUFFIXES = (".png", ".jpg")  # of both, the png is taken
 
 

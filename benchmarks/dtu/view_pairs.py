@@ -45,7 +45,7 @@ class ViewPairOptions:
 
 @dataclass(frozen=True)
 class ViewPair:
-    """Two views of a scene, and what the calibration says of them."""
+    """Two views of a scene, and their relative motion by the calibration."""
 
     scene: int
     view1: int

@@ -1,10 +1,10 @@
 """The covariance of a pose, and the error that it stays below nine times in ten.
 
 Errors of dense matches are correlated: neighbours lie on the same misplaced surface, so a thousand
-of them tell little more than a few. The usual covariance takes all matches for independent and is
-several times too small. Here image 2 is divided into blocks, and the pose's spread is measured by
-leaving out one block after the other (the delete-a-group jackknife, Kott 2001), so that correlated
-errors are left out together.
+of them carry little more information than a few. The usual covariance takes all matches for
+independent and is several times too small. Here image 2 is divided into blocks, and the pose's
+spread is measured by leaving out one block after the other (the delete-a-group jackknife, Kott
+2001), so that correlated errors are left out together.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
-from dgc_pose.errors import InputError
+from dgc_pose.options import check_options, option
 
 EstimatorName = Literal["poselib", "pycolmap", "opencv"]
 
@@ -32,7 +32,7 @@ class VerdictOptions:
     # parallax below `min_parallax`.
     rotation_share: float = 0.8
     # "rotation_only" for any parallax: share of inliers that a rotation explains within the
-    # epipolar threshold. Errors of dense matches are smooth, which looks like a translation.
+    # epipolar threshold. Errors of dense matches are smooth and resemble a translation.
     strict_rotation_share: float = 0.9
     # Motion left by a rotation, over the epipolar error, that counts as a translation; more for few
     # matches.
@@ -46,30 +46,25 @@ class VerdictOptions:
 class EstimationOptions:
     """How the pose is estimated. Raises InputError, naming the field, for a value out of range."""
 
-    estimator: EstimatorName = "poselib"
-    runs: int = 5  # RANSAC runs with different seeds; the model with most inliers is kept
-    iterations: int = 1000  # of each run
+    estimator: EstimatorName = option("poselib", "Library behind the robust estimation.")
+    # Runs have different seeds; the model with most inliers is kept.
+    runs: int = option(5, "Runs of RANSAC, the best kept.", min=1)
+    iterations: int = option(1000, "Iterations of each run.", min=1)
     # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC
     # grows with the matches that it scores. The models are compared and refined on all matches.
-    max_sampled: int = 3000
-    threshold_px: float | None = None  # epipolar error of an inlier, original pixels
-    threshold_factor: float = 2.0  # times the matches' own error_px, if threshold_px is None
-    seed: int = 0
+    max_sampled: int = option(3000, min=100)
+    threshold_px: float | None = option(
+        None,
+        "Largest epipolar error of an inlier, original pixels; by default 2 times the error that "
+        "the matcher expects.",
+        flag="--threshold",
+        metavar="PX",
+        above=0,
+    )
+    threshold_factor: float = option(2.0, above=0)  # of the matches' error_px, without threshold_px
+    seed: int = option(0, "The same seed, the same pose.", min=0)
     refine: bool = True  # on the inliers of the best model
     verdict: VerdictOptions = field(default_factory=VerdictOptions)
 
     def __post_init__(self) -> None:
-        if self.estimator not in get_args(EstimatorName):
-            names = ", ".join(get_args(EstimatorName))
-            raise InputError(f"estimator must be one of {names}, not '{self.estimator}'")
-        for name in ("runs", "iterations"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if self.max_sampled < 100:
-            raise InputError(f"max_sampled must be at least 100, not {self.max_sampled}")
-        for name in ("threshold_px", "threshold_factor"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise InputError(f"{name} must be positive and finite, not {value}")
-        if self.seed < 0:
-            raise InputError(f"seed must not be negative, not {self.seed}")
+        check_options(self)

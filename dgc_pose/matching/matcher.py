@@ -44,7 +44,7 @@ class Matcher(ABC):
 
     @property
     def fingerprint(self) -> str | None:
-        """16 hexadecimal digits that tell the weights apart; None for a matcher without weights."""
+        """16 hexadecimal digits that identify the weights; None for a matcher without weights."""
         return None
 
     @abstractmethod

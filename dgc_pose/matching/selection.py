@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from dgc_pose.errors import InputError
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.options import check_options, option
 
 FinestLevel = Literal[240, 120, 60]
 
@@ -20,30 +21,32 @@ ERROR_CELLS = 0.5
 
 @dataclass(frozen=True)
 class MatchingOptions:
-    """Which cells of the dense map become matches. Raises InputError on values out of range."""
+    """Which cells of the dense map become matches. Raises InputError, naming the field, for a value
+    out of range."""
 
-    matchability: float = 0.7  # least matchability, 0 to 1
-    cycle_px: float | None = None  # largest cycle error, pixels of image 2; None: not computed
-    max_matches: int = 2000  # an even subsample of at most so many
-    min_share: float = 0.01  # of all cells that must pass; a smaller patch matches by chance
+    # Cells a side of the level that the map is taken from.
+    finest: FinestLevel = option(240, "Cells a side of the dense map: the coarser, the faster.")
+    matchability: float = option(
+        0.7, "Least matchability of a match, 0 to 1.", metavar="T", min=0, max=1
+    )
+    cycle_px: float | None = option(  # pixels of image 2
+        None,
+        "Compute the reverse map too, and drop matches of a larger cycle error.",
+        flag="--cycle",
+        metavar="PX",
+        above=0,
+    )
+    max_matches: int = option(
+        2000, "Keep an even subsample of at most N matches.", metavar="N", min=1
+    )
+    # Share of all cells that must pass; a smaller patch matches by chance.
+    min_share: float = option(0.01, min=0, max=1)
     # The network is trained on upright photographs. If the mean matchability is below this, image 2
     # is matched also rotated by the quarter turns that its coarsest features suggest.
-    rotate_below: float = 0.25
-    # Cells a side of the level that the map is taken from; a coarser one is faster.
-    finest: FinestLevel = 240
+    rotate_below: float = option(0.25, min=0, max=1)
 
     def __post_init__(self) -> None:
-        for name in ("matchability", "min_share", "rotate_below"):
-            value = getattr(self, name)
-            if not 0 <= value <= 1:
-                raise InputError(f"{name} must lie in [0, 1], not {value}")
-        if self.cycle_px is not None and not self.cycle_px > 0:
-            raise InputError(f"cycle_px must be positive, not {self.cycle_px}")
-        if self.finest not in get_args(FinestLevel):
-            sizes = ", ".join(map(str, get_args(FinestLevel)))
-            raise InputError(f"finest must be one of {sizes}, not {self.finest}")
-        if self.max_matches < 1:
-            raise InputError(f"max_matches must be at least 1, not {self.max_matches}")
+        check_options(self)
 
 
 def select_matches(correspondence_map: CorrespondenceMap, options: MatchingOptions) -> Matches:

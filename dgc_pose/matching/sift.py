@@ -11,16 +11,24 @@ from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import Matcher, MatchResult
+from dgc_pose.options import check_options, option
 
 ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
 
 
 @dataclass(frozen=True)
 class SiftOptions:
-    """OpenCV's SIFT with Lowe's ratio test and a mutual check (Lowe, IJCV 2004, section 7.1)."""
+    """OpenCV's SIFT with Lowe's ratio test and a mutual check (Lowe, IJCV 2004, section 7.1).
 
-    features: int = 8000  # at most, of each image
-    ratio: float = 0.8  # largest ratio of the nearest descriptor's distance to the second nearest's
+    Raises InputError, naming the field, for a value out of range.
+    """
+
+    features: int = option(8000, min=1)  # at most, of each image
+    # Largest ratio of the distances to the nearest and the second nearest descriptor.
+    ratio: float = option(0.8, above=0, max=1)
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 # Key points (N, 2) and descriptors (N, 128) by image; keyed by the object, not by its pixels.

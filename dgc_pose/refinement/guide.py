@@ -9,7 +9,7 @@ from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.pixels import rescale
 from dgc_pose.refinement.sampling import bilinear
 
-_LEAST_SHARE = 0.01  # of the cells that must be matchable to tell rotation and scale
+_LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
 
 
 def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray) -> np.ndarray:

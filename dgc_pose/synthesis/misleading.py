@@ -1,4 +1,4 @@
-"""Views that mislead matching: rolled, zoomed, taken at night, and facades of like windows."""
+"""Views that make matching fail: rotated, enlarged, at night, and facades of equal windows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What random pairs may look like: the ranges of warps, scenes, views and light."""
+"""The ranges of random pairs: warps, scenes, views and light."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class SceneOptions:
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """How views are cut from frames of known depth, and what the depth of the two tells."""
+    """How views are cut from frames of known depth, and how the depths of the two are compared."""
 
     view_scale: Range = option((0.6, 1.0), above=0, max=1)  # of the frame's side
     view_roll_deg: float = 8.0  # standard deviation of the view's rotation in the frame

@@ -19,18 +19,20 @@ Unfrozen = Literal["coarsest", "encoder"]
 class RunOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
-    preset: str = option("dgcm-lite", "dgc, dgcm, dgcm-lite or dgcm-lite0.")
+    preset: str = option("dgcm-lite", "Network: dgc, dgcm, dgcm-lite or dgcm-lite0.")
     # The schedule is complete after so many minutes of training, or after so many steps: then a
     # run repeats exactly, whatever else the machine does. One of the two.
-    minutes: float | None = option(None, "Length of the training schedule.", above=0)
-    steps: int | None = option(None, "The same in steps; such a run repeats exactly.", min=1)
+    minutes: float | None = option(None, "Length of the training schedule, minutes.", above=0)
+    steps: int | None = option(
+        None, "Length of the schedule in steps; such a run repeats exactly.", min=1
+    )
     ablations: tuple[str, ...] = option(
         (),
-        "no-l2, flow, no-dilation, local-correlation, no-consensus, coarsest-alone or one-size; "
-        "may be given several times.",
+        "Change of the network: no-l2, flow, no-dilation, local-correlation, no-consensus, "
+        "coarsest-alone or one-size; may be given several times.",
         flag="--ablation",
     )
-    seed: int = option(0, "Of all random draws.")
+    seed: int = option(0, "Seed of all random draws.")
     schedule: Schedule = option(
         Schedule(),
         "Shares of the time for encoder, decoders and polish, in percent; or for encoder, its "
@@ -40,22 +42,26 @@ class RunOptions:
         text="45,45,10",
     )
     pairs: PairOptions = field(default_factory=PairOptions)
-    curriculum: bool = option(False, "From narrow ranges to full ones by half the run.")
+    curriculum: bool = option(
+        False, "Widen the ranges of the pairs over the first half of the run."
+    )
     init: str | None = option(None, "Weights to initialise from: a file, or a shipped name.")
-    init_part: InitPart = option("all", "Of the --init weights; the rest starts random.")
+    init_part: InitPart = option(
+        "all", "Part of the --init weights to use; the rest is initialised at random."
+    )
     backbone: str | None = option(
         None, "ImageNet weights of EfficientNet-Lite0 (.pth), to initialise dgcm-lite0 from."
     )
     rate: float = option(
-        1.0, "Times the stages' own learning rates; less, 0.1 say, with --init.", above=0
+        1.0, "Factor of the learning rates; with --init, choose less, such as 0.1.", above=0
     )
     unfreeze: Unfrozen | None = option(
-        None, "The encoder, or its coarsest levels, continues to learn while the decoders do."
+        None, "Train the encoder, or its coarsest levels, together with the decoders."
     )
     teacher: str | None = option(
-        None, "Weights of a network with a mask to learn from (distillation), beside the truth."
+        None, "Weights of a network with a mask to learn from besides the truth (distillation)."
     )
-    teacher_weight: float = option(0.5, "Of the teacher's map in the loss.", min=0)
+    teacher_weight: float = option(0.5, "Weight of the teacher's map in the loss.", min=0)
     batch: int | None = option(
         None, "Pairs a step, over all processes; default: the stage's own.", min=1
     )

@@ -18,7 +18,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def picture_format(path: str | Path) -> str:
-    """The format that a file name asks for. Raises InputError where matplotlib cannot write it."""
+    """The format of a file name's ending. Raises InputError if matplotlib cannot write it."""
     suffix = Path(path).suffix.lower().lstrip(".")
     known = FigureCanvasAgg.get_supported_filetypes()
     if suffix not in known:
@@ -27,5 +27,5 @@ def picture_format(path: str | Path) -> str:
 
 
 def save_figure(figure: Figure, path: str | Path, *, picture_format: str = "png") -> None:
-    """Write the figure, whatever the name's ending, in the format given."""
+    """Write the figure in the given format, whatever the ending of the path."""
     figure.savefig(path, format=picture_format, dpi=100)

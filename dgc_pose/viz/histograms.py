@@ -1,4 +1,4 @@
-"""Normalised cumulative histograms: the share of pairs whose error stays below a value."""
+"""Normalised cumulative histograms: the share of pairs whose error is not above a value."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def cumulative_share(errors: np.ndarray, limit: float) -> tuple[np.ndarray, np.n
     """The steps of the cumulative histogram from 0 to `limit`.
 
     Args:
-        errors: (N,) errors, N > 0; infinite ones count as pairs, and never come below any value.
-        limit: where the curve ends.
+        errors: (N,), N > 0; infinite ones count as pairs.
+        limit: the last value of the curve.
 
     Returns:
-        The errors up to the limit in increasing order, between 0 and the limit, and at each the
-        share of pairs (0 to 1) that are not above it.
+        0, the errors up to the limit in increasing order, and the limit; and for each of these the
+        share of pairs (0 to 1) whose error is not above it.
 
     Raises InputError for an empty array or one with NaN.
     """
@@ -49,8 +49,8 @@ def draw_cumulative(
 ) -> None:
     """Draw one curve a method, its median in the legend.
 
-    `unit` is that of the errors, degrees or pixels; `styles` are matplotlib's properties of the
-    line of a method, where they are not to be its own choice.
+    unit: of the errors, degrees or pixels. styles: by method, matplotlib's properties of the line;
+    None for matplotlib's own choice.
     """
     for method, values in errors.items():
         x, share = cumulative_share(values, limit)
@@ -63,8 +63,7 @@ def draw_cumulative(
 
 
 def plot_errors(
-    rotation: Mapping[str, np.ndarray],
-    translation: Mapping[str, np.ndarray],
+    rotation: Mapping[str, np.ndarray], translation: Mapping[str, np.ndarray]
 ) -> Figure:
     """Histograms of rotation error and of folded translation error, a curve a method, degrees."""
     figure = new_figure(12.0, 4.5)
@@ -75,8 +74,8 @@ def plot_errors(
 
 
 def shown_limit(errors: Mapping[str, np.ndarray], limits: Sequence[float] = LIMITS) -> float:
-    """The least of the limits that shows nine tenths of the errors that are finite, of all methods;
-    the last where none does."""
+    """The least of the limits that is not below nine tenths of the finite errors of all methods;
+    the last if there is none."""
     values = np.concatenate(list(errors.values()))
     finite = values[np.isfinite(values)]
     most = np.quantile(finite, 0.9) if len(finite) else 0.0

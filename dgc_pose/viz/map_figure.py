@@ -21,19 +21,19 @@ _ROW = 3.0  # inches
 
 @dataclass(frozen=True, eq=False)
 class MapPicture:
-    """One pair with what was found, all on the grid of the target."""
+    """One pair with its map and the errors, on the grid of the target."""
 
     title: str
     image1: np.ndarray  # (H1, W1, 3) uint8, the source
     image2: np.ndarray  # (H, W, 3) uint8, the target
-    map: np.ndarray  # (H, W, 2), for each pixel of the target its place in the source, pixels
-    errors: np.ndarray  # (H, W) pixels; infinite where the truth is not known
+    map: np.ndarray  # (H, W, 2), for each pixel of the target its point in the source, pixels
+    errors: np.ndarray  # (H, W) pixels; infinite without truth
 
 
 def plot_maps(pictures: Sequence[MapPicture], *, limit: float = 20.0) -> Figure:
     """A row a pair: source, target, the source warped by the map, and the error up to `limit`.
 
-    Raises InputError where there are no pictures.
+    Raises InputError if there are no pictures.
     """
     if not pictures:
         raise InputError("pictures must hold at least one pair")
@@ -50,7 +50,7 @@ def plot_maps(pictures: Sequence[MapPicture], *, limit: float = 20.0) -> Figure:
 
 
 def show_errors(axes: Axes, errors: np.ndarray, limit: float) -> ScalarMappable:
-    """Draw errors (H, W) in pixels, bright from `limit` on, grey where they are not finite.
+    """Draw errors (H, W) in pixels, brightest from `limit` on, grey if not finite.
 
     Returns what a colour bar needs.
     """

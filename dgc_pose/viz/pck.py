@@ -19,8 +19,9 @@ def plot_pck(
     """A panel a group, in it a curve a method.
 
     curves: by group, by method, the shares (K,) in [0, 1] at `alphas` (K,), shares of the image's
-    side; NaN where a group has no pixel. distance: what the error is, for the label.
-    Raises InputError where a curve has not the length of alphas, or there are no groups.
+    side; NaN for a group without pixels. distance: the measure of the error, for the label.
+
+    Raises InputError if there are no groups, or a curve has another length than alphas.
     """
     if not curves:
         raise InputError("curves must hold at least one group")

@@ -31,11 +31,11 @@ WIDTH = 12.0  # inches
 
 
 def plot_pose(trace: Trace) -> Figure:
-    """Draw the inlier matches coloured by confidence, some epipolar lines, and, where the matcher
-    has a map, the matchability and image 1 warped onto image 2.
+    """Draw the inlier matches coloured by confidence, some epipolar lines and, if the matcher gives
+    a map, the matchability and image 1 warped onto image 2.
 
-    Only an even subsample of the matches is drawn. Without an essential matrix the points stand
-    without lines. Epipolar lines are those of the pinhole cameras K, without lens distortion.
+    Only an even subsample of the matches is drawn. Without an essential matrix there are points and
+    no lines. Epipolar lines are those of the pinhole cameras K, without lens distortion.
     """
     pose, matches = trace.pose, trace.matches
     rows = 2 if trace.correspondence_map is None else 3
@@ -58,11 +58,11 @@ def _headline(pose: RelativePose) -> str:
 
 
 def _row_heights(image1: Image, image2: Image, rows: int) -> list[float]:
-    """Heights in inches: the pictures side by side, then twice two pictures of half the width."""
+    """Heights in inches: both images side by side, then rows of two panels of half the width."""
     aspects = [image.size[0] / image.size[1] for image in (image1, image2)]
     side_by_side = WIDTH / sum(aspects)
     halves = WIDTH / 2 / min(aspects)
-    # A very tall picture would make a figure that no screen shows.
+    # A figure of very tall images would fit no screen.
     return [min(side_by_side, 8.0)] + [min(halves, 5.5)] * (rows - 1)
 
 
@@ -91,8 +91,7 @@ def _draw_epipolar(figure: Figure, grid: GridSpec, trace: Trace, chosen: np.ndar
     if trace.pose.E is None:
         show_image(right, trace.image2.pixels, "no essential matrix, so no epipolar lines")
     else:
-        title = "their epipolar lines in image 2, and their matches"
-        show_image(right, trace.image2.pixels, title)
+        show_image(right, trace.image2.pixels, "their epipolar lines in image 2, and their matches")
         F = fundamental_from_essential(trace.pose.E, trace.camera1.K, trace.camera2.K)
         show_lines(right, homogeneous(points1) @ F.T)
     show_points(left, points1)
@@ -103,23 +102,16 @@ def _draw_map(
     figure: Figure, grid: GridSpec, trace: Trace, correspondence_map: CorrespondenceMap
 ) -> None:
     left, right = (figure.add_subplot(grid[2, column]) for column in range(2))
+    image1, image2 = trace.image1, trace.image2
     matchability = correspondence_map.matchability
-    colours = show_matchability(
-        left, trace.image2.pixels, matchability, "matchability over image 2"
-    )
+    title = "image 1 warped onto image 2, pale if not matchable"
+    colours = show_matchability(left, image2.pixels, matchability, "matchability over image 2")
     show_colour_bar(left, colours, "")
-    show_warp(
-        right,
-        trace.image1.pixels,
-        correspondence_map.map,
-        matchability,
-        trace.image2.size,
-        "image 1 warped onto image 2, pale where not matchable",
-    )
+    show_warp(right, image1.pixels, correspondence_map.map, matchability, image2.size, title)
 
 
 def _spread(matches: Matches, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Indices of an even subsample, over image 2, of the finite ones among the chosen matches."""
-    finite = np.isfinite(matches.points1).all(axis=1) & np.isfinite(matches.points2).all(axis=1)
-    chosen = chosen[finite[chosen]]
+    """Indices of an even subsample, over image 2, of the chosen matches with finite points."""
+    points = np.hstack([matches.points1, matches.points2])
+    chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
     return chosen[spread_evenly(matches.points2[chosen], count)]

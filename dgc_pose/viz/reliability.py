@@ -12,10 +12,10 @@ from dgc_pose.viz.figure import new_figure
 
 
 def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) -> Figure:
-    """The share of right matches by bin of matchability, a curve a method beside the diagonal that
-    a calibrated one follows, and below it how many matches each bin holds.
+    """The share of right matches by bin of matchability, a curve a method, and below it the share
+    of all matches in each bin. A calibrated method follows the diagonal. Empty bins are left out.
 
-    right: what counts as right, for the label, such as "within 3 px". Empty bins are left out.
+    right: which matches are right, for the label, such as "within 3 px".
     """
     figure = new_figure(5.5, 6.5)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))

@@ -1,4 +1,4 @@
-"""A subsample of points that is spread evenly over an image, for plots that stay readable."""
+"""An evenly spread subsample of points, so that plots stay readable."""
 
 from __future__ import annotations
 
@@ -6,17 +6,10 @@ import numpy as np
 
 
 def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
-    """Choose points one after the other, each the farthest from all that were chosen before.
+    """Farthest point sampling: each point is the farthest from all that were chosen before.
 
-    Points that stand where a chosen one stands are passed over, so that fewer than `count` come
-    back where fewer places are taken.
-
-    Args:
-        points: (N, 2) pixels, finite.
-        count: how many to choose at most.
-
-    Returns:
-        Indices (M,) in increasing order, M <= min(N, count).
+    points: (N, 2) pixels, finite. Returns at most `count` indices (M,) in increasing order, of
+    points that all differ.
     """
     distances = np.full(len(points), np.inf)
     chosen: list[int] = []

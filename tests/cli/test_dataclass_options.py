@@ -100,16 +100,12 @@ def test_the_help_has_texts_choices_and_defaults() -> None:
     assert "--secret" not in text and "--plain" not in text and "--hidden" not in text
 
 
-def test_values_may_come_from_an_instance_and_some_fields_alone_be_options() -> None:
-    base = Options(Path("base"), runs=9, size=(1, 2), plain="else", inner=Inner(0.75, hidden=8))
-    result, options = _invoke("--level", "60", only=("level", "size"), defaults=base)
+def test_some_fields_alone_may_be_options() -> None:
+    result, options = _invoke("--folder", "f", "--level", "60", only=("folder", "level"))
     assert result.exit_code == 0, result.output
-    assert options.level == 60 and options.runs == 9 and options.size == (1, 2)
-    assert options.plain == "else" and options.inner == base.inner
-    refused, _ = _invoke("--runs", "2", only=("level",), defaults=base)
+    assert options == Options(Path("f"), level=60)
+    refused, _ = _invoke("--folder", "f", "--runs", "2", only=("folder", "level"))
     assert refused.exit_code == 2 and "--runs" in refused.output
-    result, options = _invoke("--share", "0.5", defaults=base)
-    assert options.inner == Inner(0.5, hidden=8) and options.folder == Path("base")
 
 
 @pytest.mark.parametrize(
