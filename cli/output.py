@@ -49,7 +49,7 @@ def pose_text(pose: RelativePose) -> str:
     lines = [_headline(pose)]
     if pose.R is not None:
         lines += [f"  R  {line}" for line in matrix_lines(pose.R)]
-        lines.append(f"     a turn of {rotation_angle_deg(pose.R):.2f} deg")
+        lines.append(f"     rotation angle {rotation_angle_deg(pose.R):.2f} deg")
     if pose.t is not None:
         lines.append(f"  t  {vector_line(pose.t)}  (translation up to scale)")
     elif pose.R is not None:
