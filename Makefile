@@ -16,8 +16,9 @@ export GOMP_SPINCOUNT ?= 10000
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
 
+# Two processes of one thread each: most tests wait for one core.
 test: lint
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 # Types and layers are checked on the package as it installs: in the repository cli/ and benchmarks/
 # lie beside dgc_pose/, where mypy would take every import between them for `Any`.
