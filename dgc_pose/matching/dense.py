@@ -85,6 +85,13 @@ class DenseMatcher(Matcher):
         ]
 
     @torch.inference_mode()
+    def coarse_features(self, image: Image) -> np.ndarray:
+        """The coarsest features of an image (cells, C) float32, of unit length over C."""
+        cache = feature_cache() if self.cache is None else self.cache
+        coarse = self._features(image, 0, cache)[COARSEST][0].flatten(1)
+        return F.normalize(coarse.float(), dim=0).T.cpu().numpy()
+
+    @torch.inference_mode()
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
         """The map of each pair, with the cycle error if the options ask for one.
 
