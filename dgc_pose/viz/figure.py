@@ -12,7 +12,7 @@ from dgc_pose.errors import InputError
 
 
 def new_figure(
-    width: float, height: float, *, layout: Literal["constrained", "none"] = "constrained"
+    width: float, height: float, *, layout: Literal["constrained"] | None = "constrained"
 ) -> Figure:
     """An empty figure with its canvas, sizes in inches."""
     figure = Figure(figsize=(width, height), layout=layout)

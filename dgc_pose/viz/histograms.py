@@ -83,7 +83,7 @@ def draw_residuals(
     bins = np.linspace(0, max(limit, 1e-3), 41)
     axes.hist(
         [np.minimum(kept, bins[-1]), np.minimum(dropped, bins[-1])],
-        bins=bins,
+        bins=bins.tolist(),
         stacked=True,
         color=["tab:cyan", "tab:pink"],
         label=[f"{len(kept)} inliers", f"{len(dropped)} outliers"],

@@ -51,7 +51,7 @@ def panel_rows(
     ]
     top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
     total = top + sum(heights) + sum(strips) + _MARGIN
-    figure = new_figure(width, total, layout="none")
+    figure = new_figure(width, total, layout=None)
     if head:
         figure.text(_MARGIN / width, 1 - _MARGIN / total, "\n".join(head), va="top", fontsize=11)
     axes = []

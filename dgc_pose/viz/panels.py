@@ -6,6 +6,8 @@ a figure can show. What is drawn later, such as points on an image, does not mov
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
@@ -165,15 +167,14 @@ def draw_map(
 def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     """A colour bar in the line of the title, at its right end, between its least and largest
     value. The axes must have their place in the figure."""
-    box = axes.get_position()
-    figure = axes.figure
-    width, height = figure.get_size_inches() * (box.width, box.height)
+    figure, box = axes.figure, axes.get_window_extent()
+    width, height = box.width / figure.dpi, box.height / figure.dpi
     right, above = 1 - 0.35 / width, 1 + 0.07 / height
     long, thick = _BAR[0] / width, _BAR[1] / height
     bar = axes.inset_axes((right - long, above, long, thick))
     figure.colorbar(colours, cax=bar, orientation="horizontal", ticks=[])
     low, high = colours.get_clim()
-    text = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
+    text: dict[str, Any] = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
     middle, space = above + thick / 2, 0.05 / width
     axes.text(right - long - space, middle, f"{label}  {low:.3g}", ha="right", **text)
     axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
