@@ -75,8 +75,7 @@ def row_of(
 
 def bad_row(names: tuple[str, str], reason: str) -> PairRow:
     """The row of a pair that could not be matched."""
-    unknown = dict.fromkeys((field.name for field in fields(PairRow)), None)
-    known = {
+    known: dict[str, Any] = {
         "name1": names[0],
         "name2": names[1],
         "status": BAD_INPUT,
@@ -87,7 +86,7 @@ def bad_row(names: tuple[str, str], reason: str) -> PairRow:
         "guessed_focal": False,
         "warnings": (),
     }
-    return PairRow(**{**unknown, **known})  # type: ignore[arg-type]
+    return PairRow(**{field.name: known.get(field.name) for field in fields(PairRow)})
 
 
 def row_data(row: PairRow) -> dict[str, Any]:
@@ -98,7 +97,7 @@ def row_data(row: PairRow) -> dict[str, Any]:
 def parse_row(data: Mapping[str, Any], where: str) -> PairRow:
     """A row of JSON. Raises InputError, with `where`, if it is none."""
     try:
-        values = {
+        values: dict[str, Any] = {
             field.name: tuple(value) if isinstance(value := data[field.name], list) else value
             for field in fields(PairRow)
         }

@@ -243,7 +243,7 @@ def _work(
     size = int(min(BLOCK, max(1, len(left) // (4 * options.workers))))
     tasks = [
         Match(tuple(block), tuple(plan.pair(index) for index in block))
-        for block in blocks_of(order, size)
+        for block in blocks_of(order.tolist(), size)
     ]
     total = len(plan.pairs)
     done = total - len(left)
