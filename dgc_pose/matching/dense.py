@@ -146,10 +146,10 @@ class DenseMatcher(Matcher):
         points1 = self._finest_points(forward, seen1)
         cycle = None
         if reverse is not None:
-            turned = slice(None) if quarter_turns % 2 == 0 else slice(None, None, -1)
-            returned = self._finest_points(reverse, seen2[turned])
-            seen = (seen1, seen2[turned])
-            cycle = _cycle_error(points1, returned, seen, image2.size[turned])
+            rotated2 = _rotated_size(seen2, quarter_turns)
+            returned = self._finest_points(reverse, rotated2)
+            size2 = _rotated_size(image2.size, quarter_turns)
+            cycle = _cycle_error(points1, returned, (seen1, rotated2), size2)
             cycle = np.rot90(cycle, -quarter_turns)
         upright = np.rot90(points1[0].cpu().numpy(), -quarter_turns)
         centres = cell_centres(upright.shape[1::-1], seen2)
@@ -223,6 +223,10 @@ def _cycle_error(
     returned = sampled[0].movedim(0, -1).cpu().numpy()
     offset = returned - cell_centres(returned.shape[1::-1], seen[1])
     return np.linalg.norm(offset * np.divide(size2, seen[1]), axis=-1).astype(np.float32)
+
+
+def _rotated_size(size: Size, quarter_turns: int) -> Size:
+    return size if quarter_turns % 2 == 0 else (size[1], size[0])
 
 
 def _by_shapes(pairs: Sequence[tuple[Image, Image]]) -> list[list[int]]:
