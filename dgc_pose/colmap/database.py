@@ -35,21 +35,16 @@ def write_database(
     guessed: frozenset[str],
     shared: SharedMatches,
     rows: Mapping[Names, PairRow],
-    *,
-    overwrite: bool = False,
 ) -> None:
-    """Write a database, whole or not at all.
+    """Write a database, whole or not at all, over what is there.
 
     names: all images; those without a camera are left out. guessed: images whose focal length is no
     prior. rows: by pair, of a status in `CONFIGURATIONS`.
 
-    Raises InputError if there is a file at `path` and `overwrite` is not asked for, or if COLMAP
-    cannot hold a camera.
+    Raises InputError if COLMAP cannot hold a camera.
     """
     import pycolmap
 
-    if path.exists() and not overwrite:
-        raise InputError(f"{path} is there already: --overwrite replaces it")
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as temporary:
         temporary.unlink(missing_ok=True)

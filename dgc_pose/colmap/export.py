@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -58,11 +58,16 @@ def export_batch(
     if database.exists() and not overwrite:
         raise InputError(f"{database} is there already: --overwrite replaces it")
     shared, pairs = share(batch, options or ExportOptions(), progress)
+    return write_shared(batch, shared, pairs, database)
+
+
+def write_shared(
+    batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
+) -> Exported:
+    """Write the database of shared key points, over what is there."""
     plan = batch.plan
     rows = {pair.names: pair.row for pair in pairs}
-    write_database(
-        database, plan.names, plan.cameras, plan.guessed, shared, rows, overwrite=overwrite
-    )
+    write_database(database, plan.names, plan.cameras, plan.guessed, shared, rows)
     return Exported(
         images=sum(len(points) > 0 for points in shared.key_points.values()),
         key_points=sum(map(len, shared.key_points.values())),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,13 +51,6 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
             f"{database}: no reconstruction: no pair to begin with, or too few tracks of 3 views"
         )
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
-
-
-def write_model(model: pycolmap.Reconstruction, folder: Path) -> None:
-    """Write a model in COLMAP's binary format, instead of what the folder holds."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    model.write_binary(folder)
 
 
 def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions:
