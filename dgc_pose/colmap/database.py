@@ -126,7 +126,13 @@ def _write_images(
             continue
         camera = colmap_camera(cameras[name], name)
         camera.has_prior_focal_length = name not in guessed
-        key = (camera.model.name, camera.width, camera.height, *camera.params.tolist())
+        key = (
+            camera.model.name,
+            camera.has_prior_focal_length,
+            camera.width,
+            camera.height,
+            *camera.params.tolist(),
+        )
         if key not in known:
             known[key] = camera.camera_id = database.write_camera(camera)
             rig = pycolmap.Rig(rig_id=known[key])
