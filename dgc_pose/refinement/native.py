@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dgc_pose.image import Image
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.runtime.engine import STRIDE, NativeFeatures
+from dgc_pose.network.config import STRIDE
+from dgc_pose.runtime.engine import NativeFeatures
 
 # Features by image (the object, not its pixels), quarter turns of it, and columns and rows of
 # stride 16.

@@ -10,8 +10,6 @@ import numpy as np
 
 from dgc_pose.network.config import NetworkConfig
 
-STRIDE = 16  # pixels of a resized image per cell of the coarsest level
-
 
 class MapFeatures(Protocol):
     """Features of an image for the dense map: all levels, and the second scale if there is one.
@@ -65,7 +63,7 @@ class Engine(Protocol):
         """16 hexadecimal digits that identify the weights, whatever runs them."""
 
     def encode(self, pixels: np.ndarray) -> MapFeatures:
-        """Features of an image, resized to the network's input size."""
+        """Features of an image, resized as `config.input_size` says."""
 
     def coarsest(self, features: Any) -> np.ndarray:
         """(h, w, C) float32, the features of the coarsest level, unit length over the channels.
@@ -76,7 +74,7 @@ class Engine(Protocol):
     def decode(self, source: Sequence[Any], target: Sequence[Any], finest: int) -> list[DecodedMap]:
         """The map of each pair, from the features of both images as `encode` gives them.
 
-        finest: cells a side of the last level decoded, one of LEVEL_SIZES.
+        finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
         """
 
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:

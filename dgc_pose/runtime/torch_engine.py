@@ -13,16 +13,15 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.image import resize
-from dgc_pose.network.config import COARSEST, INPUT_SIZE, NetworkConfig
+from dgc_pose.network.config import COARSEST, STRIDE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.device import multiplies_bfloat16
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import fingerprint, load_network
-from dgc_pose.runtime.engine import STRIDE, DecodedMap, NativeFeatures
-
-_SQUARE = (INPUT_SIZE, INPUT_SIZE)
+from dgc_pose.pixels import Size
+from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +57,8 @@ class TorchEngine:
 
     @torch.inference_mode()
     def encode(self, pixels: np.ndarray) -> TorchFeatures:
-        return TorchFeatures(self.net.features(self._input(pixels, _SQUARE)), _SQUARE)
+        size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
+        return TorchFeatures(self.net.features(self._input(pixels, size)), size)
 
     @torch.inference_mode()
     def coarsest(self, features: TorchFeatures) -> np.ndarray:
@@ -68,23 +68,33 @@ class TorchEngine:
     def decode(
         self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
     ) -> list[DecodedMap]:
-        """As `Engine.decode`; the pairs are decoded together."""
+        """As `Engine.decode`; pairs of images of the same shapes are decoded together."""
+        groups: dict[tuple[Size, Size], list[int]] = {}
+        for index, (first, second) in enumerate(zip(source, target, strict=True)):
+            groups.setdefault((first.size, second.size), []).append(index)
+        found: dict[int, DecodedMap] = {}
+        for indices in groups.values():
+            maps = self._decode([source[i] for i in indices], [target[i] for i in indices], finest)
+            found |= zip(indices, maps, strict=True)
+        return [found[index] for index in range(len(source))]
+
+    def _decode(
+        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
+    ) -> list[DecodedMap]:
+        """As `decode`, of images of the same shapes."""
+        size = source[0].size
         first, second = (
             _stacked([one.levels for one in features]) for features in (source, target)
         )
         prediction = self.net.decode(first, second, finest)
-        corners = self.config.align_corners
-        maps = to_pixels(
-            prediction.maps[-1].movedim(1, -1).float().nan_to_num(-2.0), _SQUARE, corners
-        )
-        masks = torch.ones(maps.shape[:3])
+        maps = prediction.maps[-1].movedim(1, -1).float().nan_to_num(-2.0)
+        points = to_pixels(maps, size, self.config.align_corners)
+        masks = torch.ones(points.shape[:3])
         if prediction.logits:
             masks = prediction.logits[-1][:, 0].float().sigmoid()
         return [
-            DecodedMap(points, matchability, features.size)
-            for points, matchability, features in zip(
-                maps.cpu().numpy(), masks.cpu().numpy(), source, strict=True
-            )
+            DecodedMap(*one, size)
+            for one in zip(points.cpu().numpy(), masks.cpu().numpy(), strict=True)
         ]
 
     @torch.inference_mode()
