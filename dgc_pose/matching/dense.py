@@ -69,6 +69,11 @@ class DenseMatcher(Matcher):
             for found in self.correspondence_maps(pairs)
         ]
 
+    def coarse_features(self, image: Image) -> np.ndarray:
+        """The coarsest features of an image (cells, C) float32, of unit length over C."""
+        cache = feature_cache() if self.cache is None else self.cache
+        return np.concatenate(self.engine.coarsest(self._features(image, 0, cache)))
+
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
         """The map of each pair, with the cycle error if the options ask for one.
 
