@@ -28,6 +28,7 @@ SUBCOMMANDS = {
     "estimate": "Estimate the relative pose of two photographs.",
     "match": "Match two photographs, no K needed.",
     "demo": "Estimate the pose of the bundled pair.",
+    "batch": "Match many pairs: a folder, a list, a database.",
     "bench-pairs": "Score methods on pairs with known poses.",
     "bench-hpatches": "Score maps on pairs with homographies.",
     "bench-synthetic": "Score maps on synthetic pairs.",
