@@ -113,8 +113,9 @@ def _tracks_of(
         )
         good = aligned.converged & (aligned.zncc >= options.min_zncc)
         ours, others = corners[aligned.index], aligned.points1
-        both = (ours, others) if pair.row.name1 == name else (others, ours)
-        good &= fits_pose(pair.row, cameras, *both, options.max_error_px * max(1.0, scale))
+        first, second = (ours, others) if pair.row.name1 == name else (others, ours)
+        tolerance = options.max_error_px * max(1.0, scale)
+        good &= fits_pose(pair.row, cameras, first, second, tolerance)
         tracks.append(Track(other, aligned.index[good], others[good], aligned.zncc[good]))
     return corners, tracks
 

@@ -57,7 +57,7 @@ def _draw(
     low, high = np.minimum(ends[0], places.min(0)), np.maximum(ends[-1], places.max(0))
     extent = float((high - low).max()) or 1.0
     middle = (low + high) / 2
-    axes.scatter(*flat.T, s=1.5, c=shades, linewidths=0)
+    axes.scatter(flat[:, 0], flat[:, 1], s=1.5, c=shades, linewidths=0)
     arrows = _ARROW * extent * directions[:, plane] * flip
     axes.quiver(
         *places.T, *arrows.T, color="tab:red", angles="xy", scale_units="xy", scale=1, width=0.004
