@@ -149,4 +149,4 @@ def _smooth(found: CorrespondenceMap, size: tuple[int, int]) -> np.ndarray:
 def _inside(found: CorrespondenceMap) -> np.ndarray:
     """1 for cells whose point lies in image 1, else 0; (H, W) float32."""
     inside = (found.map >= -0.5) & (found.map <= np.array(found.size1) - 0.5)
-    return inside.all(-1).astype(np.float32)
+    return np.asarray(inside.all(-1), dtype=np.float32)
