@@ -120,6 +120,8 @@ class _Choice(click.Choice):
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:
+    if info.type is not None:
+        return info.type
     if info.parse is not None:
         return _Parsed(info.parse)
     if get_origin(kind) is Literal:

@@ -17,6 +17,7 @@ from dgc_pose import colmap_camera
 from dgc_pose.arrays import as_numpy
 from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_array, read_text
 from dgc_pose.pixels import rescale
 
 # If the principal point is farther from the middle, as a share of the image's side, K may belong to
@@ -98,9 +99,9 @@ def parse_camera(text: str, name: str = "K") -> Camera:
     if is_file:
         return as_camera(_read_matrix(Path(text), name), name)
     words = re.split(r"\s*,\s*", text.strip())
-    if len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
-        return _parse_colmap(words, name)
     numbers = _floats(words)
+    if numbers is None and len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
+        return _parse_colmap(words, name)
     if numbers is None or len(numbers) != 4:
         raise InputError(
             f"{name}: {text!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters nor a file"
@@ -186,14 +187,15 @@ def _listed(numbers: np.ndarray) -> str:
 
 
 def _read_matrix(path: Path, name: str) -> np.ndarray:
+    """The numbers of a file, (3, 3) if they are nine; commas and line breaks are as blanks."""
     try:
-        data = path.read_bytes() if path.stat().st_size <= _MAX_FILE_BYTES else b""
-        if not data.strip():
-            raise ValueError
         if path.suffix == ".npy":
-            return np.load(io.BytesIO(data), allow_pickle=False)
-        return np.loadtxt(io.StringIO(data.decode().replace(",", " ")), ndmin=2)
-    except (OSError, ValueError, EOFError) as error:
+            matrix = read_array(path)
+        else:
+            text = read_text(path, limit=_MAX_FILE_BYTES).replace(",", " ")
+            matrix = np.loadtxt(io.StringIO(text), ndmin=2) if text.strip() else np.empty((0, 0))
+        return matrix.reshape(3, 3) if matrix.size == 9 else matrix
+    except (InputError, OSError, ValueError) as error:
         raise InputError(f"{name}: {path} is not a file with a 3x3 matrix") from error
 
 
