@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -66,6 +67,12 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([*SUBCOMMANDS.items()])
 
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # click would print an empty line of its own
+            raise Stopped(signal.SIGINT) from None
+
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
         given = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
@@ -88,10 +95,10 @@ class LazyGroup(click.Group):
 def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
     """The message of an error, None for silence, and the exit code."""
     match error:
+        case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
+            return "interrupted", INTERRUPTED
         case Stopped():
             return f"stopped by {error.name}", 128 + error.number
-        case click.Abort() | KeyboardInterrupt():
-            return "interrupted", INTERRUPTED
         case click.NoSuchOption():
             return _with_path_hint(error, given), UNUSABLE_INPUT
         case click.ClickException():

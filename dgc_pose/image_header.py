@@ -71,7 +71,7 @@ def _by_pillow(data: bytes, complete: bool) -> Header | None:
         if factory is None or accept is None or accept(data[:16]) is not True:
             continue
         if name == "JPEG":  # the registered factory also reads blocks of several images
-            from PIL.JpegImagePlugin import JpegImageFile as factory  # type: ignore[assignment]
+            from PIL.JpegImagePlugin import JpegImageFile as factory
         try:
             image: PIL.Image.Image = factory(io.BytesIO(data), "")
         except Exception:

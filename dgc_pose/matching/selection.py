@@ -44,7 +44,7 @@ class MatchingOptions:
         max=10**6,
     )
     max_matches: int = option(
-        2000, "Keep an even subsample of at most N matches.", metavar="N", min=1, max=10**9
+        2000, "Keep an even subsample of at most N matches.", metavar="N", min=1, max=2**31
     )
     # Share of all cells that must pass; a smaller patch matches by chance.
     min_share: float = option(0.01, min=0, max=1)
