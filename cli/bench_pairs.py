@@ -113,7 +113,7 @@ def bench_pairs(
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
     """
-    if pair_list is not None and scenes.rendered is None:
+    if pair_list is not None and scenes.rendered is None and scenes.photos is None:
         pairs: PairSet[Any] = listed_pairs(pair_list, root, limit)
     elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
         pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)

@@ -114,6 +114,8 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
             return _describe(error), UNUSABLE_INPUT
         case MemoryError():
             return "there is not enough memory for this", UNUSABLE_INPUT
+    if "embedded null" in str(error):
+        return "a path cannot hold a zero byte", UNUSABLE_INPUT
     if "can't allocate memory" in str(error) or "out of memory" in str(error):
         return "there is not enough memory for this", UNUSABLE_INPUT
     kind = type(error).__name__

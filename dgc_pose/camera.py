@@ -16,7 +16,7 @@ import numpy as np
 from dgc_pose import colmap_camera
 from dgc_pose.arrays import as_numpy
 from dgc_pose.colmap_camera import Distortion
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, shortened
 from dgc_pose.inputs import read_array, read_text
 from dgc_pose.pixels import rescale
 
@@ -104,7 +104,8 @@ def parse_camera(text: str, name: str = "K") -> Camera:
         return _parse_colmap(words, name)
     if numbers is None or len(numbers) != 4:
         raise InputError(
-            f"{name}: {text!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters nor a file"
+            f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
+            f"nor a file"
         )
     fx, fy, cx, cy = numbers
     return as_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], name)
@@ -202,7 +203,8 @@ def _read_matrix(path: Path, name: str) -> np.ndarray:
 def _parse_colmap(words: list[str], name: str) -> Camera:
     size, parameters = _floats(words[1:3]), _floats(words[3:])
     if size is None or parameters is None or any(not side.is_integer() for side in size):
-        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {','.join(words)!r}")
+        given = shortened(",".join(words))
+        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {given!r}")
     try:
         K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
         return Camera(K, (int(size[0]), int(size[1])), distortion)

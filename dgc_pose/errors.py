@@ -27,4 +27,10 @@ def reason(failure: BaseException) -> str:
     text = lines[0].strip() if lines else ""
     if not any(character.isalpha() for character in text):
         text = f"{type(failure).__name__} {text}".strip()
-    return text if len(text) <= _REASON else text[: _REASON - 3] + "..."
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """A text for a message: its middle is left out if it is long."""
+    half = _REASON // 2
+    return text if len(text) <= _REASON else f"{text[:half]} ... {text[5 - half :]}"

@@ -52,9 +52,10 @@ def test_an_interrupt_does_not_wait_for_the_work() -> None:
     cv2.setNumThreads(2)
     begun, ended = threading.Event(), threading.Event()
 
-    def work(_: int) -> None:
-        begun.set()
-        signal.raise_signal(signal.SIGINT)
+    def work(item: int) -> None:
+        if item == 0:
+            begun.set()
+            signal.raise_signal(signal.SIGINT)
         ended.wait(60)
 
     with pytest.raises(KeyboardInterrupt):

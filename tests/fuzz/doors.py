@@ -17,8 +17,8 @@ import dtu_layout
 import numpy as np
 import PIL.Image
 import torch
-
 from fuzz import mutators
+
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
 from dgc_pose.benchmarks.homographies import find_homography_pairs
@@ -158,7 +158,10 @@ def _make_weights(folder: Path) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite"))
     save_weights(net, folder / "own.safetensors")
-    state = {"pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3), "matchability_net.x": torch.ones(3)}
+    state = {
+        "pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3),
+        "matchability_net.x": torch.ones(3),
+    }
     torch.save({"state_dict": state}, folder / "own.pth")
     torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
 
@@ -270,7 +273,9 @@ DOORS = (
     Door("camera texts", _make_camera_texts, _read_camera_text, _TEXTS),
     Door("pair lists", _make_pair_lists, lambda _, path: read_pairs(path), _TEXTS),
     Door("DTU raw", _make_layout("raw"), _read_layout, {**_TEXTS, ".png": mutators.PNG}, 0.3),
-    Door("DTU MVSNet", _make_layout("mvsnet"), _read_layout, {**_TEXTS, ".jpg": mutators.BYTES}, 0.3),
+    Door(
+        "DTU MVSNet", _make_layout("mvsnet"), _read_layout, {**_TEXTS, ".jpg": mutators.BYTES}, 0.3
+    ),
     Door("DTU NeuS", _make_layout("neus"), _read_layout, {**_TEXTS, ".npz": mutators.ZIP}, 0.3),
     Door(
         "weights",

@@ -10,6 +10,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -18,7 +19,7 @@ Mutator = Callable[[bytes, np.random.Generator], bytes]
 _NUMBERS = (0, 1, 2, 3, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**24, 2**31 - 1, 2**31)
 _NUMBERS += (2**31 - 10, 2**32 - 1, 10**6, 30_000, 100_000)
 _TOKENS = (
-    "nan inf -inf 1e400 -1 0 -0.0 1e-320 1e308 0x10 1_000 ٣ ¼ 1,5 true null None {} [] \"x\" - ."
+    'nan inf -inf 1e400 -1 0 -0.0 1e-320 1e308 0x10 1_000 ٣ ¼ 1,5 true null None {} [] "x" - .'
 ).split() + ["", "9" * 30, "9" * 5000, "\0", "\ufeff", "é" * 300, "a/../b", "%s", "$x$", "\x1b[31m"]
 
 
@@ -135,7 +136,8 @@ def png_chunk(data: bytes, rng: np.random.Generator) -> bytes:
     chosen = int(rng.integers(len(chunks)))
     kind, body = chunks[chosen]
     if kind == b"IDAT" and rng.random() < 0.5:
-        body = zlib.compress(_any(zlib.decompress(body), rng))
+        with suppress(zlib.error):  # damaged already
+            body = zlib.compress(_any(zlib.decompress(body), rng))
     else:
         body = _any(body, rng)
     if rng.random() < 0.2:
@@ -158,6 +160,8 @@ def member(data: bytes, rng: np.random.Generator) -> bytes:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = [(info.filename, archive.read(info)) for info in archive.infolist()]
     except Exception:
+        members = []
+    if not members:
         return flip(data, rng)
     chosen = int(rng.integers(len(members)))
     name, body = members[chosen]
