@@ -17,6 +17,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 import click
+from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
 from dgc_pose.cli.signals import Stopped, stopped_by_signals
@@ -37,6 +38,7 @@ SUBCOMMANDS = {
     "estimate": "Estimate the relative pose of two photographs.",
     "match": "Match two photographs, no K needed.",
     "demo": "Estimate the pose of the bundled pair.",
+    "batch": "Match many pairs: a folder, a list, a database.",
     "bench-pairs": "Score methods on pairs with known poses.",
     "bench-hpatches": "Score maps on pairs with homographies.",
     "bench-synthetic": "Score maps on synthetic pairs.",
@@ -46,6 +48,8 @@ SUBCOMMANDS = {
     "bench-speed": "Show where the time of a pair goes.",
     "dtu-pairs": "Make a pair list from DTU's calibration.",
     "train": "Train a network on photographs.",
+    "info": "Show versions, weights, devices and threads.",
+    "completion": "Print a shell's completion script.",
 }
 
 
@@ -72,6 +76,15 @@ class LazyGroup(click.Group):
             return super().invoke(ctx)
         except KeyboardInterrupt:  # click would print an empty line of its own
             raise Stopped(signal.SIGINT) from None
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """As click's own, which would import every sub-command for its help."""
+        commands = [
+            CompletionItem(name, help=text)
+            for name, text in SUBCOMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
@@ -144,12 +157,27 @@ def _one_line(message: str) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 40]} ... {text[-30:]}"
 
 
+def _print_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not ctx.resilient_parsing:
+        from dgc_pose.version import build, version
+
+        click.echo(f"dgc-pose {version()} (build {build()})")
+        ctx.exit()
+
+
 @click.group(
     cls=LazyGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(package_name="dgc-pose", prog_name="dgc-pose")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and the build, and exit.",
+)
 @click.pass_context
 def main(ctx: click.Context) -> None:
     """Relative camera pose from two photographs.
