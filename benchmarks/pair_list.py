@@ -119,7 +119,8 @@ def _numbers(fields: list[str], where: str) -> np.ndarray:
 
 def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
     R, t = T[:3, :3], T[:3, 3]
-    orthonormal = np.abs(R.T @ R - np.eye(3)).max() < ROTATION_TOLERANCE
+    with np.errstate(over="ignore", invalid="ignore"):
+        orthonormal = np.abs(R.T @ R - np.eye(3)).max() < ROTATION_TOLERANCE
     if not orthonormal or np.linalg.det(R) < 0:
         raise InputError(f"{where}: the upper left 3x3 of T is not a rotation")
     if not np.array_equal(T[3], [0, 0, 0, 1]):

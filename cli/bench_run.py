@@ -16,6 +16,7 @@ from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
+from dgc_pose.cli.dataclass_options import NamedPath
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.cli.options import DeviceName, RefineChoice
 from dgc_pose.errors import InputError
@@ -28,7 +29,9 @@ GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
 
 pair_list_argument = click.argument("pair_list", metavar="[LIST]", required=False)
-root_option = click.option("--root", help="Folder of the image paths; by default the list's own.")
+root_option = click.option(
+    "--root", type=NamedPath(), help="Folder of the image paths; by default the list's own."
+)
 limit_option = click.option(
     "--limit", type=click.IntRange(1, 10**9), metavar="N", help="Only the first N pairs."
 )

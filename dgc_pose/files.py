@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_start
 
 try:
     import fcntl
@@ -110,8 +111,10 @@ def require_kind(path: str | Path, kind: Kind) -> None:
 
 def holds(path: Path, kind: Kind) -> bool:
     """Whether a file begins as one of that kind does; an empty one does."""
-    with path.open("rb") as stream:
-        start = stream.read(4096)
+    try:
+        start = read_start(path, 4096)
+    except OSError:  # not ours to replace
+        return False
     if kind in _STARTS:
         return not start or start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_STARTS[kind])
     first = start.partition(b"\n")[0]

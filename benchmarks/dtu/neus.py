@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.array_files import read_arrays
 from dgc_pose.benchmarks.dtu.calibration import View, decompose
 from dgc_pose.benchmarks.dtu.scene import SceneReader, numbered_folders
 from dgc_pose.errors import InputError
-from dgc_pose.inputs import read_arrays
 
 EXPECTED = "scan24/cameras.npz and scan24/image/000000.png"
 _FOLDER = r"(?:dtu_)?scan(\d+)"
@@ -76,7 +76,8 @@ def _key(position: int) -> str:
 
 def _read(path: Path) -> Mapping[str, np.ndarray]:
     """The projections of a file by their names."""
-    found = read_arrays(path, [_key(position) for position in range(1, _MOST_VIEWS + 1)])
-    if not found:
-        raise InputError(f"{path}: expected an .npz with world_mat_0 and so on")
+    try:
+        found = read_arrays(path, [_key(position) for position in range(1, _MOST_VIEWS + 1)])
+    except InputError as error:
+        raise InputError(f"{path}: expected an .npz with world_mat_0 and so on") from error
     return found

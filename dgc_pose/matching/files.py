@@ -22,9 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.array_files import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.errors import ImageError, InputError, reason
 from dgc_pose.image import Image, read_pixels
-from dgc_pose.inputs import ARRAY_BYTES, read_array, read_arrays, read_bytes
+from dgc_pose.inputs import read_bytes
 from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
@@ -86,16 +87,20 @@ class FileMatcher(Matcher):
         Raises InputError, with the path, if the file is missing or malformed.
         """
         path = self.path(image1.name, image2.name)
-        arrays = _read(path)
         try:
-            if "flow" in arrays or "map" in arrays:
-                found = _map(arrays, image1, image2)
-                return MatchResult(select_matches(found, self.options), found)
-            return MatchResult(_points(arrays, image1, image2), None)
+            with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
+                return self._match(path, image1, image2)
         except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+            raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+
+    def _match(self, path: Path, image1: Image, image2: Image) -> MatchResult:
+        arrays = _read(path)
+        if "flow" in arrays or "map" in arrays:
+            found = _map(arrays, image1, image2)
+            return MatchResult(select_matches(found, self.options), found)
+        return MatchResult(_points(arrays, image1, image2), None)
 
 
 def _read(path: Path) -> Mapping[str, np.ndarray]:

@@ -151,15 +151,14 @@ def _values(parameter: click.Parameter) -> Sequence[str]:
     if getattr(parameter, "is_flag", False):
         return ()
     if isinstance(kind, OutputFile):
-        return OUTPUTS
+        # A picture may replace a picture that is no input.
+        return [one for one in OUTPUTS if kind.kind or one not in ("one.png", "link")]
     if isinstance(kind, OutputFolder):
         return FOLDERS
     if isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
         return NUMBERS
     if isinstance(kind, click.Choice):
         return ("", "nosuch", "9" * 5000)
-    if parameter.name in ("guess_focal",):
-        return ()
     return INPUTS
 
 
