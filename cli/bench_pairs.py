@@ -120,7 +120,8 @@ def bench_pairs(
     else:
         raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
     chosen = parse_methods(split_names(methods), defaults.options)
-    with staged(json_path) as stage:
+    images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
+    with staged(json_path, inputs=images) as stage:
         engines = load_engines(chosen, device=run.device)
         evaluation = Evaluation(pairs, chosen, engines, run.options)
         store = open_store(evaluation, out, run)

@@ -91,7 +91,7 @@ def guarded(command: click.Command) -> click.Command:
             help="Show the trace of an error.",
         ),
     ]
-    if any(isinstance(one.type, OutputFile | OutputFolder) for one in command.params):
+    if any(_replaces(parameter.type) for parameter in command.params):
         command.params.append(
             click.Option(
                 [OVERWRITE],
@@ -113,6 +113,10 @@ def guarded(command: click.Command) -> click.Command:
 
     command.callback = checked
     return command
+
+
+def _replaces(kind: click.ParamType) -> bool:
+    return isinstance(kind, OutputFile) or (isinstance(kind, OutputFolder) and bool(kind.names))
 
 
 def overwrites() -> bool:

@@ -26,6 +26,7 @@ from dgc_pose.errors import DgcPoseError, reason
 
 FAULT = 1  # of dgc-pose itself
 UNUSABLE_INPUT = 2
+PIPE = 13  # SIGPIPE, which Windows has not
 LONGEST = 1000  # characters of a message
 INTERRUPTED = 130  # what shells report after SIGINT
 # Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
@@ -76,6 +77,8 @@ class LazyGroup(click.Group):
             return super().invoke(ctx)
         except KeyboardInterrupt:  # click would print an empty line of its own
             raise Stopped(signal.SIGINT) from None
+        except BrokenPipeError:  # click would exit with 1
+            raise Stopped(PIPE) from None
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """As click's own, which would import every sub-command for its help."""
@@ -110,19 +113,19 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
     match error:
         case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
             return "interrupted", INTERRUPTED
-        case Stopped():
-            return f"stopped by {error.name}", 128 + error.number
         case click.NoSuchOption():
             return _with_path_hint(error, given), UNUSABLE_INPUT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
-        case BrokenPipeError():
+        case BrokenPipeError() | Stopped(number=13):  # PIPE
             # Whoever read the output has left; the end of the process would try to write again.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return None, 128 + 13
+            return None, 128 + PIPE
+        case Stopped():
+            return f"stopped by {error.name}", 128 + error.number
         case OSError():
             return _describe(error), UNUSABLE_INPUT
         case MemoryError():

@@ -29,7 +29,7 @@ class TrainFiles:
     out: Path = option(help="Folder of the run's files.", type=OutputFolder(path_type=Path))
     resume: bool = option(False, "Continue the run in --out.")
     stop_after: float | None = option(
-        None, "Stop after so many minutes; --resume continues the run.", above=0
+        None, "Stop after so many minutes; --resume continues the run.", above=0, max=10**7
     )
     device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
     threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1, max=1024)

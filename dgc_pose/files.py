@@ -7,17 +7,19 @@ import glob
 import logging
 import math
 import os
+import platform
+import re
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Literal
 
 from dgc_pose.errors import InputError
 from dgc_pose.inputs import read_start
 
 try:
     import fcntl
-except ImportError:  # not on Windows, which has no leftovers told then
+except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
 Kind = Literal["json", "npz", "png", "jpg", "webp", "tif", "svg", "pdf", "eps", "csv", "text"]
@@ -35,6 +37,7 @@ _STARTS: dict[str, tuple[bytes, ...]] = {
     "eps": (b"%!PS",),
 }
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_HOST = re.sub(r"\W", "-", platform.node())[:24]  # process numbers are those of one machine
 _LONGEST = 180  # bytes of an output's name within that of its temporary file; 255 is the most
 _log = logging.getLogger(__name__)
 
@@ -60,19 +63,18 @@ def staged(
         raise InputError("two outputs are the same file")
     require_no_input(targets, inputs)
     partial: dict[str, Path] = {}
-    with ExitStack() as stack:
-        try:
-            for path, target in targets.items():
-                partial[path] = _create(path, target, stack)
-            yield partial.__getitem__
-            for path, target in targets.items():
-                os.replace(partial[path], target)
-        except OSError as error:
-            raise _named(error, partial) from None
-        finally:
-            for file in partial.values():
-                with suppress(OSError):
-                    file.unlink(missing_ok=True)
+    try:
+        for path, target in targets.items():
+            partial[path] = _create(path, target)
+        yield partial.__getitem__
+        for path, target in targets.items():
+            os.replace(partial[path], target)
+    except OSError as error:
+        raise _named(error, partial) from None
+    finally:
+        for file in partial.values():
+            with suppress(OSError):
+                file.unlink(missing_ok=True)
 
 
 def output_target(path: str | Path) -> Path:
@@ -129,38 +131,40 @@ def _identity(path: str | Path) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def _create(path: str, target: Path, stack: ExitStack) -> Path:
-    """An empty temporary file beside the target, locked for as long as this process writes it."""
+def _create(path: str, target: Path) -> Path:
+    """An empty temporary file beside the target, which tells by its name who writes it."""
     stem = os.fsdecode(os.fsencode(target.name)[:_LONGEST])
     _clear(target, stem)
-    file = target.with_name(f".{stem}.{os.getpid()}.partial")
+    file = target.with_name(f".{stem}.{_HOST}.{os.getpid()}.partial")
     try:
-        stream = stack.enter_context(file.open("xb"))
+        file.open("xb").close()
     except OSError as error:
         raise OSError(error.errno, error.strerror, path) from None
-    _lock(stream)
     return file
 
 
 def _clear(target: Path, stem: str) -> None:
-    """Remove what killed runs left of an output. A file that is being written is locked."""
-    pattern = f".{glob.escape(stem)}.*.partial"
-    for file in sorted(target.parent.glob(pattern)):
-        with suppress(OSError), file.open("rb") as stream:
-            if fcntl is not None and _lock(stream):
+    """Remove what killed runs on this machine left of an output."""
+    for file in sorted(target.parent.glob(f".{glob.escape(stem)}.{_HOST}.*.partial")):
+        number = file.name.split(".")[-2]
+        if number.isdecimal() and not _is_running(int(number)):
+            with suppress(OSError):
                 file.unlink()
                 _log.warning("%s: removed, left by a run that was killed", file)
 
 
-def _lock(stream: IO[Any] | int) -> bool:
-    """Lock a file or folder until it is closed or the process ends; False if another has it."""
-    if fcntl is not None:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:  # a file system without locks
-            return True
+def _is_running(process: int) -> bool:
+    """Whether another process of this number is there. This one has no such file yet."""
+    if process == os.getpid():
+        return False
+    if os.name == "nt":  # where os.kill would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:  # another user's
+        return True
     return True
 
 
@@ -187,10 +191,16 @@ def replaced(path: Path) -> Iterator[Path]:
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
     """Keep a folder of outputs to one process. Raises InputError if another one writes there."""
+    if fcntl is None:
+        yield
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        if not _lock(descriptor):
-            raise InputError(f"{folder}: another run is writing there")
+        with suppress(OSError):  # a file system without locks
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(f"{folder}: another run is writing there") from None
         yield
     finally:
         os.close(descriptor)
