@@ -20,7 +20,11 @@ _FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000", "AVI
 _ORIENTATION, _WIDTH, _HEIGHT = 0x0112, 256, 257  # tags of EXIF and TIFF
 _PNG = b"\x89PNG\r\n\x1a\n"
 _J2K = b"\xff\x4f\xff\x51"  # the beginning of a JPEG 2000 code stream, its size next
-_RADIANCE = re.compile(rb"\n-Y (\d{1,9}) \+X (\d{1,9})\n")
+_BY_TEXT = {  # formats whose header is text: how they begin, and where their size is
+    "HDR": (b"#?R", re.compile(rb"\n-Y (?P<height>\d{1,9}) \+X (?P<width>\d{1,9})\n")),
+    "PFM": (b"PF", re.compile(rb"PF\s+(?P<width>\d{1,9})\s+(?P<height>\d{1,9})\s")),
+    "PAM": (b"P7", re.compile(rb"\nWIDTH (?P<width>\d{1,9})\nHEIGHT (?P<height>\d{1,9})\n")),
+}
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ def _by_pillow(data: bytes, complete: bool) -> Header | None:
         try:
             image: PIL.Image.Image = factory(io.BytesIO(data), "")
         except Exception:
-            if name in ("TIFF", "JPEG2000"):
+            if name in ("TIFF", "JPEG2000", "PPM"):
                 return None  # variants that OpenCV decodes
             raise
         header = Header(name, image.size, _orientation(image))
@@ -100,10 +104,9 @@ def _by_hand(data: bytes) -> Header:
     if stream_start >= 0:
         right, bottom, left, top = struct.unpack_from(">4I", data, stream_start + 8)
         return Header("JPEG2000", (right - left, bottom - top))
-    if data.startswith(b"#?R"):
-        found = _RADIANCE.search(data, 0, 2**16)
-        if found:
-            return Header("HDR", (int(found[2]), int(found[1])))
+    for name, (start, size_of) in _BY_TEXT.items():
+        if data.startswith(start) and (found := size_of.search(data, 0, 2**16)):
+            return Header(name, (int(found["width"]), int(found["height"])))
     raise ValueError("no format of image that is known")
 
 

@@ -58,7 +58,7 @@ class Door:
 _TEXTS = dict.fromkeys((".txt", ".csv", ".json", ""), mutators.TEXT)
 _IMAGES = {
     **dict.fromkeys((".jpg", ".tiff", ".bmp", ".ppm", ".webp", ".gif", ".jp2"), mutators.BYTES),
-    **dict.fromkeys((".pgm", ".hdr", ".pfm", ".ras", ".avif", ".jpeg"), mutators.BYTES),
+    **dict.fromkeys((".pgm", ".hdr", ".pfm", ".pam", ".ras", ".avif", ".jpeg"), mutators.BYTES),
     ".png": mutators.PNG,
 }
 _K = "300 0 159.5\n0 300 119.5\n0 0 1\n"
@@ -90,6 +90,7 @@ def _make_images(folder: Path) -> None:
     cv2.imwrite(str(folder / "floats.tiff"), floats)
     cv2.imwrite(str(folder / "floats.hdr"), floats)
     cv2.imwrite(str(folder / "floats.pfm"), floats)
+    cv2.imwrite(str(folder / "planes.pam"), _pixels())
     cv2.imwrite(str(folder / "sun.ras"), _pixels())
 
 
