@@ -91,7 +91,8 @@ def guarded(command: click.Command) -> click.Command:
             help="Show the trace of an error.",
         ),
     ]
-    if any(_replaces(parameter.type) for parameter in command.params):
+    own = any(OVERWRITE in parameter.opts for parameter in command.params)
+    if not own and any(_replaces(parameter.type) for parameter in command.params):
         command.params.append(
             click.Option(
                 [OVERWRITE],

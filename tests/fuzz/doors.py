@@ -100,7 +100,8 @@ def _read_image(folder: Path, path: Path) -> object:
     finally:
         found = load_image(path)
     assert found.pixels.dtype == np.uint8 and found.pixels.shape[2] == 3
-    read_pixels(path, cv2.IMREAD_COLOR)
+    if path.suffix != ".tiff":  # OpenCV makes no colours of floats
+        read_pixels(path, cv2.IMREAD_COLOR)
     return found
 
 
