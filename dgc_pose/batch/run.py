@@ -99,6 +99,8 @@ def run_batch(
     one had other settings, or if the input is unusable; OSError if the disk is full.
     """
     start = time.perf_counter()
+    # Absolute, as a resumed batch has it: the reasons of bad images name it.
+    source = replace(source, root=source.root.resolve())
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
         "weights": matcher.weights,
