@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -22,13 +23,14 @@ from dgc_pose.pixels import Size
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 from dgc_pose.runtime.graphs import (
     GRAPHS,
+    LEVELS,
+    NATIVE,
     PRESETS,
-    PYRAMID,
     RESAMPLE,
-    SHAPES,
+    UPSAMPLE,
     WARP,
+    WEIGHTS,
     decoder_graph,
-    own_weights,
 )
 from dgc_pose.runtime.local_correlation import local_correlation
 from dgc_pose.runtime.session import Session
@@ -68,7 +70,7 @@ class OnnxEngine:
         self.config = preset(name)
         self._stored = weights
         self._weights = folded(weights)
-        self._scales = self._weights.pop(_SCALES)
+        self._names = _weights_of(name)["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
 
     @cached_property
@@ -98,26 +100,27 @@ class OnnxEngine:
 
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         image = resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)).astype(np.float32)
-        fine, middle, coarse = self._session(PYRAMID)(image, outputs=slice(_LEVELS, None))
+        fine, middle, coarse = self._session(NATIVE)(image)
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
 
     def _levels(self, image: np.ndarray) -> list[np.ndarray]:
         """Levels 0 to 4 of an image (16 h, 16 w, 3) of 0 to 255, float32."""
-        return self._session(PYRAMID)(image, outputs=slice(_LEVELS))
+        return self._session(LEVELS)(image)
 
     @property
     def _correlated_levels(self) -> range:
         return range(COARSEST, COARSEST - self.config.correlated_levels, -1)
 
     def _decode(self, source: OnnxFeatures, target: OnnxFeatures, finest: int) -> DecodedMap:
-        previous = self._start(source, target)
+        state = self._start(source, target)
         for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
+            previous = state if level == COARSEST else self._session(UPSAMPLE)(state)[0]
             parts = self._decoder_inputs(level, source, target, previous)
             rows, columns = source.levels[level].shape[2:]
             # Corrections are in cells of the source; the mask logit has no unit.
             cell = np.array([2 / columns, 2 / rows, 1], np.float32)[: self.config.map_channels]
             decoder = self._session(decoder_graph(level))
-            state, previous = decoder(*parts, previous, cell[:, None, None][None])
+            (state,) = decoder(*parts, previous, cell[:, None, None][None])
         return self._decoded(state[0], source.size)
 
     def _start(self, source: OnnxFeatures, target: OnnxFeatures) -> np.ndarray:
@@ -130,9 +133,9 @@ class OnnxEngine:
         pairs = [(scales1[0], scales2[0])]
         pairs += [(one, scales2[0]) for one in scales1[1:]]
         pairs += [(scales1[0], one) for one in scales2[1:]]
-        evidence = match_evidence(*pairs[0], self._scales)
+        evidence = match_evidence(*pairs[0], self._weights[_SCALES])
         for pair in pairs[1:]:
-            np.maximum(evidence, match_evidence(*pair, self._scales), out=evidence)
+            np.maximum(evidence, match_evidence(*pair, self._weights[_SCALES]), out=evidence)
         scores = match_scores(evidence)
         if config.consensus_passes > 0:
             scores = consensus(scores, config.consensus_passes, *grids)
@@ -177,8 +180,8 @@ class OnnxEngine:
     def _session(self, graph: str) -> Session:
         key = os.getpid(), graph
         if key not in self._sessions:
-            path = GRAPHS / self.config.name / graph
-            self._sessions[key] = Session(path, own_weights(graph, self._weights))
+            own = {name: self._weights[name] for name in self._names[graph]}
+            self._sessions[key] = Session(GRAPHS / self.config.name / graph, own)
         return self._sessions[key]
 
 
@@ -194,9 +197,15 @@ def load_onnx_engine(path: Path) -> OnnxEngine:
             f"{path}: there are no ONNX graphs of {name}, only of {', '.join(PRESETS)}; "
             f"run it by torch"
         )
-    shapes = json.loads((GRAPHS / name / SHAPES).read_text(encoding="utf-8"))
-    check_state(path, name, {key: value.shape for key, value in weights.items()}, shapes)
+    shapes = {key: value.shape for key, value in weights.items()}
+    check_state(path, name, shapes, _weights_of(name)["stored"])
     return OnnxEngine(name, weights)
+
+
+def _weights_of(name: str) -> dict[str, Any]:
+    """What graphs.py says of WEIGHTS, of a preset."""
+    found: dict[str, Any] = json.loads((GRAPHS / name / WEIGHTS).read_text(encoding="utf-8"))
+    return found
 
 
 def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:

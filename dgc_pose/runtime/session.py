@@ -19,9 +19,9 @@ _MOST_THREADS = 8  # the graphs are small: more threads would only wait for each
 class Session:
     """A graph, called with arrays in the order of its inputs.
 
-    weights: by the names of the graph's initializers; those of other graphs do no harm. The number
-    of threads is that of `session_threads` when the session is made. Safe to call from several
-    threads at once. Raises WeightsError if weights are missing or do not fit.
+    weights: by the names of the graph's initializers, no others. The number of threads is that of
+    `session_threads` when the session is made. Safe to call from several threads at once. Raises
+    WeightsError if weights are missing or do not fit.
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
@@ -41,15 +41,11 @@ class Session:
         except Exception as error:  # onnxruntime's errors have no common base of their own
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
         self._inputs = [one.name for one in self._session.get_inputs()]
-        self._outputs = [one.name for one in self._session.get_outputs()]
-        self._run_options = onnxruntime.RunOptions()
-        self._run_options.only_execute_path_to_fetches = True
 
-    def __call__(self, *arrays: np.ndarray, outputs: slice = slice(None)) -> list[np.ndarray]:
-        """The outputs, or some of them: what only the others need is not computed."""
-        given = dict(zip(self._inputs, arrays, strict=True))
+    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        """The outputs."""
         found: list[np.ndarray] = self._session.run(
-            self._outputs[outputs], given, self._run_options
+            None, dict(zip(self._inputs, arrays, strict=True))
         )
         return found
 
