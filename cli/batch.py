@@ -104,7 +104,9 @@ def work_through(
             read_calibration(inputs.k, inputs.guess_focal),
             choice,
             out,
-            matcher=MatcherSettings(matcher.weights, matcher.device, matcher.matching, refinement),
+            matcher=MatcherSettings(
+                matcher.weights, matcher.device, matcher.matching, refinement, matcher.runtime
+            ),
             estimation=estimation,
             options=BatchOptions(workers, int(work.memory * _GIB), work.format, work.resume),
             start_workers=start_workers,

@@ -40,7 +40,7 @@ from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
 from dgc_pose.matchers import SIFT
-from dgc_pose.network.weights import shipped
+from dgc_pose.network.stored import shipped
 from dgc_pose.options import check_options, option
 from dgc_pose.viz import plot_errors, save_figure
 
@@ -111,7 +111,7 @@ def bench_pairs(
         raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
     chosen = parse_methods(split_names(methods), defaults.options)
     with staged(json_path) as stage:
-        engines = load_engines(chosen, device=run.device)
+        engines = load_engines(chosen, device=run.device, runtime=run.runtime)
         evaluation = Evaluation(pairs, chosen, engines, run.options)
         store = open_store(evaluation, out, run)
         work(evaluation, store)
