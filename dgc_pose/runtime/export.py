@@ -167,9 +167,7 @@ def export(name: str, folder: Path) -> None:
     (folder / WEIGHTS).write_text(text + "\n", encoding="utf-8")
 
 
-def _graph(
-    module: nn.Module, given: tuple[Any, ...], shapes: tuple[Any, ...]
-) -> onnx.ModelProto:
+def _graph(module: nn.Module, given: tuple[Any, ...], shapes: tuple[Any, ...]) -> onnx.ModelProto:
     """The graph of a module, with its weights and without the exporter's notes."""
     program = torch.onnx.export(
         module,

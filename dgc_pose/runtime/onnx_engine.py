@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import PIL.Image
-from scipy.special import expit, logit
 
 from dgc_pose.errors import InputError
 from dgc_pose.image import resize
@@ -141,7 +140,9 @@ class OnnxEngine:
             scores = consensus(scores, config.consensus_passes, *grids)
         cells, probability = peaks(scores, (height1, width1))
         points = (2 * cells + 1) / np.array([[width1], [height1]]) - 1
-        state = np.concatenate([points, logit(probability.clip(*PEAK))[None]])
+        probability = probability.clip(*PEAK)
+        logits = np.log(probability / (1 - probability))
+        state = np.concatenate([points, logits[None]])
         shape = (1, config.map_channels, height2, width2)
         return state[: config.map_channels].reshape(shape).astype(np.float32)
 
@@ -174,7 +175,7 @@ class OnnxEngine:
         points = ((normalised + 1) * np.array(size, np.float32) - 1) / 2
         matchability = np.ones(state.shape[1:], np.float32)
         if self.config.matchability is not None:
-            matchability = expit(state[2])
+            matchability = 1 / (1 + np.exp(-state[2]))
         return DecodedMap(points, matchability, size)
 
     def _session(self, graph: str) -> Session:
