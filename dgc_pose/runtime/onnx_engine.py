@@ -160,14 +160,12 @@ class OnnxEngine:
         own, other = source.levels[level], target.levels[level]
         radius = self.config.decoders[level].local_radius
         if radius is None:
-            correlation = cell_correlation(
-                *(l2_normalised(features[0]) for features in (own, other)), side=1
-            )
-            scores = correlation.reshape(-1, *other.shape[2:])
+            units = l2_normalised(own[0]), l2_normalised(other[0])
+            scores = cell_correlation(*units, 1).reshape(-1, *other.shape[2:])
             return [l2_normalised(scores.clip(0, None))[None]]
         (warped,) = self._session(WARP)(own, previous)
-        unit = [l2_normalised(features[0]) for features in (warped, other)]
-        return [warped, other, local_correlation(*unit, radius)[None]]
+        units = l2_normalised(warped[0]), l2_normalised(other[0])
+        return [warped, other, local_correlation(*units, radius)[None]]
 
     def _decoded(self, state: np.ndarray, size: Size) -> DecodedMap:
         """The map of a state (2 or 3, H, W) whose outer edges are -1 and 1."""
