@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 
 from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.inputs import read_as, require_regular
 from dgc_pose.network.config import PRESETS, preset
 
 SUFFIX = ".safetensors"
@@ -40,7 +40,7 @@ def find_weights(weights: str | Path) -> Path:
             f"give a file"
         )
     path = Path(weights)
-    if not path.is_file():
+    if "\0" in name or not path.exists():
         raise WeightsError(f"{path}: no such weights file, and none shipped of that name")
     return path
 
@@ -51,11 +51,12 @@ def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, d
     Raises WeightsError, naming the file, if it is none.
     """
     try:
-        with safe_open(path, framework) as file:
+        require_regular(path, WeightsError)
+        with read_as("a safetensors file", path, WeightsError), safe_open(path, framework) as file:
             metadata = file.metadata() or {}
             state = {key: file.get_tensor(key) for key in file.keys()}
-    except (SafetensorError, OSError, json.JSONDecodeError, TypeError) as error:
-        raise WeightsError(f"{path}: not a safetensors file ({one_line(error)})") from error
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
     name = metadata.get("preset", "")
     try:
         preset(name)
@@ -86,6 +87,15 @@ def check_state(
             )
 
 
+def check_values(path: Path, state: Mapping[str, np.ndarray]) -> None:
+    """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
+    for key, value in state.items():
+        if value.dtype.kind != "f":
+            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
+        if not np.isfinite(value).all():
+            raise WeightsError(f"{path}: {key} has values that are not finite")
+
+
 def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:
     """16 hexadecimal digits that identify weights, in single precision, before they are folded."""
     digest = hashlib.sha256()
@@ -111,8 +121,3 @@ def folded(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         bias = weights[f"{convolution}.bias"]
         weights[f"{convolution}.bias"] = (bias - mean) * factor + shift
     return weights
-
-
-def one_line(error: Exception) -> str:
-    """The first line of what an error says."""
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

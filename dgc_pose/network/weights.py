@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from torch import Tensor
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.files import replaced
+from dgc_pose.inputs import read_as, require_regular
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import (
@@ -20,7 +22,6 @@ from dgc_pose.network.stored import (
     check_state,
     find_weights,
     fingerprint,
-    one_line,
     read_safetensors,
 )
 
@@ -40,6 +41,7 @@ def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cp
     net = DGCNet(preset(name))
     shapes = ({k: v.shape for k, v in values.items()} for values in (state, net.state_dict()))
     check_state(path, name, *shapes)
+    _check_values(path, state)
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
     return net.eval().requires_grad_(False).to(device)
 
@@ -65,14 +67,26 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     """The content of a torch.save file of tensors and plain values. Raises WeightsError, with the
     path, for any other file."""
     try:
-        return torch.load(path, map_location=device, weights_only=True)
-    except pickle.UnpicklingError as error:
-        # torch's own message advises to load the file as code: unsafe.
-        raise WeightsError(f"{path}: not a checkpoint of tensors and plain values") from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        raise WeightsError(
-            f"{path}: not a checkpoint that can be read ({one_line(error)})"
-        ) from error
+        require_regular(path, WeightsError)
+        with read_as("a checkpoint", path, WeightsError):
+            _check_archive(path)
+            try:
+                return torch.load(path, map_location=device, weights_only=True)
+            except pickle.UnpicklingError as error:
+                # torch's own message advises to load the file as code: unsafe.
+                what = "not a checkpoint of tensors and plain values"
+                raise WeightsError(f"{path}: {what}") from error
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _check_archive(path: Path) -> None:
+    """Raise WeightsError if the archive of a checkpoint is packed: torch stores its tensors as they
+    are, and a packed one could need any amount of memory."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
+                raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
 
 
 def _read(path: Path) -> tuple[str, dict[str, Tensor]]:
@@ -84,9 +98,20 @@ def _read(path: Path) -> tuple[str, dict[str, Tensor]]:
 def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
     content = load_checkpoint(path)
     state = content.get("state_dict", content) if isinstance(content, dict) else None
-    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
+    if not isinstance(state, dict) or not all(
+        isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
+    ):
         raise WeightsError(f"{path}: holds no state_dict")
     state = {key.removeprefix("module."): value for key, value in state.items()}
     state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
     has_mask = any(key.startswith(_MASK) for key in state)
     return "dgcm" if has_mask else "dgc", state
+
+
+def _check_values(path: Path, state: dict[str, Tensor]) -> None:
+    """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
+    for key, value in state.items():
+        if value.layout != torch.strided or not value.is_floating_point():
+            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
+        if not value.float().isfinite().all():
+            raise WeightsError(f"{path}: {key} has values that are not finite")

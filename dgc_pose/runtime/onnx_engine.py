@@ -17,7 +17,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.image import resize
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, STRIDE, preset
 from dgc_pose.network.constants import PEAK
-from dgc_pose.network.stored import check_state, fingerprint, folded, read_safetensors
+from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
 from dgc_pose.pixels import Size
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 from dgc_pose.runtime.graphs import (
@@ -198,6 +198,7 @@ def load_onnx_engine(path: Path) -> OnnxEngine:
         )
     shapes = {key: value.shape for key, value in weights.items()}
     check_state(path, name, shapes, _weights_of(name)["stored"])
+    check_values(path, weights)
     return OnnxEngine(name, weights)
 
 
