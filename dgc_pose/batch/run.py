@@ -105,6 +105,7 @@ def run_batch(
         "pairs": "source" if choice is None else asdict(choice),
         "weights": matcher.weights,
         "weights_sha256": _weights_hash(matcher.weights),
+        "runtime": matcher.runtime,
         "matching": asdict(matcher.matching),
         "refinement": None if matcher.refinement is None else asdict(matcher.refinement),
         "estimation": asdict(estimation),
