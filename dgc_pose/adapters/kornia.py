@@ -54,10 +54,9 @@ class LoFTRShape(nn.Module):
             points1.append(torch.from_numpy(matches.points2))
             confidence.append(torch.from_numpy(matches.confidence))
             index.append(torch.full((len(matches),), i, dtype=torch.long))
-        kind = {"device": images0.device, "dtype": images0.dtype}
         return {
-            "keypoints0": torch.cat(points0).to(**kind),
-            "keypoints1": torch.cat(points1).to(**kind),
-            "confidence": torch.cat(confidence).to(**kind),
+            "keypoints0": torch.cat(points0).to(images0),
+            "keypoints1": torch.cat(points1).to(images0),
+            "confidence": torch.cat(confidence).to(images0),
             "batch_indexes": torch.cat(index).to(images0.device),
         }

@@ -8,6 +8,7 @@ must lie at the same path.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -35,8 +36,13 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
         raise InputError("--engine ray needs Ray: pip install 'dgc-pose[ray]'") from None
     starts = not ray.is_initialized()
     if starts:
-        local = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers}
-        ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", **local)
+        cores = None if "RAY_ADDRESS" in os.environ else workers
+        ray.init(
+            num_cpus=cores,
+            include_dashboard=False,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+        )
     try:
         actors = _Actors(ray, job, workers)
         yield actors.run
