@@ -68,7 +68,7 @@ class Method:
         own = self.options.matching
         cycle_px = None if own.cycle_px is None else 1.0
         return self.engine, MatchingOptions(
-            cycle_px=cycle_px, rotate_below=own.rotate_below, finest=own.finest
+            cycle_px=cycle_px, search_below=own.search_below, finest=own.finest
         )
 
 
@@ -79,9 +79,7 @@ class Engine:
     matcher: Matcher
     refiners: Mapping[RefinementOptions, Refiner]
 
-    def matches(
-        self, method: Method, image1: Image, image2: Image, found: MatchResult
-    ) -> Matches:
+    def matches(self, method: Method, image1: Image, image2: Image, found: MatchResult) -> Matches:
         """The matches that go into the pose, of what the matcher found in two images."""
         if found.correspondence_map is not None:
             selected = select_matches(found.correspondence_map, method.options.matching)

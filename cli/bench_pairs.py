@@ -10,6 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
+from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_engines, parse_methods
 from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPairs
@@ -69,6 +70,7 @@ class SceneChoice:
 @pair_list_argument
 @root_option
 @dataclass_options(SceneChoice, "scenes")
+@dataclass_options(ImageChange, "change")
 @click.option(
     "--methods",
     default=lambda: ",".join([*shipped(), SIFT]),
@@ -90,6 +92,7 @@ def bench_pairs(
     pair_list: str | None,
     root: str | None,
     scenes: SceneChoice,
+    change: ImageChange,
     methods: str,
     limit: int | None,
     out: str | None,
@@ -104,7 +107,10 @@ def bench_pairs(
     without a pose counts as an infinite error.
     """
     if pair_list is not None and scenes.rendered is None:
-        pairs: PairSet[Any] = listed_pairs(pair_list, root, limit)
+        listed = listed_pairs(pair_list, root, limit)
+        pairs: PairSet[Any] = (
+            listed if change == ImageChange() else ChangedPairs(listed.pairs, change)
+        )
     elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
         pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
     else:

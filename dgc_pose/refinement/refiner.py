@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.refinement.align import align, spread
-from dgc_pose.refinement.consistency import consistent
+from dgc_pose.refinement.align import Aligned, align, spread
+from dgc_pose.refinement.consistency import LocalMatches, consistent
 from dgc_pose.refinement.options import AlignmentOptions
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
@@ -86,7 +88,7 @@ class Refiner(Matcher):
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
-            if good.sum() >= options.min_matches:
+            if good.sum() >= options.min_aligned:
                 return Matches(
                     aligned.points1[good],
                     aligned.points2[good],
@@ -94,6 +96,7 @@ class Refiner(Matcher):
                     ALIGNED_ERROR_PX * aligned.pixel,
                     found.key_points,
                 )
+            return _completed(found, local, aligned, good)
         confidence = found.confidence[local.index]
         kept = spread(local.points2, confidence, image2.size, options.max_matches)
         return Matches(
@@ -103,3 +106,19 @@ class Refiner(Matcher):
             found.error_px,
             found.key_points,
         )
+
+
+def _completed(found: Matches, local: LocalMatches, aligned: Aligned, good: np.ndarray) -> Matches:
+    """The matches that were to be aligned: those that were, and the others as they were found.
+
+    Patches of views far apart often differ too much. What is left of them is more accurate, but too
+    little to tell a pose from chance; both together have the error of those found.
+    """
+    rows = np.searchsorted(local.index, aligned.index)
+    return Matches(
+        np.where(good[:, None], aligned.points1, found.points1[aligned.index]),
+        np.where(good[:, None], aligned.points2, local.points2[rows]),
+        np.where(good, aligned.zncc.clip(0, 1), found.confidence[aligned.index]),
+        found.error_px,
+        found.key_points,
+    )
