@@ -36,8 +36,7 @@ def best_model(problem: TwoViewProblem, options: EstimationOptions) -> Model | N
         )
 
     seeds = run_seeds(options)
-    thread_safe = options.estimator in _THREAD_SAFE
-    found = in_threads(run, seeds) if thread_safe else [run(seed) for seed in seeds]
+    found = in_threads(run, seeds, None if options.estimator in _THREAD_SAFE else 1)
     essentials = [E for matrices in found for E in matrices]
     if not essentials:
         return None
