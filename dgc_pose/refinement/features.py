@@ -33,7 +33,10 @@ from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.threads import in_threads
 
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
+_WEAK = 0.25  # mean matchability
+_WIDER = 1.6  # ratio of the fields of view, along a side
 _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
+_UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
@@ -125,9 +128,14 @@ def _views(
     and rows of stride 16 at one scale."""
     points1, points2 = matchable_points(correspondence_map)
     size1, size2 = correspondence_map.size1, correspondence_map.size2
+    # What a weak map shows is too little to crop by, unless the fields of view differ.
+    wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
+    if correspondence_map.matchability.mean() < _WEAK and 1 / _WIDER < wider < _WIDER:
+        points1, points2 = points1[:0], points2[:0]
     window1 = window_shown(points1[within(points1, size1)], size1)
     window2 = window_shown(points2, size2)
-    angle = _ANGLE_STEP * round(rotation_between(correspondence_map) / _ANGLE_STEP) % 360
+    angle = rotation_between(correspondence_map)
+    angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
     found = []
     for window, turn, factor in ((window1, 0.0, factors[0]), (window2, angle, factors[1])):

@@ -65,7 +65,8 @@ def window_shown(
 ) -> tuple[tuple[int, int], tuple[float, float]]:
     """The part of an image of `size` (width, height) that holds nearly all of its points (N, 2)
     and a margin: (width, height), and the pixel at its centre. The whole image if that is not much
-    larger, or without points."""
+    larger, or without points.
+    """
     whole = size, ((size[0] - 1) / 2, (size[1] - 1) / 2)
     if len(points) == 0:
         return whole
