@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
+from dgc_pose.matching.texture import textured
 from dgc_pose.refinement.align import align, spread
 from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.options import AlignmentOptions
@@ -68,7 +69,8 @@ class Refiner(Matcher):
             yield given.matches
             return
         for source in self.sources:
-            yield source.find(image1, image2, given.correspondence_map, given.matches)
+            found = source.find(image1, image2, given.correspondence_map, given.matches)
+            yield textured(found, image1, image2)
 
     def _steps(self, image1: Image, image2: Image, found: Matches) -> Matches | None:
         """Matches that agree with their neighbours, aligned; None if too few agree."""
