@@ -12,6 +12,7 @@ dataclass, and whose default is that class's own, contributes the options of tha
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ import click
 
 from dgc_pose.options import OptionInfo, field_types, option_info
 
+_FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
 Command = Callable[..., Any]
 Decorator = Callable[[Command], Command]
 
@@ -126,6 +128,8 @@ def _parameter_type(kind: Any, info: OptionInfo) -> Any:
         return _Choice(get_args(kind))
     if kind is Path:
         return click.Path(path_type=Path)
+    if kind is str and _FILE.search(info.metavar or ""):
+        return click.Path()  # so that a shell completes it; the value stays text
     if kind in (str, int, float):
         return kind
     raise TypeError(f"no command-line option can be made of {kind}: give a parse function")

@@ -31,8 +31,8 @@ class Outputs:
 
 
 @click.command()
-@click.argument("image1", metavar="IMG1")
-@click.argument("image2", metavar="IMG2")
+@click.argument("image1", metavar="IMG1", type=click.Path())
+@click.argument("image2", metavar="IMG2", type=click.Path())
 @dataclass_options(CameraChoice, "cameras")
 @dataclass_options(MatcherChoice, "matcher")
 @dataclass_options(EstimationOptions, "estimation")

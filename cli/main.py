@@ -12,6 +12,7 @@ import sys
 from typing import Any, NoReturn
 
 import click
+from click.shell_completion import CompletionItem
 
 from dgc_pose.errors import DgcPoseError
 
@@ -27,6 +28,7 @@ SUBCOMMANDS = {
     "estimate": "Estimate the relative pose of two photographs.",
     "match": "Match two photographs, no K needed.",
     "demo": "Estimate the pose of the bundled pair.",
+    "batch": "Match many pairs: a folder, a list, a database.",
     "bench-pairs": "Score methods on pairs with known poses.",
     "bench-hpatches": "Score maps on pairs with homographies.",
     "bench-synthetic": "Score maps on synthetic pairs.",
@@ -36,6 +38,8 @@ SUBCOMMANDS = {
     "bench-speed": "Show where the time of a pair goes.",
     "dtu-pairs": "Make a pair list from DTU's calibration.",
     "train": "Train a network on photographs.",
+    "info": "Show versions, weights, devices and threads.",
+    "completion": "Print a shell's completion script.",
 }
 
 
@@ -56,6 +60,15 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([*SUBCOMMANDS.items()])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """As click's own, which would import every sub-command for its help."""
+        commands = [
+            CompletionItem(name, help=text)
+            for name, text in SUBCOMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
@@ -81,12 +94,27 @@ def _fail(message: str, status: int) -> NoReturn:
     sys.exit(status)
 
 
+def _print_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked and not ctx.resilient_parsing:
+        from dgc_pose.version import build, version
+
+        click.echo(f"dgc-pose {version()} (build {build()})")
+        ctx.exit()
+
+
 @click.group(
     cls=LazyGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(package_name="dgc-pose", prog_name="dgc-pose")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and the build, and exit.",
+)
 @click.pass_context
 def main(ctx: click.Context) -> None:
     """Relative camera pose from two photographs.

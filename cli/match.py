@@ -13,8 +13,8 @@ from dgc_pose.image import load_image
 
 
 @click.command()
-@click.argument("image1", metavar="IMG1")
-@click.argument("image2", metavar="IMG2")
+@click.argument("image1", metavar="IMG1", type=click.Path())
+@click.argument("image2", metavar="IMG2", type=click.Path())
 @click.option("--out", required=True, metavar="PATH.npz", help="Where to write the matches.")
 @dataclass_options(MatcherChoice, "matcher")
 def match(image1: str, image2: str, out: str, matcher: MatcherChoice) -> None:

@@ -11,7 +11,7 @@ from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.samples import MatchSample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.viz.figure import new_figure
-from dgc_pose.viz.panels import show_matches
+from dgc_pose.viz.panels import draw_matches
 
 COUNT = 10
 _COLUMNS = 2
@@ -43,7 +43,7 @@ def plot_worst(
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
     for axes, row, pair, sample in zip(panels, rows, shown, samples, strict=False):
-        show_matches(
+        draw_matches(
             axes,
             pair.image1.pixels,
             pair.image2.pixels,

@@ -24,7 +24,7 @@ from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.statistics import normalise
 from dgc_pose.network.weights import DEFAULT, load_network
-from dgc_pose.pixels import cell_centres, rescale
+from dgc_pose.pixels import Size, cell_centres, rescale
 
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)  # width and height of the images that the network takes
 
@@ -86,11 +86,18 @@ class DenseMatcher(Matcher):
         ]
 
     @torch.inference_mode()
+    def coarse_features(self, image: Image) -> np.ndarray:
+        """The coarsest features of an image (cells, C) float32, of unit length over C."""
+        cache = feature_cache() if self.cache is None else self.cache
+        coarse = self._features(image, 0, cache)[COARSEST][0].flatten(1)
+        return F.normalize(coarse.float(), dim=0).T.cpu().numpy()
+
+    @torch.inference_mode()
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
         """The map of each pair, with the cycle error if the options ask for one.
 
-        Pairs are decoded together. Images are encoded one by one, so that the features of an image
-        are independent of the batch.
+        Pairs of images of the same shapes are decoded together. Images are encoded one by one, so
+        that the features of an image are independent of the batch.
         """
         cache = feature_cache() if self.cache is None else self.cache
         found = self._rotated_maps(pairs, 0, cache)
@@ -122,16 +129,17 @@ class DenseMatcher(Matcher):
         self, pairs: Sequence[tuple[Image, Image]], quarter_turns: int, cache: FeatureCache
     ) -> list[CorrespondenceMap]:
         """The maps computed with each image 2 rotated, given over image 2 as it is."""
-        source = _stacked([self._features(first, 0, cache) for first, _ in pairs])
-        target = _stacked([self._features(second, quarter_turns, cache) for _, second in pairs])
-        forward = _split(self.net.decode(source, target, self.options.finest))
-        reverse: Sequence[Prediction | None] = [None] * len(pairs)
-        if self.options.cycle_px is not None:
-            reverse = _split(self.net.decode(target, source, self.options.finest))
-        return [
-            self._map(*pair, quarter_turns, one, other)
-            for pair, one, other in zip(pairs, forward, reverse, strict=True)
-        ]
+        found: dict[int, CorrespondenceMap] = {}
+        for same in _by_shapes(pairs):
+            source = _stacked([self._features(pairs[i][0], 0, cache) for i in same])
+            target = _stacked([self._features(pairs[i][1], quarter_turns, cache) for i in same])
+            forward = _split(self.net.decode(source, target, self.options.finest))
+            reverse: Sequence[Prediction | None] = [None] * len(same)
+            if self.options.cycle_px is not None:
+                reverse = _split(self.net.decode(target, source, self.options.finest))
+            for i, one, other in zip(same, forward, reverse, strict=True):
+                found[i] = self._map(*pairs[i], quarter_turns, one, other)
+        return [found[i] for i in range(len(pairs))]
 
     def _map(
         self,
@@ -142,17 +150,20 @@ class DenseMatcher(Matcher):
         reverse: Prediction | None,
     ) -> CorrespondenceMap:
         """The map of one pair from its predictions with image 2 rotated."""
-        points1 = self._finest_points(forward)
+        seen1, seen2 = (self.net.config.input_size(image.size) for image in (image1, image2))
+        points1 = self._finest_points(forward, seen1)
         cycle = None
         if reverse is not None:
-            size = image2.size if quarter_turns % 2 == 0 else image2.size[::-1]
-            cycle = _cycle_error(points1, self._finest_points(reverse), size)
+            rotated2 = _rotated_size(seen2, quarter_turns)
+            returned = self._finest_points(reverse, rotated2)
+            size2 = _rotated_size(image2.size, quarter_turns)
+            cycle = _cycle_error(points1, returned, (seen1, rotated2), size2)
             cycle = np.rot90(cycle, -quarter_turns)
         upright = np.rot90(points1[0].cpu().numpy(), -quarter_turns)
-        centres = cell_centres((self.options.finest, self.options.finest), _SQUARE)
+        centres = cell_centres(upright.shape[1::-1], seen2)
         return CorrespondenceMap(
-            map=rescale(upright, _SQUARE, image1.size).astype(np.float32),
-            grid=rescale(centres, _SQUARE, image2.size).astype(np.float32),
+            map=rescale(upright, seen1, image1.size).astype(np.float32),
+            grid=rescale(centres, seen2, image2.size).astype(np.float32),
             matchability=np.ascontiguousarray(np.rot90(_matchability(forward), -quarter_turns)),
             size1=image1.size,
             size2=image2.size,
@@ -164,14 +175,16 @@ class DenseMatcher(Matcher):
 
         def encode() -> list[Tensor]:
             rotated = np.ascontiguousarray(np.rot90(image.pixels, quarter_turns))
-            return self.net.features(network_input(rotated, next(self.net.parameters()).device))
+            size = self.net.config.input_size((rotated.shape[1], rotated.shape[0]))
+            device = next(self.net.parameters()).device
+            return self.net.features(network_input(rotated, device, size))
 
         return cache.get((image, quarter_turns), encode)
 
-    def _finest_points(self, prediction: Prediction) -> Tensor:
-        """The finest map (1, S, S, 2), in pixels of the source at 240 x 240."""
+    def _finest_points(self, prediction: Prediction, size: tuple[int, int]) -> Tensor:
+        """The finest map (1, H, W, 2), in pixels of the source at `size`, the network's input."""
         finest = prediction.maps[-1].movedim(1, -1).float()
-        return to_pixels(finest.nan_to_num(-2.0), _SQUARE, self.net.config.align_corners)
+        return to_pixels(finest.nan_to_num(-2.0), size, self.net.config.align_corners)
 
 
 def load_dense_matcher(
@@ -190,23 +203,46 @@ def load_dense_matcher(
     return DenseMatcher(net, options, cache)
 
 
-def network_input(pixels: np.ndarray, device: torch.device) -> Tensor:
-    """An image (H, W, 3), uint8, as the network takes it: (1, 3, 240, 240), channels last."""
-    squared = torch.from_numpy(resize(pixels, _SQUARE))
-    planes = squared.to(device).permute(2, 0, 1)[None].float() / 255
+def network_input(
+    pixels: np.ndarray, device: torch.device, size: tuple[int, int] = _SQUARE
+) -> Tensor:
+    """An image (H, W, 3), uint8, as the network takes it: (1, 3, h, w), channels last.
+
+    size: (w, h), see `NetworkConfig.input_size`.
+    """
+    resized = torch.from_numpy(resize(pixels, size))
+    planes = resized.to(device).permute(2, 0, 1)[None].float() / 255
     return normalise(planes).contiguous(memory_format=torch.channels_last)
 
 
-def _cycle_error(forward: Tensor, reverse: Tensor, size2: tuple[int, int]) -> np.ndarray:
-    """Distance (S, S) between each cell of image 2 and its image under both maps (1, S, S, 2), in
-    pixels of image 2 at size2."""
-    normalised = (2 * forward + 1) / INPUT_SIZE - 1
+def _cycle_error(
+    forward: Tensor, reverse: Tensor, seen: tuple[Size, Size], size2: Size
+) -> np.ndarray:
+    """Distance (H, W) between each cell of image 2 and its image under both maps, in pixels of
+    image 2 at size2.
+
+    forward: (1, H, W, 2), reverse: (1, H1, W1, 2), pixels of images 1 and 2 at the sizes `seen` by
+    the network.
+    """
+    normalised = (2 * forward + 1) / forward.new_tensor(seen[0]) - 1
     sampled = F.grid_sample(
         reverse.movedim(-1, 1), normalised, padding_mode="border", align_corners=False
     )
     returned = sampled[0].movedim(0, -1).cpu().numpy()
-    offset = returned - cell_centres((len(returned), len(returned)), _SQUARE)
-    return np.linalg.norm(offset * np.divide(size2, INPUT_SIZE), axis=-1).astype(np.float32)
+    offset = returned - cell_centres(returned.shape[1::-1], seen[1])
+    return np.linalg.norm(offset * np.divide(size2, seen[1]), axis=-1).astype(np.float32)
+
+
+def _rotated_size(size: Size, quarter_turns: int) -> Size:
+    return size if quarter_turns % 2 == 0 else (size[1], size[0])
+
+
+def _by_shapes(pairs: Sequence[tuple[Image, Image]]) -> list[list[int]]:
+    """Indices of the pairs, those of images of the same sizes together."""
+    groups: dict[tuple[Size, Size], list[int]] = {}
+    for index, (first, second) in enumerate(pairs):
+        groups.setdefault((first.size, second.size), []).append(index)
+    return list(groups.values())
 
 
 def _stacked(features: Sequence[list[Tensor]]) -> list[Tensor]:

@@ -18,6 +18,22 @@ def true_fundamental(camera1: Camera, camera2: Camera, R: np.ndarray, t: np.ndar
     return fundamental_from_essential(E, camera1.K, camera2.K)
 
 
+def epipolar_residuals_px(
+    points1: np.ndarray, points2: np.ndarray, camera1: Camera, camera2: Camera, E: np.ndarray
+) -> np.ndarray:
+    """Symmetric epipolar distances (N,) of matches in pixels under E (3, 3), without distortion.
+
+    points1, points2: (N, 2) pixels of the cameras' images, as distorted as those are. NaN if that
+    cannot be undone.
+    """
+    ideal1, ideal2 = (
+        camera.normalise(points) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        for camera, points in ((camera1, points1), (camera2, points2))
+    )
+    F = fundamental_from_essential(E, camera1.K, camera2.K)
+    return symmetric_epipolar_distance(ideal1, ideal2, F)
+
+
 def median_and_mean(
     points1: np.ndarray, points2: np.ndarray, F: np.ndarray
 ) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -9,9 +10,11 @@ from typing import Literal
 from dgc_pose.errors import InputError
 
 DEFAULT_WEIGHTS = "dgcm-lite"
-INPUT_SIZE = 240  # pixels a side of both input images
+INPUT_SIZE = 240  # pixels a side of both input images, if they are squared
+STRIDE = 16  # pixels of an input image per cell of the coarsest level
 LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4
 COARSEST = 4  # index of the level that the correlation runs on
+_LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,8 @@ class DecoderConfig:
 
     channels: tuple[int, ...]  # of each block
     dilations: tuple[int, ...]  # of each block
-    local_radius: int | None = None  # cells of local correlation around each cell; None: none
+    # Cells of local correlation around each cell. None: none, at level 4 the global correlation.
+    local_radius: int | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,8 @@ class NetworkConfig:
         coarsest = INPUT_SIZE // LEVEL_SIZES[COARSEST]
         if self.second_size is not None and (self.second_size % coarsest or not self.soft_argmax):
             raise InputError(f"second_size must be a multiple of {coarsest}, and needs soft_argmax")
+        if self.decoders[COARSEST].local_radius is not None and not self.soft_argmax:
+            raise InputError("a local correlation around the peak at level 4 needs soft_argmax")
 
     @property
     def level_channels(self) -> tuple[int, ...]:
@@ -116,18 +122,39 @@ class NetworkConfig:
         return tuple(map(_channels, self.pyramid))
 
     @property
+    def any_shape(self) -> bool:
+        """Whether images keep their shape; else both are squared to 240x240.
+
+        The channels of the global correlation fix the number of cells, so every decoder must have a
+        local one. A displacement from the identity is not defined between grids of two shapes.
+        """
+        local = all(decoder.local_radius is not None for decoder in self.decoders)
+        return local and self.output == "residual" and self.matchability != "network"
+
+    def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
+        """Width and height that an image of `size` (width, height) is resized to for the network.
+
+        In its own shape that has about as many cells as a square of 240 pixels.
+        """
+        if not self.any_shape:
+            return INPUT_SIZE, INPUT_SIZE
+        side = INPUT_SIZE // STRIDE
+        elongation = math.sqrt(min(max(size[0] / size[1], 1 / _LONGEST), _LONGEST))
+        return STRIDE * round(side * elongation), STRIDE * round(side / elongation)
+
+    @property
     def map_channels(self) -> int:
         """Channels passed between decoders: x, y and, with matchability "decoder", the mask."""
         return 3 if self.matchability == "decoder" else 2
 
     def decoder_inputs(self, level: int) -> int:
         """Input channels of a level's decoder."""
-        if level == COARSEST:
+        radius = self.decoders[level].local_radius
+        if level == COARSEST and radius is None:
             width = LEVEL_SIZES[COARSEST]
             if self.correlation == "local":
                 width = 2 * self.local_correlation_radius + 1
             return width**2 + self.map_channels
-        radius = self.decoders[level].local_radius
         local = 0 if radius is None else (2 * radius + 1) ** 2
         return 2 * self.level_channels[level] + local + self.map_channels
 
@@ -194,7 +221,10 @@ PRESETS: dict[str, NetworkConfig] = {
     "dgcm": NetworkConfig("dgcm", _VGG16, _PAPER_DECODERS, matchability="network"),
     "dgcm-lite": _LITE,
     "dgcm-lite0": replace(
-        _LITE, name="dgcm-lite0", pyramid=EfficientNet((_LITE_PYRAMID[0], _LITE_PYRAMID[1]))
+        _LITE,
+        name="dgcm-lite0",
+        pyramid=EfficientNet((_LITE_PYRAMID[0], _LITE_PYRAMID[1])),
+        decoders=(*_LITE_DECODERS[:-1], replace(_LITE_DECODERS[-1], local_radius=4)),
     ),
 }
 
@@ -222,8 +252,10 @@ def without_dilation(config: NetworkConfig) -> NetworkConfig:
 
 
 def _local_correlation(config: NetworkConfig) -> NetworkConfig:
+    coarsest = replace(config.decoders[COARSEST], local_radius=None)
     return replace(
         config,
+        decoders=(*config.decoders[:COARSEST], coarsest),
         correlation="local",
         soft_argmax=False,
         correlated_levels=1,

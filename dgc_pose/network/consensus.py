@@ -14,35 +14,36 @@ _WEIGHT = 0.4  # of the messages: neighbours are not independent of each other
 _FLOOR = 0.01  # smallest message: the neighbour may lie on another surface
 
 
-def consensus(scores: Tensor, passes: int) -> Tensor:
+def consensus(scores: Tensor, passes: int, grid: tuple[int, int] | None = None) -> Tensor:
     """Log-probabilities of each target cell's source cell, after belief propagation.
 
-    scores: (B, h * w, h, w) log-likelihoods, laid out as by `global_correlation`. Sum-product
-    belief propagation on the grid of target cells, with `passes` rounds: the match (s, t) of a
-    target cell t is supported by the matches (s + d, t + d) of its eight neighbours, blurred over
-    s, as views are rotated, scaled and distorted.
+    scores: (B, h1 * w1, h2, w2) log-likelihoods, laid out as by `global_correlation`; grid:
+    (h1, w1), by default (h2, w2). Sum-product belief propagation on the grid of target cells, with
+    `passes` rounds: the match (s, t) of a target cell t is supported by the matches (s + d, t + d)
+    of its eight neighbours, blurred over s, as views are rotated, scaled and distorted.
     """
     batch, _, height, width = scores.shape
-    blur = _blur(height, width, scores)
+    rows, columns = grid or (height, width)
+    blur = _blur(rows, columns, scores)
     belief = scores.log_softmax(1)
     for _ in range(passes):
         messages = torch.matmul(blur, belief.exp().flatten(2)).add(_FLOOR).log()
-        support = _sum_of_neighbours(messages.view(batch, width, height, height, width))
+        support = _sum_of_neighbours(messages.view(batch, columns, rows, height, width))
         belief = (scores + _WEIGHT * support.view_as(scores)).log_softmax(1)
     return belief
 
 
 def _sum_of_neighbours(messages: Tensor) -> Tensor:
-    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (B, xs, ys, yt, xt).
+    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (B, w1, h1, h2, w2).
 
     Messages about cells outside the source have the smallest value; there are none from cells
     outside the target.
     """
-    height, width = messages.shape[3:]
+    columns, rows, height, width = messages.shape[1:]
     messages = F.pad(messages, (0, 0, 0, 0, 1, 1, 1, 1), value=math.log(_FLOOR))
     messages = F.pad(messages, (1, 1, 1, 1))
     neighbours = [
-        messages[:, dx : dx + width, dy : dy + height, dy : dy + height, dx : dx + width]
+        messages[:, dx : dx + columns, dy : dy + rows, dy : dy + height, dx : dx + width]
         for dy in (0, 1, 2)
         for dx in (0, 1, 2)
         if (dy, dx) != (1, 1)

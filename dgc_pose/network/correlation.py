@@ -19,8 +19,8 @@ def l2_normalise(features: Tensor) -> Tensor:
 def global_correlation(source: Tensor, target: Tensor) -> Tensor:
     """Every source cell against every target cell (paper, section 3.2).
 
-    Takes (B, C, h, w) of both; returns (B, h * w, h, w): channel xs * h + ys (column-major over
-    the source) at (yt, xt) is <source(ys, xs), target(yt, xt)>.
+    Takes (B, C, h1, w1) and (B, C, h2, w2); returns (B, h1 * w1, h2, w2): channel xs * h1 + ys
+    (column-major over the source) at (yt, xt) is <source(ys, xs), target(yt, xt)>.
     """
     batch, _, height, width = target.shape
     columns = source.transpose(2, 3).flatten(2)  # (B, C, xs * h + ys)
@@ -48,18 +48,21 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
 def cell_correlation(source: Tensor, target: Tensor, side: int) -> Tensor:
     """As `global_correlation`, of cells that hold side x side features each.
 
-    Takes (B, C, h side, w side) of both; returns (B, h * w, h, w): the largest correlation of a
-    target feature with the source cell's features, averaged over the target cell's features.
+    Takes (B, C, h1 side, w1 side) and (B, C, h2 side, w2 side); returns (B, h1 * w1, h2, w2): the
+    largest correlation of a target feature with the source cell's features, averaged over the
+    target cell's features.
     """
     if side == 1:
         return global_correlation(source, target)
     batch, channels, height, width = target.shape
-    h, w = height // side, width // side
-    split = [f.view(batch, channels, h, side, w, side) for f in (source, target)]
-    columns = split[0].permute(0, 3, 5, 4, 2, 1).reshape(batch, -1, channels)
-    rows = split[1].permute(0, 1, 3, 5, 2, 4).reshape(batch, channels, -1)
-    scores = torch.bmm(columns, rows).view(batch, side**2, h * w, side**2, h * w)
-    return scores.amax(1).mean(2).view(batch, h * w, h, w)
+    h2, w2 = height // side, width // side
+    h1, w1 = source.shape[2] // side, source.shape[3] // side
+    columns = source.view(batch, channels, h1, side, w1, side).permute(0, 3, 5, 4, 2, 1)
+    rows = target.view(batch, channels, h2, side, w2, side).permute(0, 1, 3, 5, 2, 4)
+    scores = torch.bmm(
+        columns.reshape(batch, -1, channels), rows.reshape(batch, channels, -1)
+    ).view(batch, side**2, h1 * w1, side**2, h2 * w2)
+    return scores.amax(1).mean(2).view(batch, h1 * w1, h2, w2)
 
 
 def cell_correlations(source: Sequence[Tensor], target: Sequence[Tensor]) -> list[Tensor]:
@@ -69,10 +72,10 @@ def cell_correlations(source: Sequence[Tensor], target: Sequence[Tensor]) -> lis
 
 
 def match_evidence(correlations: Sequence[Tensor], scales: Tensor) -> Tensor:
-    """The weighted sum (B, h * w, h, w) of the levels' correlations.
+    """The weighted sum (B, h1 * w1, h2, w2) of the levels' correlations.
 
-    correlations: (B, h * w, h, w) of each level, by `cell_correlations`; scales: (levels,) inverse
-    temperatures.
+    correlations: (B, h1 * w1, h2, w2) of each level, by `cell_correlations`; scales: (levels,)
+    inverse temperatures.
     """
     return torch.tensordot(scales, torch.stack(list(correlations)), 1)
 
@@ -80,26 +83,30 @@ def match_evidence(correlations: Sequence[Tensor], scales: Tensor) -> Tensor:
 def match_scores(evidence: Tensor) -> Tensor:
     """Log-likelihood of a match for each pair of cells, up to a constant (dual softmax).
 
-    evidence: (B, h * w, h, w); the softmax over the source and that over the target are multiplied.
+    evidence: (B, h1 * w1, h2, w2); the softmax over the source and that over the target are
+    multiplied.
     """
     logits = evidence.flatten(2)
     return (logits.log_softmax(1) + logits.log_softmax(2)).view_as(evidence)
 
 
-def peaks(scores: Tensor, window: int = 2) -> tuple[Tensor, Tensor]:
+def peaks(
+    scores: Tensor, grid: tuple[int, int] | None = None, window: int = 2
+) -> tuple[Tensor, Tensor]:
     """The soft-argmax of each target cell's scores within a window, and its probability.
 
-    Takes logarithms (B, h * w, h, w), laid out as by `global_correlation`. Returns x and y in
-    source cells (B, 2, h, w), the mean of the source cells within `window` of the highest, weighted
-    by their probability (without the window, a second peak would pull the mean between both); and
-    the probability (B, h, w) inside the window.
+    Takes logarithms (B, h1 * w1, h2, w2), laid out as by `global_correlation`. grid: (h1, w1), by
+    default (h2, w2). Returns x and y in source cells (B, 2, h2, w2), the mean of the source cells
+    within `window` of the highest, weighted by their probability (without the window, a second peak
+    would pull the mean between both); and the probability (B, h2, w2) inside the window.
     """
     batch, cells, height, width = scores.shape
+    rows = height if grid is None else grid[0]
     probability = scores.flatten(2).softmax(1)
     index = torch.arange(cells, device=scores.device)
-    x = torch.div(index, height, rounding_mode="floor").to(scores.dtype)
-    y = torch.remainder(index, height).to(scores.dtype)
-    best = probability.argmax(1)  # (B, h * w)
+    x = torch.div(index, rows, rounding_mode="floor").to(scores.dtype)
+    y = torch.remainder(index, rows).to(scores.dtype)
+    best = probability.argmax(1)  # (B, h2 * w2)
     far = torch.maximum(
         (x[None, :, None] - x[best][:, None]).abs(), (y[None, :, None] - y[best][:, None]).abs()
     )

@@ -13,6 +13,7 @@ from dgc_pose.network.config import (
     COARSEST,
     INPUT_SIZE,
     LEVEL_SIZES,
+    STRIDE,
     EfficientNet,
     NetworkConfig,
 )
@@ -40,8 +41,8 @@ _PEAK = (0.01, 0.99)
 class Prediction:
     """The maps and mask logits of a batch of pairs, coarse to fine."""
 
-    # (B, 2, S, S) at S = 15, 30, 60, 120, 240 on the target's grid: x and y in the source,
-    # normalised by the configuration's align_corners
+    # (B, 2, S, S) at S = 15, 30, 60, 120, 240 on the target's grid (or h, w to 16 h, 16 w in the
+    # target's shape): x and y in the source, normalised by the configuration's align_corners
     maps: tuple[Tensor, ...]
     # (B, 1, S, S) matchability logits: five from decoders with a mask channel, one (at 240) from
     # the mask network; none for DGC-Net, or if the mask network's level is not decoded
@@ -52,8 +53,10 @@ class Prediction:
 class Correlation:
     """The correlation of the features of a batch of pairs."""
 
-    coarsest: Tensor  # (B, 225, 15, 15) of level 4, or (B, n^2, 15, 15) if it is local
-    # (B, 225, 15, 15) for each pair of cells, by all correlated levels; None if it is local
+    # (B, h1 * w1, h2, w2) of level 4 for grids of h1 x w1 source cells and h2 x w2 target cells
+    # (15 x 15 in squared images), or (B, n^2, h2, w2) if it is local
+    coarsest: Tensor
+    # (B, h1 * w1, h2, w2) for each pair of cells, by all correlated levels; None if it is local
     evidence: Tensor | None
 
     def detached(self) -> Correlation:
@@ -67,7 +70,8 @@ class DGCNet(nn.Module):
     """DGC-Net and its variants (Melekhov et al., WACV 2019), by a `NetworkConfig`.
 
     Called as net(source, target) with images (B, 3, 240, 240), normalised by ImageNet's mean and
-    deviation. The map lies on the target's grid; its values are points of the source.
+    deviation. With `config.any_shape` both may have any sides that are multiples of 16, each its
+    own. The map lies on the target's grid; its values are points of the source.
     """
 
     def __init__(self, config: NetworkConfig) -> None:
@@ -91,6 +95,13 @@ class DGCNet(nn.Module):
         self.register_buffer("correlation_scales", scales, persistent=config.soft_argmax)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
+        if self.config.any_shape:
+            if any(side % STRIDE for image in (source, target) for side in image.shape[2:]):
+                raise ValueError(
+                    f"the sides of source and target must be multiples of {STRIDE}, "
+                    f"not {tuple(source.shape)} and {tuple(target.shape)}"
+                )
+            return self.decode(self.features(source), self.features(target))
         expected = (3, INPUT_SIZE, INPUT_SIZE)
         if source.shape[1:] != expected or target.shape != source.shape:
             raise ValueError(
@@ -100,14 +111,15 @@ class DGCNet(nn.Module):
         return self.decode(self.features(source), self.features(target))
 
     def features(self, image: Tensor) -> list[Tensor]:
-        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S).
+        """Features (B, C_k, H_k, W_k) of levels 0 to 4 of a normalised image (B, 3, 16 h, 16 w).
 
         With `second_size` there follow those of the correlated levels at the second scale, the
         coarsest first, resampled to the grids of the same levels.
         """
         features = self._encode(image)
         if self.config.second_size is not None:
-            size = (self.config.second_size,) * 2
+            ratio = self.config.second_size / INPUT_SIZE
+            size = [STRIDE * max(1, round(side * ratio / STRIDE)) for side in image.shape[2:]]
             smaller = self._encode(F.interpolate(image, size, mode="bilinear", antialias=True))
             features += [
                 F.interpolate(smaller[level], features[level].shape[2:], mode="bilinear")
@@ -129,7 +141,7 @@ class DGCNet(nn.Module):
     ) -> Prediction:
         """The prediction from the features of both images, as `features` gives them.
 
-        finest: cells a side of the last level decoded, one of LEVEL_SIZES.
+        finest: cells a side of the last level decoded, for squared images, one of LEVEL_SIZES.
         """
         states = [self.coarsest(source, target)]
         warped = source[0]
@@ -137,7 +149,8 @@ class DGCNet(nn.Module):
         for level in range(COARSEST - 1, last - 1, -1):
             previous = upsample(states[-1])
             warped = self.warp(source[level], previous)
-            states.append(self.refine(level, warped, target[level], previous))
+            grid = _grid(source[level])
+            states.append(self.refine(level, warped, target[level], previous, grid=grid))
         maps = tuple(state[:, :2] for state in states)
         if self.config.matchability == "decoder":
             return Prediction(maps, tuple(state[:, 2:] for state in states))
@@ -146,11 +159,11 @@ class DGCNet(nn.Module):
         return Prediction(maps, ())
 
     def coarsest(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
-        """Level 4: (B, 2 or 3, 15, 15), the map and, with matchability "decoder", the mask logit.
+        """Level 4: (B, 2 or 3, h, w), the map and, with matchability "decoder", the mask logit.
 
         From the features of both images, as `features` gives them.
         """
-        return self.start(self.correlate(source, target))
+        return self.start(self.correlate(source, target), source[COARSEST], target[COARSEST])
 
     def correlate(self, source: list[Tensor], target: list[Tensor]) -> Correlation:
         """The correlation of both images' features, as `features` gives them."""
@@ -177,9 +190,10 @@ class DGCNet(nn.Module):
             return [[l2_normalise(level) for level in levels] for levels in scales]
         return scales
 
-    def start(self, correlation: Correlation) -> Tensor:
-        """The state of level 4, as of `coarsest`, from the correlation."""
+    def start(self, correlation: Correlation, source: Tensor, target: Tensor) -> Tensor:
+        """The state of level 4, as of `coarsest`, from the correlation and the level's features."""
         config = self.config
+        grid = _grid(source)
         inputs = correlation.coarsest
         batch, _, height, width = inputs.shape
         start = inputs.new_zeros(batch, config.map_channels, height, width)
@@ -187,16 +201,18 @@ class DGCNet(nn.Module):
             assert correlation.evidence is not None
             scores = match_scores(correlation.evidence)
             if config.consensus_passes > 0:
-                scores = consensus(scores, config.consensus_passes)
-            cells, probability = peaks(scores)
+                scores = consensus(scores, config.consensus_passes, grid)
+            cells, probability = peaks(scores, grid)
             start[:, :2] = to_normalised(
-                cells.movedim(1, -1), (width, height), config.align_corners
+                cells.movedim(1, -1), grid[::-1], config.align_corners
             ).movedim(-1, 1)
             if config.matchability == "decoder":
                 start[:, 2] = probability.clamp(*_PEAK).logit()
+        if config.decoders[COARSEST].local_radius is not None:
+            return self.refine(COARSEST, self.warp(source, start), target, start, grid=grid)
         if config.normalise_correlation:
             inputs = l2_normalise(inputs.relu())
-        return self._decode_level(COARSEST, inputs, start)
+        return self._decode_level(COARSEST, inputs, start, grid)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
@@ -221,9 +237,11 @@ class DGCNet(nn.Module):
         target: Tensor,
         previous: Tensor,
         window: tuple[slice, slice] | None = None,
+        grid: tuple[int, int] | None = None,
     ) -> Tensor:
-        """Levels 3 to 0: the next state from the previous one, already at this level's size.
+        """A level's state from the previous one, already at this level's size.
 
+        grid: rows and columns of the source at this level; by default those of a squared image.
         window: the rows and columns of the level that the tensors hold, if training decodes only a
         part of it.
         """
@@ -231,13 +249,15 @@ class DGCNet(nn.Module):
         radius = self.config.decoders[level].local_radius
         if radius is not None:
             parts.append(local_correlation(l2_normalise(warped), l2_normalise(target), radius))
-        return self._decode_level(level, torch.cat(parts, 1), previous, window)
+        grid = grid or (LEVEL_SIZES[level], LEVEL_SIZES[level])
+        return self._decode_level(level, torch.cat(parts, 1), previous, grid, window)
 
     def _decode_level(
         self,
         level: int,
         features: Tensor,
         previous: Tensor,
+        grid: tuple[int, int],
         window: tuple[slice, slice] | None = None,
     ) -> Tensor:
         if self.config.output == "absolute":
@@ -245,7 +265,7 @@ class DGCNet(nn.Module):
         if self.config.output == "residual":
             # Corrections are in cells; the mask logit has no unit.
             change = self._regress(level, features, previous)
-            cell = 2 / LEVEL_SIZES[level]
+            cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
             step = torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
             return previous + step
         identity = self._identity(level, previous, window)
@@ -260,14 +280,17 @@ class DGCNet(nn.Module):
     def _precision(self, like: Tensor) -> torch.autocast:
         return torch.autocast(like.device.type, torch.bfloat16, enabled=self.half_precision)
 
-    def _identity(
-        self, level: int, like: Tensor, window: tuple[slice, slice] | None
-    ) -> Tensor:
+    def _identity(self, level: int, like: Tensor, window: tuple[slice, slice] | None) -> Tensor:
         identity = identity_map(LEVEL_SIZES[level], self.config.align_corners, like)
         if window is not None:
             identity = identity[:, :, window[0], window[1]]
         extra = like.new_zeros(1, like.shape[1] - 2, *identity.shape[2:])
         return torch.cat([identity, extra], 1)
+
+
+def _grid(features: Tensor) -> tuple[int, int]:
+    """Rows and columns of a level's features (B, C, H, W)."""
+    return features.shape[2], features.shape[3]
 
 
 def upsample(state: Tensor) -> Tensor:

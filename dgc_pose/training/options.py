@@ -52,6 +52,11 @@ class RunOptions:
     backbone: str | None = option(
         None, "ImageNet weights of EfficientNet-Lite0 (.pth), to initialise dgcm-lite0 from."
     )
+    fit_decoders: str | None = option(
+        None,
+        "Weights whose decoders are put on the encoder of --init by least squares; needs a --split "
+        "without encoder stages.",
+    )
     rate: float = option(
         1.0, "Factor of the learning rates; with --init, choose less, such as 0.1.", above=0
     )
@@ -78,6 +83,8 @@ class RunOptions:
         preset(self.network)
         if (self.minutes is None) == (self.steps is None):
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
+        if self.fit_decoders is not None and self.schedule.encoder + self.schedule.coarsest > 0:
+            raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
         if not 0 <= self.average_decay < 1:
             raise InputError(f"average_decay must lie in [0, 1), not {self.average_decay}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,10 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files import replaced
-from dgc_pose.network.config import preset
+from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
-from dgc_pose.network.weights import load_checkpoint, save_weights
+from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.synthesis.depth_scenes import DepthScenes
 from dgc_pose.synthesis.draw import Draw, seeded
 from dgc_pose.synthesis.map_pairs import MapPairs
@@ -25,6 +25,7 @@ from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.curriculum import Curriculum
+from dgc_pose.training.decoder_fit import fit_decoders
 from dgc_pose.training.initialise import initialise_backbone, initialise_from
 from dgc_pose.training.log import Meter, Row, append
 from dgc_pose.training.options import RunOptions
@@ -35,6 +36,7 @@ from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
+_FITTING_BATCHES = 24  # of 4 pairs, for the least squares of `fit_decoders`
 _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
 
 Report = Callable[[Row], None]
@@ -94,6 +96,9 @@ class Trainer:
         )
         if options.backbone is not None:
             initialise_backbone(options.backbone, self.net, normalise(self._validation[0].image1))
+        if options.fit_decoders is not None and not path.exists():
+            trained = load_network(options.fit_decoders, self.device)
+            fit_decoders(self.net, trained, self._fitting_pairs(), options.seed)
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0
@@ -249,6 +254,11 @@ class Trainer:
         generator = seeded(self.options.seed, self.step, "pairs", rank())
         size = STAGES[self._stage.name].size
         return make_pairs(self.photos, batch, size, generator, options, self.real)
+
+    def _fitting_pairs(self) -> Iterator[MapPairs]:
+        for batch in range(_FITTING_BATCHES):
+            generator = seeded(self.options.seed, batch, "fit")
+            yield make_pairs(self.photos, 4, INPUT_SIZE, generator, self.options.pairs, self.real)
 
     def _draw(self, *words: object) -> Draw:
         return Draw(seeded(*words), self.device, share=(rank(), process_count()))

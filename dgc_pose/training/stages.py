@@ -205,7 +205,7 @@ class DecoderStage(CoarsestStage):
         source, target = [f.detach() for f in source], [f.detach() for f in target]
         noisy = draw.chance(len(pairs.map), share=noise_share)
         offset = draw.common_integers(2, LEVEL_SIZES[1] // 2 + 1)
-        state = self.net.start(correlation.detached())
+        state = self.net.start(correlation.detached(), source[COARSEST], target[COARSEST])
         part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), teacher)
         total = total + part
         figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error

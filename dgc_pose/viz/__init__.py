@@ -1,7 +1,41 @@
-"""Plots of matches, maps, warps and errors, as matplotlib figures without pyplot."""
+"""Figures by matplotlib without pyplot: small functions that draw on axes, and whole figures.
 
-from dgc_pose.viz.figure import save_figure
-from dgc_pose.viz.histograms import plot_errors
+A function `draw_...` draws one thing on the axes it is given and returns what a colour bar needs,
+if there is one; a function `plot_...` makes a figure of them. Points are in pixels of the original
+images, (0, 0) the centre of the top-left pixel.
+"""
+
+from dgc_pose.viz.cameras import draw_cameras
+from dgc_pose.viz.figure import new_figure, save_figure
+from dgc_pose.viz.histograms import draw_cumulative, draw_residuals, plot_errors
+from dgc_pose.viz.panels import (
+    draw_image,
+    draw_lines,
+    draw_map,
+    draw_matchability,
+    draw_matches,
+    draw_points,
+    draw_warp,
+    residual_colours,
+)
 from dgc_pose.viz.pose_figure import plot_pose
+from dgc_pose.viz.reliability import draw_reliability
 
-__all__ = ["plot_errors", "plot_pose", "save_figure"]
+__all__ = [
+    "draw_cameras",
+    "draw_cumulative",
+    "draw_image",
+    "draw_lines",
+    "draw_map",
+    "draw_matchability",
+    "draw_matches",
+    "draw_points",
+    "draw_reliability",
+    "draw_residuals",
+    "draw_warp",
+    "new_figure",
+    "plot_errors",
+    "plot_pose",
+    "residual_colours",
+    "save_figure",
+]

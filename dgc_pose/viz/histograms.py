@@ -62,6 +62,37 @@ def draw_cumulative(
     axes.legend(loc="lower right", fontsize=9)
 
 
+def draw_residuals(
+    axes: Axes,
+    residuals: np.ndarray,
+    inliers: np.ndarray,
+    *,
+    limit: float | None = None,
+) -> None:
+    """Draw the histogram of the matches' epipolar residuals, inliers and outliers stacked.
+
+    residuals: (N,) pixels, those that are not finite are left out; inliers: (N,) bool. limit: where
+    the axis ends, pixels; what is beyond is counted in the last bar. None for three times the 95 %
+    quantile of the inliers.
+    """
+    finite = np.isfinite(residuals)
+    kept, dropped = residuals[finite & inliers], residuals[finite & ~inliers]
+    if limit is None:
+        known = kept if len(kept) else dropped
+        limit = 3 * float(np.quantile(known, 0.95)) if len(known) else 1.0
+    bins = np.linspace(0, max(limit, 1e-3), 41)
+    axes.hist(
+        [np.minimum(kept, bins[-1]), np.minimum(dropped, bins[-1])],
+        bins=bins.tolist(),
+        stacked=True,
+        color=["tab:cyan", "tab:pink"],
+        label=[f"{len(kept)} inliers", f"{len(dropped)} outliers"],
+    )
+    axes.set(xlim=(0, bins[-1]), xlabel="symmetric epipolar distance (pixels)", ylabel="matches")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right", fontsize=9)
+
+
 def plot_errors(
     rotation: Mapping[str, np.ndarray], translation: Mapping[str, np.ndarray]
 ) -> Figure:

@@ -12,11 +12,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
-from dgc_pose.viz.figure import new_figure
-from dgc_pose.viz.panels import show_colour_bar, show_image, warp_image
+from dgc_pose.viz.layout import Panel, panel_rows
+from dgc_pose.viz.panels import draw_colour_bar, draw_image, warp_image
 
 ERROR_COLOURS = "magma"
-_ROW = 3.0  # inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,19 +36,30 @@ def plot_maps(pictures: Sequence[MapPicture], *, limit: float = 20.0) -> Figure:
     """
     if not pictures:
         raise InputError("pictures must hold at least one pair")
-    figure = new_figure(4 * _ROW + 0.8, len(pictures) * (_ROW + 0.3))
-    rows = figure.subplots(len(pictures), 4, squeeze=False)
-    for panels, picture in zip(rows, pictures, strict=True):
+    rows = [_panels(picture) for picture in pictures]
+    figure, axes = panel_rows(rows)
+    for panels, picture in zip(axes, pictures, strict=True):
         height, width = picture.image2.shape[:2]
-        show_image(panels[0], picture.image1, picture.title)
-        show_image(panels[1], picture.image2, "target")
-        warped = warp_image(picture.image1, picture.map, (width, height))
-        show_image(panels[2], warped, "source, warped")
-        show_colour_bar(panels[3], show_errors(panels[3], picture.errors, limit), "pixels")
+        draw_image(panels[0], picture.image1)
+        draw_image(panels[1], picture.image2)
+        draw_image(panels[2], warp_image(picture.image1, picture.map, (width, height)))
+        draw_colour_bar(panels[3], draw_map_errors(panels[3], picture.errors, limit), "px")
     return figure
 
 
-def show_errors(axes: Axes, errors: np.ndarray, limit: float) -> ScalarMappable:
+def _panels(picture: MapPicture) -> list[Panel]:
+    aspect1, aspect2 = (
+        image.shape[1] / image.shape[0] for image in (picture.image1, picture.image2)
+    )
+    return [
+        Panel(aspect1, picture.title),
+        Panel(aspect2, "target"),
+        Panel(aspect2, "source, warped"),
+        Panel(aspect2, "error", bar=True),
+    ]
+
+
+def draw_map_errors(axes: Axes, errors: np.ndarray, limit: float) -> ScalarMappable:
     """Draw errors (H, W) in pixels, brightest from `limit` on, grey if not finite.
 
     Returns what a colour bar needs.
@@ -58,5 +68,5 @@ def show_errors(axes: Axes, errors: np.ndarray, limit: float) -> ScalarMappable:
     known = np.isfinite(errors)
     shown = colours.to_rgba(np.where(known, errors, 0.0))[..., :3]
     shown[~known] = 0.5
-    show_image(axes, (255 * shown).round().astype(np.uint8), "error")
+    draw_image(axes, (255 * shown).round().astype(np.uint8))
     return colours

@@ -1,10 +1,12 @@
 """The panels that the figures are made of. Each draws one thing on the axes it is given.
 
 Axes are in original pixels, (0, 0) the centre of the top-left one; large images are shrunk to what
-a figure can show.
+a figure can show. What is drawn later, such as points on an image, does not move the axes.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,41 +16,53 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 
 from dgc_pose.image import resize
-from dgc_pose.pixels import rescale
+from dgc_pose.pixels import cell_centres, rescale
 
 SHOWN_SIDE = 800  # longest side of an image in a figure, pixels
+GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
 CONFIDENCE_COLOURS = "viridis"
+RESIDUAL_COLOURS = "cool"  # cyan to magenta: both stand out from a photograph, dark or light
 LINE_COLOURS = "hsv"
+GRID_LINES = 16  # of the map's grid, along the longer side of image 1
+_BAR = (1.1, 0.12)  # width and height of a colour bar, inches
 
 
-def show_image(axes: Axes, pixels: np.ndarray, title: str = "") -> None:
+def draw_image(axes: Axes, pixels: np.ndarray, title: str = "") -> None:
     """Draw an image (H, W, 3) uint8 RGB."""
     _show(axes, _shrunk(pixels), _size(pixels), title)
 
 
-def show_matches(
+def draw_matches(
     axes: Axes,
     pixels1: np.ndarray,
     pixels2: np.ndarray,
     points1: np.ndarray,
     points2: np.ndarray,
-    confidence: np.ndarray,
+    values: np.ndarray,
     title: str = "",
+    *,
+    colours: ScalarMappable | None = None,
 ) -> ScalarMappable:
-    """Draw two images side by side at one height, a line for each match, coloured by confidence.
+    """Draw two images side by side at one height, and a line for each match.
 
-    Points are (N, 2) pixels of their own image. Returns what a colour bar needs.
+    Args:
+        pixels1, pixels2: (H, W, 3) uint8 RGB.
+        points1, points2: (N, 2) pixels of their own image.
+        values: (N,), what the colour of a line stands for.
+        colours: of the values; None for confidences, 0 to 1. See `residual_colours`.
+
+    Returns what a colour bar needs.
     """
     (width1, height1), (width2, height2) = _size(pixels1), _size(pixels2)
     scale = height1 / height2
-    left = 1.02 * width1 - 0.5  # edge of image 2, beyond a gap of 2 %
+    left = (1 + GAP) * width1 - 0.5  # edge of image 2
     right = left + scale * width2
     for pixels, edges in ((pixels1, (-0.5, width1 - 0.5)), (pixels2, (left, right))):
         axes.imshow(_shrunk(pixels), extent=(*edges, height1 - 0.5, -0.5), interpolation="bilinear")
     shifted = (points2 + 0.5) * scale + (left, -0.5)
-    colours = ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
+    colours = colours or ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     lines = np.stack([points1, shifted], axis=1)
-    shades = colours.to_rgba(confidence)
+    shades = colours.to_rgba(values)
     axes.add_collection(LineCollection(list(lines), colors=shades, linewidths=0.8, alpha=0.8))
     for ends in (points1, shifted):
         axes.scatter(ends[:, 0], ends[:, 1], s=6, c=shades, linewidths=0)
@@ -56,13 +70,20 @@ def show_matches(
     return colours
 
 
-def show_points(axes: Axes, points: np.ndarray) -> None:
-    """Mark points (N, 2), each in its own colour, which is that of its line by `show_lines`."""
+def residual_colours(residuals: np.ndarray) -> ScalarMappable:
+    """Colours from 0 to the 95 % quantile of the finite residuals (N,), for `draw_matches`."""
+    finite = residuals[np.isfinite(residuals)]
+    most = float(np.quantile(finite, 0.95)) if len(finite) else 1.0
+    return ScalarMappable(Normalize(0, max(most, 1e-3)), RESIDUAL_COLOURS)
+
+
+def draw_points(axes: Axes, points: np.ndarray) -> None:
+    """Mark points (N, 2), each in its own colour, which is that of its line by `draw_lines`."""
     colours = _line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
 
 
-def show_lines(axes: Axes, lines: np.ndarray) -> None:
+def draw_lines(axes: Axes, lines: np.ndarray) -> None:
     """Draw lines (N, 3), a x + b y + c = 0 in pixels, across axes whose limits are set."""
     for (a, b, c), colour in zip(lines, _line_colours(len(lines)), strict=True):
         norm = np.hypot(a, b)
@@ -73,7 +94,7 @@ def show_lines(axes: Axes, lines: np.ndarray) -> None:
         axes.axline(tuple(foot), tuple(foot + along), color=colour, linewidth=1.2)
 
 
-def show_matchability(
+def draw_matchability(
     axes: Axes, pixels2: np.ndarray, matchability: np.ndarray, title: str = ""
 ) -> ScalarMappable:
     """Draw the matchability (H', W') in [0, 1] over image 2. Returns what a colour bar needs."""
@@ -85,7 +106,7 @@ def show_matchability(
     return colours
 
 
-def show_warp(
+def draw_warp(
     axes: Axes,
     pixels1: np.ndarray,
     correspondences: np.ndarray,
@@ -107,10 +128,56 @@ def show_warp(
     _show(axes, paled.astype(np.uint8), size2, title)
 
 
-def show_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
-    """A colour bar to the right of the axes, as high as what they show."""
-    bar = axes.inset_axes((1.01, 0.0, 0.012, 1.0))
-    axes.figure.colorbar(colours, cax=bar, label=label)
+def draw_map(
+    axes: Axes,
+    pixels2: np.ndarray,
+    correspondences: np.ndarray,
+    matchability: np.ndarray,
+    size1: tuple[int, int],
+    title: str = "",
+    *,
+    least: float = 0.5,
+) -> None:
+    """Draw image 2 in grey, and on it an even grid of image 1 as the map carries it there.
+
+    Where the grid is regular the map is smooth; it breaks at depth edges. The colour of a line goes
+    with its x (or y) in image 1.
+
+    Args:
+        pixels2: (H, W, 3) uint8.
+        correspondences: (H', W', 2), for each cell of image 2's grid its point in image 1, pixels.
+        matchability: (H', W') in [0, 1]; cells below `least` are left out.
+        size1: width and height of image 1, pixels.
+    """
+    grey = cv2.cvtColor(_shrunk(pixels2), cv2.COLOR_RGB2GRAY) / 255
+    _show(axes, np.repeat(0.25 + 0.6 * grey[..., None], 3, axis=2), _size(pixels2), title)
+    rows, columns = matchability.shape
+    x, y = np.moveaxis(cell_centres((columns, rows), _size(pixels2)), -1, 0)
+    known = matchability >= least
+    if not known.any():
+        return
+    step = max(size1) / GRID_LINES
+    for axis, colours in enumerate(("autumn", "winter")):
+        levels = np.arange(step / 2, size1[axis], step)
+        values = np.where(known, correspondences[..., axis], np.nan)
+        shades = ScalarMappable(Normalize(0, size1[axis]), colours).to_rgba(levels)
+        axes.contour(x, y, values, levels=levels, colors=list(shades), linewidths=1.1)
+
+
+def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
+    """A colour bar in the line of the title, at its right end, between its least and largest
+    value. The axes must have their place in the figure."""
+    figure, box = axes.figure, axes.get_window_extent()
+    width, height = box.width / figure.dpi, box.height / figure.dpi
+    right, above = 1 - 0.35 / width, 1 + 0.07 / height
+    long, thick = _BAR[0] / width, _BAR[1] / height
+    bar = axes.inset_axes((right - long, above, long, thick))
+    figure.colorbar(colours, cax=bar, orientation="horizontal", ticks=[])
+    low, high = colours.get_clim()
+    text: dict[str, Any] = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
+    middle, space = above + thick / 2, 0.05 / width
+    axes.text(right - long - space, middle, f"{label}  {low:.3g}", ha="right", **text)
+    axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
 
 
 def warp_image(
@@ -153,7 +220,8 @@ def _frame(axes: Axes, size: tuple[float, float], title: str) -> None:
     """Fix the axes to an image of this size, so that nothing drawn later moves them."""
     xlim, ylim = (-0.5, size[0] - 0.5), (size[1] - 0.5, -0.5)
     axes.set(xlim=xlim, ylim=ylim, aspect="equal", xticks=[], yticks=[])
-    axes.set_title(title, fontsize=10)
+    if title:
+        axes.set_title(title, fontsize=10)
 
 
 def _line_colours(count: int) -> np.ndarray:

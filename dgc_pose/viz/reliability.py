@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.metrics import Reliability
@@ -19,19 +20,28 @@ def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) ->
     """
     figure = new_figure(5.5, 6.5)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    upper.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
+    draw_reliability(upper, reliabilities, right=right)
+    for own in reliabilities.values():
+        shares = own.counts / max(own.counts.sum(), 1)
+        lower.stairs(100 * shares, own.edges, baseline=0)
+    lower.set(xlabel="matchability", ylabel="matches (%)", xticks=np.linspace(0, 1, 6))
+    lower.grid(alpha=0.3)
+    return figure
+
+
+def draw_reliability(axes: Axes, reliabilities: Mapping[str, Reliability], *, right: str) -> None:
+    """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
+
+    right: which matches are right, for the label.
+    """
+    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
     for method, own in reliabilities.items():
         filled = own.counts > 0
         label = f"{method}, calibration error {100 * own.calibration_error:.1f} %"
-        upper.plot(
+        axes.plot(
             own.mean_confidence[filled], own.share_correct[filled], marker="o", ms=4, label=label
         )
-        shares = own.counts / max(own.counts.sum(), 1)
-        lower.stairs(100 * shares, own.edges, baseline=0)
-    upper.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
-    lower.set(xlabel="matchability", ylabel="matches (%)", xticks=np.linspace(0, 1, 6))
-    for axes in (upper, lower):
-        axes.grid(alpha=0.3)
+    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
+    axes.grid(alpha=0.3)
     if reliabilities:
-        upper.legend(loc="upper left", fontsize=9)
-    return figure
+        axes.legend(loc="upper left", fontsize=9)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 
 from dgc_pose.cli.main import SUBCOMMANDS, main
 from dgc_pose.errors import DgcPoseError, WeightsError
+from dgc_pose.version import build
 
 
 def run(*arguments):
@@ -83,7 +85,15 @@ def test_every_subcommand_has_help(name):
 def test_version_is_that_of_the_distribution():
     result = run("--version")
     assert result.exit_code == 0
-    assert result.stdout == f"dgc-pose, version {version('dgc-pose')}\n"
+    assert result.stdout == f"dgc-pose {version('dgc-pose')} (build {build()})\n"
+    assert re.fullmatch(r"\d+\.\d+\.\d+", version("dgc-pose"))  # semantic versioning
+
+
+def test_the_package_runs_as_a_module():
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-m", "dgc_pose", "--help"]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert result.stdout.startswith("Usage: python -m dgc_pose ")
 
 
 @pytest.mark.parametrize(

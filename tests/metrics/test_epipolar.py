@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.metrics.epipolar import median_and_mean
+from dgc_pose.camera import Camera, parse_camera
+from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.metrics.epipolar import epipolar_residuals_px, median_and_mean
 
 
 def test_epipolar_figures_are_those_of_the_equation() -> None:
@@ -24,3 +27,23 @@ def test_epipolar_figures_are_those_of_the_equation() -> None:
     median, mean = median_and_mean(points1, points2, F)
     assert median == pytest.approx(np.sort([np.inf] * 3 + expected[3:])[12]) and mean == np.inf
     assert median_and_mean(np.zeros((0, 2)), np.zeros((0, 2)), F) == (np.inf, np.inf)
+
+
+def test_residuals_of_a_distorted_camera_are_those_of_its_undistorted_points() -> None:
+    lens = "OPENCV,640,480,500,510,320,240,-0.2,0.05,0.001,-0.002"
+    camera = parse_camera(lens)
+    R, t = np.eye(3), np.array([1.0, 0.0, 0.0])
+    E = essential_from_pose(R, t)  # a step to the right: lines along the rows
+    rng = np.random.default_rng(0)
+    points1, points2 = rng.uniform(50, 400, (2, 20, 2))
+    found = epipolar_residuals_px(points1, points2, camera, camera, E)
+    y1, y2 = (
+        cv2.undistortPoints(
+            points, camera.K, np.array([-0.2, 0.05, 0.001, -0.002]), P=camera.K
+        ).reshape(-1, 2)[:, 1]
+        for points in (points1, points2)
+    )
+    np.testing.assert_allclose(found, np.abs(y1 - y2), rtol=1e-3, atol=1e-2)
+    pinhole = Camera(camera.K)
+    found = epipolar_residuals_px(points1, points2, pinhole, pinhole, E)
+    np.testing.assert_allclose(found, np.abs(points1[:, 1] - points2[:, 1]), rtol=1e-9)

@@ -5,7 +5,12 @@ import pytest
 
 from dgc_pose.errors import InputError
 from dgc_pose.viz.figure import new_figure
-from dgc_pose.viz.histograms import cumulative_share, draw_cumulative, plot_errors
+from dgc_pose.viz.histograms import (
+    cumulative_share,
+    draw_cumulative,
+    draw_residuals,
+    plot_errors,
+)
 
 
 def test_the_share_at_each_value_is_that_of_the_errors_not_above_it():
@@ -52,3 +57,22 @@ def test_both_histograms_show_most_of_the_finite_errors():
     assert [axes.get_xlim() for axes in figure.axes] == [(0, 5), (0, 180)]
     assert "rotation" in figure.axes[0].get_xlabel()
     assert "folded translation" in figure.axes[1].get_xlabel()
+
+
+def test_residuals_beyond_the_limit_are_in_the_last_bar():
+    axes = new_figure(4, 3).subplots()
+    residuals = np.array([0.1, 0.1, 0.9, 7.0, np.nan, np.inf])
+    inliers = np.array([True, True, True, False, False, False])
+    draw_residuals(axes, residuals, inliers, limit=1.0)
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["3 inliers", "1 outliers"]
+    kept, dropped = ([bar.get_height() for bar in bars] for bars in axes.containers)
+    assert sum(kept) == 3 and kept[4] == 2
+    assert sum(dropped) == dropped[-1] == 1
+    assert axes.get_xlim() == (0, 1)
+
+
+def test_no_residuals_can_be_drawn():
+    axes = new_figure(4, 3).subplots()
+    draw_residuals(axes, np.zeros(0), np.zeros(0, bool))
+    axes.figure.canvas.draw()

@@ -7,11 +7,13 @@ import pytest
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.panels import (
     SHOWN_SIDE,
-    show_image,
-    show_lines,
-    show_matchability,
-    show_matches,
-    show_warp,
+    draw_image,
+    draw_lines,
+    draw_map,
+    draw_matchability,
+    draw_matches,
+    draw_warp,
+    residual_colours,
     warp_image,
 )
 
@@ -27,7 +29,7 @@ def picture(width, height, seed=0):
 
 @pytest.mark.parametrize("size", [(40, 30), (2400, 600)])
 def test_axes_are_in_pixels_of_the_image_however_much_it_is_shrunk(axes, size):
-    show_image(axes, picture(*size))
+    draw_image(axes, picture(*size))
     width, height = size
     assert axes.get_xlim() == (-0.5, width - 0.5)
     assert axes.get_ylim() == (height - 0.5, -0.5)
@@ -39,7 +41,7 @@ def test_matches_join_the_same_places_of_both_pictures(axes):
     # Image 2 has half the height, so it is drawn twice as large, beyond the gap.
     points1 = np.array([[-0.5, -0.5], [100.0, 50.0]])
     points2 = np.array([[-0.5, -0.5], [149.5, 99.5]])
-    show_matches(axes, picture(300, 200), picture(150, 100), points1, points2, np.array([0.0, 1.0]))
+    draw_matches(axes, picture(300, 200), picture(150, 100), points1, points2, np.array([0.0, 1.0]))
     left, right = (image.get_extent() for image in axes.images)
     assert left[1] < right[0]
     assert right[3] - right[2] == left[3] - left[2] == -200
@@ -55,15 +57,15 @@ def test_matches_join_the_same_places_of_both_pictures(axes):
 
 def test_no_matches_can_be_drawn(axes):
     none = np.zeros((0, 2))
-    show_matches(axes, picture(30, 20), picture(30, 20), none, none, np.zeros(0))
+    draw_matches(axes, picture(30, 20), picture(30, 20), none, none, np.zeros(0))
     axes.figure.canvas.draw()
     assert axes.collections[0].get_segments() == []
 
 
 @pytest.mark.parametrize("line", [(1.0, 0.0, -7.0), (0.0, -2.0, 8.0), (3.0, 4.0, -60.0)])
 def test_a_line_is_drawn_where_its_equation_says(axes, line):
-    show_image(axes, picture(40, 30))
-    show_lines(axes, np.array([line]))
+    draw_image(axes, picture(40, 30))
+    draw_lines(axes, np.array([line]))
     axes.figure.canvas.draw()
     drawn = axes.lines[0]
     path = drawn.get_path().transformed(drawn.get_transform() - axes.transData)
@@ -74,7 +76,7 @@ def test_a_line_is_drawn_where_its_equation_says(axes, line):
 
 
 def test_the_line_at_infinity_is_left_out(axes):
-    show_lines(axes, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -7.0]]))
+    draw_lines(axes, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -7.0]]))
     assert len(axes.lines) == 1
 
 
@@ -108,7 +110,7 @@ def test_a_paler_warp_where_less_matchable(axes):
     black = np.zeros((20, 30, 3), np.uint8)
     places = np.full((4, 4, 2), 10.0)
     matchability = np.repeat([[1.0, 1.0, 0.0, 0.0]], 4, axis=0)
-    show_warp(axes, black, places, matchability, (40, 40))
+    draw_warp(axes, black, places, matchability, (40, 40))
     shown = axes.images[0].get_array()
     assert shown[20, 2].max() == 0
     assert shown[20, 37].min() > 200
@@ -117,8 +119,39 @@ def test_a_paler_warp_where_less_matchable(axes):
 def test_matchability_is_drawn_over_the_whole_of_image_2(axes):
     matchability = np.zeros((8, 8))
     matchability[:, 4:] = 1
-    show_matchability(axes, np.full((30, 40, 3), 255, np.uint8), matchability)
+    draw_matchability(axes, np.full((30, 40, 3), 255, np.uint8), matchability)
     shown = axes.images[0].get_array()
     assert shown.shape == (30, 40, 3)
     dark, yellow = shown[15, 2], shown[15, 37]
     assert dark.sum() < 1 < yellow[:2].sum()
+
+
+def test_the_grid_of_the_identity_is_even_and_lies_in_image_2(axes):
+    y, x = np.mgrid[:60:5, :80:5] + 2.0
+    identity = np.stack([x, y], -1)
+    matchable = np.ones(x.shape)
+    matchable[:, 8:] = 0  # the right half
+    draw_map(axes, picture(80, 60), identity, matchable, (80, 60))
+    axes.figure.canvas.draw()
+    columns, rows = axes.collections
+    assert columns.levels.tolist() == pytest.approx(np.arange(2.5, 80, 5))
+    assert rows.levels.tolist() == pytest.approx(np.arange(2.5, 60, 5))
+    vertical = np.concatenate([path.vertices for path in columns.get_paths() if len(path)])
+    horizontal = np.concatenate([path.vertices for path in rows.get_paths() if len(path)])
+    # A line of image 1 at x lies at x of image 2, where the map is matchable.
+    assert np.abs((vertical[:, 0] - 2.5 + 2.5) % 5 - 2.5).max() < 0.01
+    assert horizontal[:, 0].max() < 40
+    assert axes.get_xlim() == (-0.5, 79.5) and axes.get_ylim() == (59.5, -0.5)
+
+
+def test_no_matchable_cell_leaves_the_image_alone(axes):
+    places = np.zeros((4, 4, 2))
+    draw_map(axes, picture(8, 6), places, np.zeros((4, 4)), (8, 6))
+    assert len(axes.images) == 1 and not axes.collections
+
+
+def test_colours_of_residuals_go_to_the_95_percent_quantile():
+    residuals = np.append(np.linspace(0, 2, 1001), [np.nan, np.inf])
+    assert residual_colours(residuals).get_clim() == pytest.approx((0, 1.9))
+    low, high = residual_colours(np.array([np.nan])).get_clim()
+    assert low == 0 < high

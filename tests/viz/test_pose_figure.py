@@ -29,17 +29,22 @@ def figure_of(correspondence_map):
     return plot_pose(trace), trace.pose
 
 
+def title(axes):
+    return axes.get_title(loc="left")
+
+
 def test_all_panels_are_there():
     figure, pose = figure_of(dense_scene.true_map())
     assert pose.success
     matches, points, lines, matchability, warp = figure.axes
+    assert [axes.get_title() for axes in figure.axes] == [""] * 5  # all at the left
     segments = matches.collections[0].get_segments()
     assert 0 < len(segments) <= DRAWN_MATCHES
-    assert f"{len(segments)} of {pose.num_inliers} inlier matches" == matches.get_title()
+    assert f"{len(segments)} of {pose.num_inliers} inlier matches" == title(matches)
     assert len(lines.lines) == len(points.collections[0].get_offsets()) == DRAWN_LINES
-    assert "matchability" in matchability.get_title()
-    assert "warped" in warp.get_title()
-    assert figure.get_suptitle().startswith("rotation ")
+    assert "matchability" in title(matchability)
+    assert "warped" in title(warp)
+    assert figure.texts[0].get_text().startswith("rotation ")
 
 
 def test_each_match_in_image_2_lies_on_its_epipolar_line():
@@ -61,7 +66,7 @@ def test_without_a_map_its_panels_are_left_out():
 def test_without_a_pose_the_reason_is_the_headline():
     figure, pose = figure_of(dense_scene.noise_map())
     assert not pose.success
-    assert figure.get_suptitle() == f"no pose: {pose.reason}"
+    assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
 
 
 def test_no_matches_can_be_drawn(tmp_path):
@@ -74,13 +79,81 @@ def test_no_matches_can_be_drawn(tmp_path):
     assert cv2.imread(str(tmp_path / "p.png")) is not None
 
 
-@pytest.mark.parametrize("size", [(320, 1500), (3000, 100)])
-def test_odd_shapes_give_a_figure_that_fits_a_screen(size):
-    blank = Image(np.zeros((size[1], size[0], 3), np.uint8))
-    trace = replace(trace_of(dense_scene.true_map()), image1=blank, image2=blank)
+def test_the_colour_of_a_match_is_its_distance_from_the_epipolar_lines():
+    trace = trace_of(dense_scene.true_map(error_px=0.5))
+    figure = plot_pose(trace)
+    K = dense_scene.K
+    E = trace.pose.E
+    lines = figure.axes[0].collections[0]
+    # Image 2 has image 1's height, so it is drawn at its own scale.
+    ends = np.array(lines.get_segments())
+    one, two = ends[:, 0], ends[:, 1] - (1.02 * dense_scene.SIZE[0], 0)
+    F = np.linalg.inv(K).T @ E @ np.linalg.inv(K)
+    distances = []
+    for (x1, y1), (x2, y2) in zip(one, two, strict=True):
+        l2, l1 = F @ (x1, y1, 1), F.T @ (x2, y2, 1)
+        value = abs(l2 @ (x2, y2, 1))
+        distances.append((value / np.hypot(*l1[:2]) + value / np.hypot(*l2[:2])) / 2)
+    green = lines.get_colors()[:, 1]  # cyan to magenta: the less green the farther
+    order = np.argsort(distances)
+    assert (np.diff(green[order]) <= 1e-6).all()
+    assert green[order[0]] > 0.8 and green[order[-1]] == 0
+    assert any("residual" in text.get_text() for text in figure.axes[0].texts)
+
+
+def with_sizes(trace, size1, size2):
+    blank = [Image(np.zeros((height, width, 3), np.uint8)) for width, height in (size1, size2)]
+    return replace(trace, image1=blank[0], image2=blank[1])
+
+
+@pytest.mark.parametrize(
+    ("size1", "size2"),
+    [
+        ((320, 240), (320, 240)),
+        ((400, 300), (300, 300)),
+        ((300, 400), (300, 400)),
+        ((320, 1500), (320, 1500)),
+        ((3000, 100), (3000, 100)),
+    ],
+)
+def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2):
+    trace = with_sizes(trace_of(dense_scene.true_map()), size1, size2)
     figure = plot_pose(trace)
     width, height = figure.get_size_inches()
-    assert width == 12 and 1 < height < 21
+    assert 7 <= width <= 10 and 1 < height < 20
+    figure.canvas.draw()
+    renderer = figure.canvas.get_renderer()
+    rows = {}
+    for axes in figure.axes:
+        box = axes.get_position()
+        # The images are as large as their panel: nothing is left blank beside them.
+        left, right = axes.get_xlim()
+        bottom, top = axes.get_ylim()
+        aspect = (right - left) / (bottom - top)
+        assert box.width * width / (box.height * height) == pytest.approx(aspect, rel=0.01)
+        rows.setdefault(round(box.y0, 6), []).append(box)
+    for boxes in rows.values():
+        assert max(box.height for box in boxes) == pytest.approx(min(box.height for box in boxes))
+        assert min(box.x0 for box in boxes) * width == pytest.approx(0.08)
+        assert max(box.x1 for box in boxes) * width == pytest.approx(width - 0.08)
+    # No text lies on a panel, on another text or outside the figure.
+    texts = [text for text in figure.texts if text.get_text()]
+    for axes in figure.axes:
+        titles = [axes._left_title, *axes.texts]
+        texts += [text for text in titles if text.get_text()]
+    boxes = [text.get_window_extent(renderer) for text in texts]
+    panels = [axes.get_window_extent(renderer) for axes in figure.axes]
+    for number, box in enumerate(boxes):
+        assert not any(overlap(box, other) for other in panels + boxes[:number]), texts[number]
+        assert 0 <= box.x0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
+
+
+def overlap(one, two):
+    """Whether two boxes share more than a pixel in both directions."""
+    return (
+        min(one.x1, two.x1) - max(one.x0, two.x0) > 1
+        and min(one.y1, two.y1) - max(one.y0, two.y0) > 1
+    )
 
 
 def test_the_ending_of_a_name_chooses_the_format():

@@ -1,0 +1,175 @@
+"""`dgc-pose batch`: the poses and matches of many pairs, from a folder, a list or a database."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+from tqdm import tqdm
+
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import MatcherChoice
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.options import check_options, option
+
+if TYPE_CHECKING:
+    from dgc_pose.batch.run import Batch, Progress
+
+_GIB = 2**30
+
+
+@dataclass(frozen=True)
+class SourceChoice:
+    """The images, their pairs and cameras."""
+
+    root: Path | None = option(
+        None, "Folder of the image names in a list or database; by default the file's own."
+    )
+    pairs: str | None = option(
+        None,
+        "How pairs are chosen: exhaustive; sequential:W, images at most W apart in the order of "
+        "their names; auto:K, the K most similar images of each image.",
+        metavar="exhaustive|sequential:W|auto:K",
+    )
+    k: str | None = option(
+        None,
+        "Cameras: one K for all images, as for estimate; or COLMAP's cameras.txt or .bin, a .csv "
+        "(name,fx,fy,cx,cy), NeRF's transforms.json, KITTI's calib.txt.",
+        flag="--K",
+        metavar="K|FILE",
+    )
+    guess_focal: bool = option(
+        False,
+        "Without a K, take the focal length from EXIF or guess it. Poses get much worse.",
+    )
+
+
+@dataclass(frozen=True)
+class WorkChoice:
+    """How the pairs are worked through."""
+
+    workers: int | None = option(
+        None, "Processes that match; default: one for each core. The result is the same.", min=1
+    )
+    memory: float = option(
+        1.0, "GiB of images and features kept, all workers together.", metavar="GIB", above=0
+    )
+    engine: Literal["local", "ray"] = option(
+        "local", "Workers on this machine, or actors of a Ray cluster (extra dgc-pose[ray])."
+    )
+    format: Literal["jsonl", "parquet"] = option(
+        "jsonl", "Of the table of poses; parquet needs the extra dgc-pose[batch]."
+    )
+    resume: bool = option(False, "Continue the batch in --out, if there is one.")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def work_through(
+    source: str,
+    out: Path,
+    inputs: SourceChoice,
+    work: WorkChoice,
+    matcher: MatcherChoice,
+    estimation: EstimationOptions,
+) -> Batch:
+    """Run the batch that the options describe, with a progress bar on a terminal."""
+    from dgc_pose.batch.calibration import read_calibration
+    from dgc_pose.batch.local import local_workers
+    from dgc_pose.batch.pair_choice import parse_pair_choice
+    from dgc_pose.batch.rows import require_pyarrow
+    from dgc_pose.batch.run import BatchOptions, run_batch
+    from dgc_pose.batch.source import open_source
+    from dgc_pose.batch.work import MatcherSettings
+
+    choice = None if inputs.pairs is None else parse_pair_choice(inputs.pairs)
+    if work.format == "parquet":
+        require_pyarrow()
+    start_workers = local_workers
+    if work.engine == "ray":
+        from dgc_pose.batch.ray_engine import ray_workers
+
+        start_workers = ray_workers
+    refinement = matcher.refine.options(matcher.matching)
+    workers = work.workers or len(os.sched_getaffinity(0))
+    with _bars() as progress:
+        return run_batch(
+            open_source(Path(source), inputs.root),
+            read_calibration(inputs.k, inputs.guess_focal),
+            choice,
+            out,
+            matcher=MatcherSettings(matcher.weights, matcher.device, matcher.matching, refinement),
+            estimation=estimation,
+            options=BatchOptions(workers, int(work.memory * _GIB), work.format, work.resume),
+            start_workers=start_workers,
+            progress=progress,
+        )
+
+
+def report(batch: Batch) -> None:
+    """Print what a batch found, and the images that could not be used."""
+    summary = batch.summary
+    for name, reason in summary["bad_images"].items():
+        click.echo(f"bad image {name}: {reason}", err=True)
+    if summary["guessed_focal"]:
+        click.echo(
+            f"warning: the focal length of {summary['guessed_focal']} images is a guess; expect "
+            "poses to be much less accurate than with a calibration",
+            err=True,
+        )
+    statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
+    click.echo(
+        f"{batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "
+        f"{summary['images']} images, {summary['matched_now']} pairs in {summary['seconds']:.0f} s"
+    )
+
+
+@contextmanager
+def _bars() -> Iterator[Progress]:
+    """Progress bars with the time left, one for each stage."""
+    bars: dict[str, tqdm] = {}
+
+    def progress(stage: str, done: int, of: int) -> None:
+        if stage not in bars:
+            unit = stage.removesuffix("s")
+            bars[stage] = tqdm(total=of, initial=done, unit=unit, disable=None)
+        bars[stage].update(done - bars[stage].n)
+
+    try:
+        yield progress
+    finally:
+        for bar in bars.values():
+            bar.close()
+
+
+@click.command()
+@click.argument("source", metavar="SOURCE")
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR")
+@dataclass_options(SourceChoice, "inputs")
+@dataclass_options(WorkChoice, "work")
+@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(EstimationOptions, "estimation")
+def batch(
+    source: str,
+    out: Path,
+    inputs: SourceChoice,
+    work: WorkChoice,
+    matcher: MatcherChoice,
+    estimation: EstimationOptions,
+) -> None:
+    """Match many pairs of photographs and estimate their poses.
+
+    SOURCE is a folder of photographs, a list of pairs (two names a line, SuperGlue's lines, or a
+    .csv), or a COLMAP database (.db).
+
+    Writes pairs.jsonl (or .parquet), a row for each pair: status, R, t, expected errors, counts;
+    matches.h5, the matches in hloc's layout; and summary.json. A bad image is reported and does
+    not stop the batch. A batch that was stopped continues with --resume.
+    """
+    report(work_through(source, out, inputs, work, matcher, estimation))

@@ -1,0 +1,220 @@
+"""The cameras of many images: one K for all, or a file with one for each.
+
+- a K as of one image (`parse_camera`), for all of them;
+- COLMAP's `cameras.txt` or `cameras.bin`, or the folder of a model: with `images.txt` or
+  `images.bin` beside it a camera for each image, else a single camera for all;
+- `.csv` with the columns name, fx, fy, cx, cy, and optionally width, height;
+- NeRF's `transforms.json`: intrinsics for all or for each frame, with OpenCV's distortion;
+- KITTI's `calib.txt`: `P2:` is the camera of images below a folder `image_2` or `image_02`; of
+  other images, the first.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from dgc_pose.camera import Camera, camera_for, guess_camera, parse_camera
+from dgc_pose.colmap_camera import Distortion
+from dgc_pose.colmap_files import read_model_cameras
+from dgc_pose.errors import InputError
+
+_OPENCV = ("k1", "k2", "p1", "p2")  # of transforms.json, in COLMAP's order
+_KITTI_LINE = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")
+_KITTI_FOLDER = re.compile(r"image_0*(\d+)")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The cameras of the images of a folder."""
+
+    where: str  # of errors: the option or file that the cameras come from
+    by_name: Mapping[str, Camera] = field(default_factory=dict)
+    by_folder: Mapping[int, Camera] = field(default_factory=dict)  # KITTI's, by number
+    common: Camera | None = None  # of images without one of their own
+    # Whether an image without a camera gets one guessed from EXIF data or its size.
+    guess: bool = False
+
+    def camera(self, root: Path, name: str, size: tuple[int, int]) -> Camera:
+        """The camera of an image of `size`, checked against it.
+
+        Raises InputError if there is none, or if it is for another size.
+        """
+        own = self.by_name.get(name) or self._of_folder(root, name) or self.common
+        if own is not None:
+            return camera_for(own, size, f"{self.where}: {name}: K")
+        if self.guess:
+            return guess_camera(root / name)
+        raise InputError(f"{self.where}: no camera for {name}: give --K, or --guess-focal")
+
+    def _of_folder(self, root: Path, name: str) -> Camera | None:
+        for part in reversed((root.resolve() / name).parts):
+            if found := _KITTI_FOLDER.fullmatch(part):
+                return self.by_folder.get(int(found[1]))
+        return None
+
+
+def read_calibration(text: str | None, guess: bool = False) -> Calibration:
+    """The calibration of the option --K: a K, or a path of one of the files of this module.
+
+    Raises InputError, with the path, if the file is malformed.
+    """
+    if text is None:
+        return Calibration("--K", guess=guess)
+    path = Path(text)
+    if path.is_dir():
+        return _colmap(_model_file(path), guess)
+    if path.is_file():
+        if path.name in ("cameras.txt", "cameras.bin"):
+            return _colmap(path, guess)
+        if path.suffix == ".csv":
+            return Calibration(str(path), _csv_cameras(path), guess=guess)
+        if path.suffix == ".json":
+            return replace(_transforms(path), guess=guess)
+        lines = _kitti_lines(path)
+        if lines:
+            return Calibration(str(path), by_folder=lines, common=next(iter(lines.values())))
+    return Calibration("--K", common=parse_camera(text, "--K"), guess=guess)
+
+
+def _model_file(folder: Path) -> Path:
+    for name in ("cameras.bin", "cameras.txt"):
+        if (folder / name).is_file():
+            return folder / name
+    raise InputError(f"--K: {folder} holds no cameras.txt and no cameras.bin")
+
+
+def _colmap(path: Path, guess: bool) -> Calibration:
+    cameras, by_image = read_model_cameras(path)
+    if by_image:
+        named = {name: cameras[key] for name, key in by_image.items() if key in cameras}
+        return Calibration(str(path), named, guess=guess)
+    if len(cameras) != 1:
+        raise InputError(
+            f"{path}: {len(cameras)} cameras, and no images.txt or images.bin beside it to say "
+            "which is whose"
+        )
+    return Calibration(str(path), common=next(iter(cameras.values())), guess=guess)
+
+
+def _csv_cameras(path: Path) -> dict[str, Camera]:
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a table ({error})") from None
+    cameras = {}
+    for number, row in enumerate(rows, start=2):
+        try:
+            fx, fy, cx, cy = (float(row[key]) for key in ("fx", "fy", "cx", "cy"))
+            size = (int(row["width"]), int(row["height"])) if row.get("width") else None
+            cameras[row["name"]] = Camera(_matrix(fx, fy, cx, cy), size)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}:{number}: expected the columns name,fx,fy,cx,cy[,width,height] "
+                f"({_line(error)})"
+            ) from None
+    if not cameras:
+        raise InputError(f"{path}: no cameras in this table")
+    return cameras
+
+
+def _transforms(path: Path) -> Calibration:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        common = _nerf_camera(data)
+        named = {}
+        for frame in data["frames"]:
+            camera = _nerf_camera({**data, **frame})
+            if camera is not None:
+                named.update(dict.fromkeys(_nerf_names(frame["file_path"]), camera))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path}: not a transforms.json ({_line(error)})") from None
+    if common is None and not named:
+        raise InputError(f"{path}: no focal length in this transforms.json")
+    return Calibration(str(path), named, common=common)
+
+
+def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
+    """Intrinsics of a file or frame; the principal point has (0, 0) at the pixel's corner."""
+    width, height = data.get("w"), data.get("h")
+    size = None if width is None or height is None else (int(width), int(height))
+    fx = data.get("fl_x")
+    if fx is None and size is not None and "camera_angle_x" in data:
+        fx = size[0] / 2 / math.tan(float(data["camera_angle_x"]) / 2)
+    if fx is None:
+        return None
+    fy = float(data.get("fl_y", fx))
+    if size is None and not ("cx" in data and "cy" in data):
+        raise ValueError("neither cx and cy nor w and h")
+    cx = float(data.get("cx", size[0] / 2 if size else 0)) - 0.5
+    cy = float(data.get("cy", size[1] / 2 if size else 0)) - 0.5
+    lens = tuple(float(data.get(key, 0)) for key in _OPENCV)
+    distortion = Distortion("OPENCV", lens) if any(lens) else None
+    return Camera(_matrix(float(fx), fy, cx, cy), size, distortion)
+
+
+def _nerf_names(file_path: str) -> set[str]:
+    """The names that an image of transforms.json may have in a folder: relative to the file, or
+    without its folder, and with an ending if it lacks one."""
+    path = PurePosixPath(file_path)
+    shapes = {path.as_posix(), path.name}
+    if len(path.parts) > 1:
+        shapes.add(PurePosixPath(*path.parts[1:]).as_posix())
+    if path.suffix:
+        return shapes
+    return {shape + end for shape in shapes for end in (".png", ".jpg", ".jpeg", ".JPG", ".PNG")}
+
+
+def _kitti_lines(path: Path) -> dict[int, Camera]:
+    """The cameras of a KITTI file by number; none if it is another file."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (UnicodeDecodeError, OSError):
+        return {}
+    cameras = {}
+    for number, line in enumerate(lines, start=1):
+        if not (found := _KITTI_LINE.fullmatch(line.strip())):
+            continue
+        try:
+            P = np.array(found[2].split(), dtype=np.float64).reshape(3, 4)
+            cameras[int(found[1])] = Camera(P[:, :3])
+        except ValueError as error:
+            raise InputError(f"{path}:{number}: not a 3x4 projection ({error})") from None
+    return cameras
+
+
+def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def _line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def camera_data(camera: Camera) -> dict[str, Any]:
+    """A camera for JSON."""
+    lens = camera.distortion
+    return {
+        "K": camera.K.tolist(),
+        "size": camera.size,
+        "model": None if lens is None else lens.model,
+        "coefficients": None if lens is None else lens.coefficients,
+        "warnings": camera.warnings,
+    }
+
+
+def parse_camera_data(data: Mapping[str, Any]) -> Camera:
+    """The camera of `camera_data`."""
+    lens = None
+    if data["model"] is not None:
+        lens = Distortion(data["model"], tuple(data["coefficients"]))
+    size = None if data["size"] is None else (int(data["size"][0]), int(data["size"][1]))
+    return Camera(np.array(data["K"]), size, lens, tuple(data["warnings"]))

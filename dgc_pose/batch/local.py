@@ -1,0 +1,110 @@
+"""Workers on this machine: in this process, or in one process each."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Protocol
+
+import cv2
+
+from dgc_pose.batch.schedule import Spans
+from dgc_pose.batch.work import Job, Outcome, Task, Worker
+from dgc_pose.errors import DgcPoseError
+
+# Worked through in any order; the same outcomes whatever the workers.
+RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
+
+
+class Workers(Protocol):
+    """Starts workers for a job; within the context tasks can be run, several times."""
+
+    def __call__(self, job: Job, workers: int) -> AbstractContextManager[RunTasks]: ...
+
+
+@contextmanager
+def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
+    """Workers on this machine; a single one works in this process.
+
+    `run` raises DgcPoseError if a process is killed; `--resume` goes on after that.
+    """
+    if workers == 1:
+        own = Worker(job)
+        yield lambda tasks: (own.do(task) for task in tasks)
+        return
+    # Not forked: torch's threads do not survive that. One pool a worker, since neighbouring blocks
+    # share images and belong to one worker.
+    context = multiprocessing.get_context("spawn")
+    with ExitStack() as stack:
+        pools = []
+        for _ in range(workers):
+            pool = ProcessPoolExecutor(1, context, _start, (job,))
+            stack.callback(pool.shutdown, cancel_futures=True)
+            pools.append(pool)
+        yield lambda tasks: _run(pools, tasks)
+
+
+def _run(pools: Sequence[ProcessPoolExecutor], tasks: Sequence[Task]) -> Iterator[Outcome]:
+    spans = Spans(len(tasks), len(pools))
+    running: dict[Future[Outcome], int] = {}
+
+    def submit(number: int) -> None:
+        index = spans.take(number)
+        if index is not None:
+            running[pools[number].submit(_do, tasks[index])] = number
+
+    for number in range(len(pools)):
+        submit(number)
+    while running:
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for future in done:
+            number = running.pop(future)
+            outcome = _result(future)
+            submit(number)
+            yield outcome
+
+
+def _result(future: Future[Outcome]) -> Outcome:
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise DgcPoseError(
+            "a process that matches was killed (out of memory?): fewer --workers or less --memory "
+            "may help; --resume goes on from the pairs that were done"
+        ) from None
+
+
+_worker: list[Worker] = []  # of this process, once it has been started
+
+
+def _start(job: Job) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _worker[:] = [single_threaded(job)]
+
+
+def _do(task: Task) -> Outcome:
+    return _worker[0].do(task)
+
+
+def single_threaded(job: Job) -> Worker:
+    """A worker whose process uses one core: the other cores have workers of their own."""
+    cv2.setNumThreads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported
+    worker = Worker(job)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    return worker
+
+
+def _end_with_parent() -> None:
+    """End with the owner of the pool: if that is killed, nobody else ends this process."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

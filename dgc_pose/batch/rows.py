@@ -1,0 +1,175 @@
+"""One row a pair: what a batch says of it, as a JSON line or a row of a Parquet table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
+from dgc_pose.files import finite_or_none
+
+BAD_INPUT = "bad_input"  # status of a pair with an image or camera that cannot be used
+_PER_WRITE = 4096  # rows of a Parquet table held in memory
+
+
+@dataclass(frozen=True)
+class PairRow:
+    """The pose of one pair, cam2_from_cam1: x2 = R x1 + t, with the translation up to scale.
+
+    Unknown values are None. There is no time in it: the same input gives the same row.
+    """
+
+    name1: str
+    name2: str
+    status: str  # of `dgc_pose.estimation.result.Status`, or "bad_input"
+    success: bool  # whether R and t are known
+    reason: str  # one sentence for people
+    R: tuple[float, ...] | None  # 9 numbers, row by row
+    t: tuple[float, ...] | None  # 3 numbers, unit length
+    rotation_error_90_deg: float | None  # nine times in ten the error is below
+    translation_error_90_deg: float | None  # of the direction
+    num_matches: int
+    num_inliers: int
+    inlier_ratio: float | None
+    median_triangulation_angle_deg: float | None
+    error_px: float | None  # expected error of a match, pixels of the originals
+    guessed_focal: bool  # whether a focal length is a guess: expect a bad pose
+    warnings: tuple[str, ...]
+
+    @property
+    def cam2_from_cam1(self) -> np.ndarray | None:
+        """[R | t] (3, 4), or None without a pose."""
+        if self.R is None or self.t is None:
+            return None
+        return np.column_stack([np.reshape(self.R, (3, 3)), self.t])
+
+
+def row_of(
+    names: tuple[str, str], pose: RelativePose, error_px: float, guessed_focal: bool
+) -> PairRow:
+    """The row of an estimated pose."""
+    return PairRow(
+        *names,
+        status=pose.status,
+        success=pose.success,
+        reason=pose.reason,
+        R=_numbers(pose.R),
+        t=_numbers(pose.t),
+        rotation_error_90_deg=finite_or_none(pose.rotation_error_90_deg),
+        translation_error_90_deg=finite_or_none(pose.translation_error_90_deg),
+        num_matches=pose.num_matches,
+        num_inliers=pose.num_inliers,
+        inlier_ratio=finite_or_none(pose.inlier_ratio),
+        median_triangulation_angle_deg=finite_or_none(pose.median_triangulation_angle_deg),
+        error_px=error_px,
+        guessed_focal=guessed_focal,
+        warnings=pose.warnings,
+    )
+
+
+def bad_row(names: tuple[str, str], reason: str) -> PairRow:
+    """The row of a pair that could not be matched."""
+    known: dict[str, Any] = {
+        "name1": names[0],
+        "name2": names[1],
+        "status": BAD_INPUT,
+        "success": False,
+        "reason": reason,
+        "num_matches": 0,
+        "num_inliers": 0,
+        "guessed_focal": False,
+        "warnings": (),
+    }
+    return PairRow(**{field.name: known.get(field.name) for field in fields(PairRow)})
+
+
+def row_data(row: PairRow) -> dict[str, Any]:
+    """A row for JSON."""
+    return asdict(row)
+
+
+def parse_row(data: Mapping[str, Any], where: str) -> PairRow:
+    """A row of JSON. Raises InputError, with `where`, if it is none."""
+    try:
+        values: dict[str, Any] = {
+            field.name: tuple(value) if isinstance(value := data[field.name], list) else value
+            for field in fields(PairRow)
+        }
+        return PairRow(**values)
+    except (KeyError, TypeError):
+        raise InputError(f"{where}: not a row of a batch") from None
+
+
+def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
+    """Rows as JSON Lines, strict JSON."""
+    with path.open("w", encoding="utf-8") as stream:
+        for row in rows:
+            stream.write(json.dumps(row_data(row), allow_nan=False) + "\n")
+
+
+def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
+    """Rows as a Parquet table. Raises InputError without pyarrow."""
+    arrow, parquet = require_pyarrow()
+    numbers = arrow.list_(arrow.float64())
+    kinds = {"R": numbers, "t": numbers, "warnings": arrow.list_(arrow.string())}
+    by_type = {"str": arrow.string(), "bool": arrow.bool_(), "int": arrow.int64()}
+    schema = arrow.schema(
+        [
+            (field.name, kinds.get(field.name, by_type.get(str(field.type), arrow.float64())))
+            for field in fields(PairRow)
+        ]
+    )
+    with parquet.ParquetWriter(path, schema) as writer:
+        held: list[dict[str, Any]] = []
+        for row in rows:
+            held.append(row_data(row))
+            if len(held) == _PER_WRITE:
+                writer.write_table(arrow.Table.from_pylist(held, schema))
+                held = []
+        writer.write_table(arrow.Table.from_pylist(held, schema))
+
+
+def read_rows(path: Path) -> Iterator[PairRow]:
+    """The rows of a file that `write_jsonl` or `write_parquet` wrote.
+
+    Raises InputError, with the path, if it is cut short or none of these.
+    """
+    if path.suffix == ".parquet":
+        arrow, parquet = require_pyarrow()
+        try:
+            table = parquet.ParquetFile(path)
+            for batch in table.iter_batches():
+                for data in batch.to_pylist():
+                    yield parse_row(data, str(path))
+        except (arrow.ArrowException, OSError) as error:
+            raise InputError(f"{path}: not a whole Parquet file ({error})") from None
+        return
+    with path.open(encoding="utf-8") as stream:
+        for number, line in enumerate(stream, start=1):
+            try:
+                data = json.loads(line)
+            except ValueError:
+                raise InputError(f"{path}:{number}: not a whole line of JSON") from None
+            yield parse_row(data, f"{path}:{number}")
+
+
+def require_pyarrow() -> tuple[Any, Any]:
+    """The modules pyarrow and pyarrow.parquet. Raises InputError without pyarrow."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError(
+            "Parquet needs pyarrow: pip install 'dgc-pose[batch]', or take --format jsonl"
+        ) from None
+    return pyarrow, pyarrow.parquet
+
+
+def _numbers(array: np.ndarray | None) -> tuple[float, ...] | None:
+    return None if array is None else tuple(float(value) for value in array.ravel())

@@ -1,0 +1,291 @@
+"""A batch from the source to the result, and its result read again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgc_pose.batch.calibration import Calibration
+from dgc_pose.batch.local import RunTasks, Workers, local_workers
+from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
+from dgc_pose.batch.pair_choice import PairChoice, most_similar, pairs_of
+from dgc_pose.batch.rows import BAD_INPUT, PairRow, read_rows
+from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
+from dgc_pose.batch.similarity import similarities
+from dgc_pose.batch.source import Source, survey
+from dgc_pose.batch.store import (
+    MATCHES,
+    PLAN,
+    SUMMARY,
+    PartStore,
+    Plan,
+    RowFormat,
+    read_plan,
+    require_same,
+    rows_path,
+    write_plan,
+)
+from dgc_pose.batch.work import (
+    FEATURE_BYTES,
+    Describe,
+    Described,
+    Job,
+    Match,
+    Matched,
+    MatcherSettings,
+)
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files import write_text
+
+Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """How a batch is worked through; none of it changes the result, except `format`."""
+
+    workers: int = 1
+    memory_bytes: int = 2**30  # of images and features, all workers together
+    format: RowFormat = "jsonl"
+    resume: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """The result of a batch, as its folder holds it."""
+
+    folder: Path
+    plan: Plan
+    rows: Sequence[PairRow]  # in the order of the pairs
+    summary: Mapping[str, Any]
+
+    def matches(self) -> Iterator[tuple[PairRow, PairMatches]]:
+        """Each row with its matches. Raises InputError if the file is cut short."""
+        with open_matches(self.folder / MATCHES) as file:
+            for row in self.rows:
+                name = group_name(row.name1, row.name2)
+                if name not in file:
+                    raise InputError(f"{self.folder / MATCHES}: no matches of {name}")
+                yield row, read_matches(file[name])
+
+
+def run_batch(
+    source: Source,
+    calibration: Calibration,
+    choice: PairChoice | None,
+    out: Path,
+    *,
+    matcher: MatcherSettings,
+    estimation: EstimationOptions,
+    options: BatchOptions,
+    start_workers: Workers = local_workers,
+    progress: Progress = lambda stage, done, of: None,
+) -> Batch:
+    """Match the pairs of a source and put the result into `out`.
+
+    choice: how pairs are chosen; None for those of the source.
+
+    Raises InputError if there is a batch in `out` already and `resume` is not asked for, if that
+    one had other settings, or if the input is unusable; OSError if the disk is full.
+    """
+    start = time.perf_counter()
+    settings = {
+        "pairs": "source" if choice is None else asdict(choice),
+        "weights": matcher.weights,
+        "weights_sha256": _weights_hash(matcher.weights),
+        "matching": asdict(matcher.matching),
+        "refinement": None if matcher.refinement is None else asdict(matcher.refinement),
+        "estimation": asdict(estimation),
+        "format": options.format,
+    }
+    plan = _known_plan(out, settings, options.resume)
+    if plan is None and choice is None and source.pairs is None:
+        raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
+    if plan is None or not (out / SUMMARY).is_file():
+        with ExitStack() as stack:
+            found = _first_plan(source, calibration, settings) if plan is None else plan
+            run = _lazy_workers(start_workers, found, matcher, estimation, options, stack)
+            if plan is None:
+                plan = _with_pairs(found, source, choice, run, progress)
+                write_plan(out, plan)
+            store = PartStore(out, plan)
+            worked = _work(store, plan, run, options, progress)
+        bad = store.assemble()
+        _summarise(out, plan, bad, worked, time.perf_counter() - start)
+        store.close()
+    return read_batch(out)
+
+
+def read_batch(out: Path) -> Batch:
+    """The result of a finished batch. Raises InputError, with the path, if it is not finished, or
+    a file of it is broken."""
+    plan = read_plan(out)
+    if not (out / SUMMARY).is_file():
+        raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
+    try:
+        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
+    except ValueError:
+        raise InputError(f"{out / SUMMARY}: not the summary of a batch") from None
+    rows = list(read_rows(rows_path(out, plan)))
+    if len(rows) != len(plan.pairs):
+        raise InputError(
+            f"{rows_path(out, plan)}: {len(rows)} rows for {len(plan.pairs)} pairs: cut short?"
+        )
+    return Batch(out, plan, rows, summary)
+
+
+def _known_plan(out: Path, settings: Mapping[str, Any], resume: bool) -> Plan | None:
+    if not (out / PLAN).is_file():
+        if out.exists() and (
+            not out.is_dir() or any(not path.name.startswith(".") for path in out.iterdir())
+        ):
+            raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
+        return None
+    if not resume:
+        raise InputError(f"{out}: holds a batch already: --resume goes on with it")
+    plan = read_plan(out)
+    require_same(plan, settings, out)
+    return plan
+
+
+def _first_plan(source: Source, calibration: Calibration, settings: Mapping[str, Any]) -> Plan:
+    """The plan without pairs."""
+    found = survey(source, calibration)
+    guessed = frozenset(
+        name for name, camera in found.cameras.items() if any("guess" in w for w in camera.warnings)
+    )
+    none = np.zeros((0, 2), dtype=np.int64)
+    return Plan(source.root, found.cameras, found.bad, guessed, source.names, none, settings)
+
+
+def _lazy_workers(
+    start_workers: Workers,
+    plan: Plan,
+    matcher: MatcherSettings,
+    estimation: EstimationOptions,
+    options: BatchOptions,
+    stack: ExitStack,
+) -> RunTasks:
+    """Runs tasks by workers that are started by the first of them: unusable input needs none."""
+    started: list[RunTasks] = []
+
+    def run(tasks: Sequence[Any]) -> Iterator[Any]:
+        if not started and tasks:
+            memory = options.memory_bytes // options.workers
+            job = Job(plan.root, plan.cameras, plan.bad, plan.guessed, matcher, estimation, memory)
+            started.append(stack.enter_context(start_workers(job, options.workers)))
+        return started[0](tasks) if tasks else iter(())
+
+    return run
+
+
+def _with_pairs(
+    plan: Plan,
+    source: Source,
+    choice: PairChoice | None,
+    run: RunTasks,
+    progress: Progress,
+) -> Plan:
+    names = plan.names
+    if choice is None:
+        position = {name: i for i, name in enumerate(names)}
+        found = [(position[a], position[b]) for a, b in source.pairs or ()]
+    elif choice.way != "auto":
+        found = pairs_of(choice, names)
+    else:
+        plan, features = _described(plan, run, progress)
+        scores = similarities(features)
+        usable = [i for i, own in enumerate(features) if own is not None]
+        chosen = most_similar(scores[np.ix_(usable, usable)], choice.number)
+        found = [(usable[i], usable[j]) for i, j in chosen]
+    pairs = np.array(found, dtype=np.int64).reshape(-1, 2)
+    return replace(plan, pairs=pairs)
+
+
+def _described(
+    plan: Plan, run: RunTasks, progress: Progress
+) -> tuple[Plan, list[np.ndarray | None]]:
+    """The coarsest features of all images, and the plan with the bad images that showed up."""
+    tasks = [
+        Describe(tuple(plan.names[i] for i in block))
+        for block in blocks_of(range(len(plan.names)), 4)
+    ]
+    features: dict[str, np.ndarray] = {}
+    bad = dict(plan.bad)
+    done = 0
+    for outcome in run(tasks):
+        assert isinstance(outcome, Described)
+        bad.update(outcome.bad)
+        features.update(outcome.features)
+        done += len(outcome.features) + len(outcome.bad)
+        progress("images", done, len(plan.names))
+    return replace(plan, bad=bad), [features.get(name) for name in plan.names]
+
+
+def _work(
+    store: PartStore, plan: Plan, run: RunTasks, options: BatchOptions, progress: Progress
+) -> int:
+    """Match the pairs that are left; returns their number."""
+    left = np.array(store.left, dtype=np.int64)
+    capacity = _capacity(plan, options)
+    order = left[tile_order(plan.pairs[left], len(plan.names), capacity)] if len(left) else left
+    # Small batches in small blocks, so that all workers have something to do.
+    size = int(min(BLOCK, max(1, len(left) // (4 * options.workers))))
+    tasks = [
+        Match(tuple(block), tuple(plan.pair(index) for index in block))
+        for block in blocks_of(order.tolist(), size)
+    ]
+    total = len(plan.pairs)
+    done = total - len(left)
+    progress("pairs", done, total)
+    for outcome in run(tasks):
+        assert isinstance(outcome, Matched)
+        store.add(outcome)
+        done += len(outcome.indices)
+        progress("pairs", done, total)
+    return len(left)
+
+
+def _capacity(plan: Plan, options: BatchOptions) -> int:
+    """Images that fit into the memory of one worker."""
+    sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
+    largest = max((3 * width * height for width, height in sizes), default=1)
+    share = options.memory_bytes // options.workers * 2 // 3
+    return max(2, share // (largest + FEATURE_BYTES))
+
+
+def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, seconds: float) -> None:
+    """summary.json; its `seconds` and `matched_now` are those of the last run."""
+    rows = list(read_rows(rows_path(out, plan)))
+    by_status = Counter(row.status for row in rows)
+    data = {
+        "images": len(plan.names),
+        "bad_images": dict(sorted(bad.items())),
+        "guessed_focal": len(plan.guessed),
+        "pairs": len(rows),
+        "poses": sum(row.success for row in rows),
+        "bad_pairs": by_status.get(BAD_INPUT, 0),
+        "by_status": dict(sorted(by_status.items())),
+        "matched_now": worked,
+        "seconds": round(seconds, 2),
+    }
+    write_text(out / SUMMARY, json.dumps(data, indent=2) + "\n")
+
+
+def _weights_hash(weights: str) -> str | None:
+    """The first digits of the SHA-256 of a weights file; None for a matcher without weights."""
+    from importlib import resources
+
+    path = Path(str(resources.files("dgc_pose") / "weights" / f"{weights}.safetensors"))
+    path = path if path.is_file() else Path(weights)
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None

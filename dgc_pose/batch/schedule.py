@@ -1,0 +1,70 @@
+"""The order of the pairs in which each image is encoded as few times as memory allows.
+
+Images that are paired with each other get neighbouring ranks (reverse Cuthill-McKee). The ranks are
+cut into tiles of half as many images as fit into memory, and the pairs of one pair of tiles follow
+each other. If all images fit, each is encoded once by each worker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+BLOCK = 16  # pairs handed to a worker at a time, and stored together
+
+
+def tile_order(pairs: np.ndarray, count: int, capacity: int) -> np.ndarray:
+    """Indices (P,) of the pairs (P, 2), of `count` images, in the order to work in.
+
+    capacity: images whose features fit into the memory of one worker.
+    """
+    if len(pairs) == 0:
+        return np.zeros(0, dtype=np.int64)
+    first, second = pairs.T
+    ones = np.ones(2 * len(pairs), dtype=np.int8)
+    ends = np.concatenate([first, second]), np.concatenate([second, first])
+    order = reverse_cuthill_mckee(csr_matrix((ones, ends), (count, count)), symmetric_mode=True)
+    rank = np.empty(count, dtype=np.int64)
+    rank[order] = np.arange(count)
+    low, high = np.sort(rank[pairs], axis=1).T
+    side = max(1, capacity // 2)
+    tile1, tile2 = low // side, high // side
+    # Back and forth along the rows of tiles: a row begins with the tile that the last one ended at.
+    column = np.where(tile1 % 2 == 0, tile2, -tile2)
+    return np.lexsort((low, high, column, tile1))
+
+
+def blocks_of(order: Sequence[int], size: int = BLOCK) -> list[list[int]]:
+    """Runs of at most `size` successive items."""
+    items = [int(item) for item in order]
+    return [items[i : i + size] for i in range(0, len(items), size)]
+
+
+class Spans:
+    """Blocks dealt to workers: to each a run of neighbouring ones, which share images.
+
+    A worker whose run is finished takes the last block of the longest run that is left.
+    """
+
+    def __init__(self, count: int, workers: int) -> None:
+        """
+        Args:
+            count: of blocks.
+            workers: of runs.
+        """
+        bounds = [count * i // workers for i in range(workers + 1)]
+        self._left = [list(range(a, b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+
+    def take(self, worker: int) -> int | None:
+        """The next block of a worker; None if there is none left."""
+        if self._left[worker]:
+            return self._left[worker].pop(0)
+        longest = max(self._left, key=len)
+        return longest.pop() if longest else None
+
+    def put_back(self, worker: int, block: int) -> None:
+        """Return a block that a worker took and did not finish."""
+        self._left[worker].insert(0, block)

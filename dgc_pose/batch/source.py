@@ -1,0 +1,123 @@
+"""What a batch works on: photographs, their cameras and sizes, and the pairs if they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import PIL.Image
+
+from dgc_pose.batch.calibration import Calibration
+from dgc_pose.batch.pair_files import read_pair_list
+from dgc_pose.camera import Camera
+from dgc_pose.colmap_files import read_database
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.image import load_image
+
+_ENDINGS = (
+    *(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".ppm", ".pgm"),
+    *(".jp2", ".avif"),
+)
+_DATABASES = (".db", ".sqlite", ".sqlite3")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Photographs, and the pairs of them if the source has pairs."""
+
+    root: Path  # folder that the names are relative to
+    names: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...] | None  # None: they are to be chosen
+    cameras: Mapping[str, Camera]  # those that the source itself has
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is known of the images before they are matched."""
+
+    cameras: Mapping[str, Camera]  # by name, with their sizes
+    bad: Mapping[str, str]  # the reason by name, of images that cannot be used
+
+
+def open_source(path: Path, root: Path | None = None) -> Source:
+    """A folder of photographs, a list of pairs, or a COLMAP database.
+
+    root: folder of the image names of a list or database; by default the file's own.
+
+    Raises InputError if the source has no image, or a single one; OSError if it cannot be read.
+    """
+    if path.is_dir():
+        if root is not None:
+            raise InputError(f"--root is for a list or a database, and {path} is a folder")
+        source = Source(path, image_names(path), None, {})
+    elif not path.is_file():
+        raise InputError(f"{path}: no such folder, list or database")
+    elif path.suffix.lower() in _DATABASES:
+        content = read_database(path)
+        pairs = content.pairs or None
+        source = Source(root or path.parent, content.names, pairs, content.cameras)
+    else:
+        found = read_pair_list(path)
+        names = tuple(dict.fromkeys(name for pair in found.pairs for name in pair))
+        source = Source(root or path.parent, names, found.pairs, found.cameras)
+    if len(source.names) < 2:
+        what = "no image" if not source.names else "a single image"
+        raise InputError(f"{path}: {what} there, and a pair needs two")
+    if not source.root.is_dir():
+        raise InputError(f"{source.root}: no such folder of images")
+    return source
+
+
+def image_names(folder: Path) -> tuple[str, ...]:
+    """The images below a folder, relative to it, sorted; hidden ones are passed over."""
+    found = (path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS)
+    names = [path.relative_to(folder) for path in found if path.is_file()]
+    return tuple(
+        sorted(
+            name.as_posix()
+            for name in names
+            if not any(part.startswith(".") for part in name.parts)
+        )
+    )
+
+
+def survey(source: Source, calibration: Calibration) -> Survey:
+    """The cameras of all images, found from the sizes in their headers.
+
+    An image whose header cannot be read is listed as bad. Raises InputError if an image has no
+    camera or one for another size, or if one K without a size is given for images of several.
+    """
+    cameras: dict[str, Camera] = {}
+    bad: dict[str, str] = {}
+    sizes: set[tuple[int, int]] = set()
+    for name in source.names:
+        try:
+            size = _size(source.root / name)
+        except ImageError as error:
+            bad[name] = str(error)
+            continue
+        own = source.cameras.get(name)
+        if own is not None and calibration.common is None and name not in calibration.by_name:
+            given = Calibration("the list" if own.size is None else "the database", {name: own})
+            camera = given.camera(source.root, name, size)
+        else:
+            camera = calibration.camera(source.root, name, size)
+            if camera is not None and calibration.common is not None:
+                sizes.add(size)
+        cameras[name] = Camera(camera.K, size, camera.distortion, camera.warnings)
+    if len(sizes) > 1:
+        listed = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
+        raise InputError(
+            f"one K for images of several sizes ({listed}): give a file with a K for each image"
+        )
+    return Survey(cameras, bad)
+
+
+def _size(path: Path) -> tuple[int, int]:
+    """(width, height) by the header. Raises ImageError if the image cannot be read."""
+    try:
+        with PIL.Image.open(path) as header:
+            return header.size
+    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError):
+        return load_image(path).size  # says what is wrong with it, or reads what Pillow does not

@@ -1,0 +1,146 @@
+"""What a bug report needs to know of an installation and its machine."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+from importlib import metadata, resources
+from importlib.util import find_spec
+from pathlib import Path
+
+from dgc_pose.version import build, version
+
+Facts = dict[str, dict[str, str]]  # by heading, then by name
+
+LIBRARIES = (
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "pillow",
+    "poselib",
+    "pycolmap",
+    "onnxruntime",
+    "torch",
+    "safetensors",
+    "matplotlib",
+    "click",
+    "starlette",
+    "uvicorn",
+)
+# Environment variables that change threads, devices or where files are found.
+VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OMP_WAIT_POLICY",
+    "GOMP_SPINCOUNT",
+    "MKL_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+    "CUDA_VISIBLE_DEVICES",
+    "DGC_POSE_RUNTIME",
+)
+ABSENT = "not installed"
+
+
+def environment() -> Facts:
+    """Versions, machine, weights, devices and threads, in the order in which they are shown.
+
+    Imports torch, if it is installed, to ask for its devices.
+    """
+    return {
+        "dgc-pose": {
+            "version": version(),
+            "build": build(),
+            "folder": str(Path(__file__).resolve().parent),
+        },
+        "machine": _machine(),
+        "libraries": {name: _library(name) for name in LIBRARIES},
+        "weights": _weights(),
+        "devices": _devices(),
+        "threads": _threads(),
+        "environment": {name: os.environ[name] for name in VARIABLES if name in os.environ},
+    }
+
+
+def _machine() -> dict[str, str]:
+    return {
+        "Python": f"{platform.python_version()} ({sys.executable})",
+        "system": platform.platform(),
+        "processor": _processor(),
+        "processors": f"{_usable()} of {os.cpu_count()} usable",
+        "memory": _memory(),
+    }
+
+
+def _processor() -> str:
+    """The processor's name; Linux has it in a file, other systems in `platform`."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                if line.startswith("model name"):
+                    return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _usable() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _memory() -> str:
+    try:
+        return f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.1f} GiB"
+    except (AttributeError, ValueError, OSError):  # not on Windows
+        return "unknown"
+
+
+def _library(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return ABSENT
+
+
+def _weights() -> dict[str, str]:
+    """Each file of weights with its size and the first digits of its sha256."""
+    folder = resources.files("dgc_pose") / "weights"
+    files = sorted(Path(str(folder)).iterdir()) if folder.is_dir() else []
+    found = {}
+    for file in files:
+        if file.suffix in (".safetensors", ".onnx"):
+            data = file.read_bytes()
+            digest = hashlib.sha256(data).hexdigest()[:16]
+            found[file.name] = f"{len(data) / 1e6:.1f} MB, sha256 {digest}"
+    return found
+
+
+def _devices() -> dict[str, str]:
+    found = {"onnxruntime": _providers()} if find_spec("onnxruntime") else {}
+    if not find_spec("torch"):
+        return found | {"torch": ABSENT}
+    import torch
+
+    if not torch.cuda.is_available():
+        return found | {"torch": "cpu"}
+    cards = (torch.cuda.get_device_properties(n) for n in range(torch.cuda.device_count()))
+    names = [f"{card.name}, {card.total_memory / 2**30:.0f} GiB" for card in cards]
+    return found | {"torch": f"cuda {torch.version.cuda}: " + "; ".join(names)}
+
+
+def _providers() -> str:
+    import onnxruntime
+
+    return ", ".join(onnxruntime.get_available_providers())
+
+
+def _threads() -> dict[str, str]:
+    import cv2
+
+    found = {"OpenCV": str(cv2.getNumThreads())}
+    if "torch" in sys.modules:
+        found["torch"] = str(sys.modules["torch"].get_num_threads())
+    return found

@@ -1,0 +1,91 @@
+"""Rows of panels that fill a figure's width: sizes follow from the panels' own aspect ratios, so
+that no band stays blank."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dgc_pose.viz.figure import new_figure
+
+WIDTH = 10.0  # inches; 1000 pixels at the resolution of `save_figure`
+GAP = 0.1  # inches, between the panels of a row
+_MARGIN = 0.08  # inches, around the figure
+_LINE = 0.19  # inches, of a line of text
+_CHARACTER = 0.078  # inches, the mean width in a title
+_BAR = 2.4  # inches that a colour bar and its label take beside a title
+_BAR_LINE = 0.24  # inches, of a colour bar below a title
+_MAX_PANEL = 20.0  # inches; the height of a row at most
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What a panel needs of the layout."""
+
+    aspect: float  # width over height of what is drawn
+    title: str
+    bar: bool = False  # whether a colour bar stands in the line of its title
+
+
+def row_height(aspects: Sequence[float], width: float = WIDTH) -> float:
+    """Height in inches of panels side by side in a row of this width."""
+    inside = width - 2 * _MARGIN - GAP * (len(aspects) - 1)
+    return min(inside / sum(aspects), _MAX_PANEL)
+
+
+def panel_rows(
+    rows: Sequence[Sequence[Panel]], headline: str = "", *, width: float = WIDTH
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure and its axes, a list a row. The panels of a row have one height and fill the width.
+
+    Titles are set, broken where their panel is narrow; the headline stands above all.
+    """
+    head = _wrapped(headline, width - 2 * _MARGIN)
+    heights = [row_height([panel.aspect for panel in row], width) for row in rows]
+    strips = [
+        max(_strip(p, p.aspect * h) for p in row) for row, h in zip(rows, heights, strict=True)
+    ]
+    top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
+    total = top + sum(heights) + sum(strips) + _MARGIN
+    figure = new_figure(width, total, layout=None)
+    if head:
+        figure.text(_MARGIN / width, 1 - _MARGIN / total, "\n".join(head), va="top", fontsize=11)
+    axes = []
+    for row, height, strip in zip(rows, heights, strips, strict=True):
+        top += strip + height
+        bottom = 1 - top / total
+        used = height * sum(panel.aspect for panel in row) + GAP * (len(row) - 1)
+        left, placed = (width - used) / 2, []
+        for panel in row:
+            size = panel.aspect * height
+            one = figure.add_axes((left / width, bottom, size / width, height / total))
+            one.set_title(
+                "\n".join(_wrapped(panel.title, size)),
+                fontsize=10,
+                loc="left",
+                y=1.0,  # or matplotlib would lift it above the colour bar
+                pad=72 * (0.05 + (_BAR_LINE if _bar_below(panel, size) else 0.0)),
+            )
+            placed.append(one)
+            left += size + GAP
+        axes.append(placed)
+    return figure, axes
+
+
+def _wrapped(text: str, width: float) -> list[str]:
+    return textwrap.wrap(text, max(8, int(width / _CHARACTER)))
+
+
+def _bar_below(panel: Panel, width: float) -> bool:
+    """Whether the colour bar needs a line of its own."""
+    return panel.bar and len(panel.title) * _CHARACTER + _BAR > width
+
+
+def _strip(panel: Panel, width: float) -> float:
+    """Height in inches of the title, and of the colour bar if it stands below."""
+    lines = _LINE * len(_wrapped(panel.title, width))
+    return 0.14 + lines + _BAR_LINE * _bar_below(panel, width)

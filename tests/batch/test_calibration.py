@@ -1,0 +1,146 @@
+"""Cameras of many images from each kind of file."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from dgc_pose.batch.calibration import (
+    Calibration,
+    camera_data,
+    parse_camera_data,
+    read_calibration,
+)
+from dgc_pose.camera import Camera
+from dgc_pose.colmap_camera import Distortion
+from dgc_pose.errors import InputError
+
+SIZE = (640, 480)
+
+
+def _K(calibration: Calibration, name: str, size: tuple[int, int] = SIZE) -> list[float]:
+    K = calibration.camera(Path("photos"), name, size).K
+    return [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+
+
+def _write(path: Path, text: str) -> str:
+    path.write_text(text)
+    return str(path)
+
+
+def test_one_K_for_all() -> None:
+    assert _K(read_calibration("500,510,320,240"), "a.jpg") == [500, 510, 320, 240]
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
+    """COLMAP's principal point is half a pixel more than ours."""
+    model = pycolmap.Reconstruction()
+    for number, focal in ((1, 500.0), (2, 600.0)):
+        camera = pycolmap.Camera(
+            camera_id=number,
+            model="OPENCV",
+            width=640,
+            height=480,
+            params=[focal, focal, 320.5, 240.5, 0.01, 0, 0, 0],
+        )
+        model.add_camera_with_trivial_rig(camera)
+        image = pycolmap.Image(name=f"d/{number}.jpg", camera_id=number, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    model.write_binary(tmp_path) if binary else model.write_text(tmp_path)
+    ending = "bin" if binary else "txt"
+    source = tmp_path if whole else tmp_path / f"cameras.{ending}"
+    calibration = read_calibration(str(source))
+    assert _K(calibration, "d/1.jpg") == [500, 500, 320, 240]
+    assert _K(calibration, "d/2.jpg") == [600, 600, 320, 240]
+    lens = calibration.camera(tmp_path, "d/1.jpg", SIZE).distortion
+    assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
+    with pytest.raises(InputError, match="no camera for e.jpg"):
+        _K(calibration, "e.jpg")
+    (tmp_path / f"images.{ending}").unlink()
+    with pytest.raises(InputError, match="2 cameras, and no images.txt"):
+        read_calibration(str(source))
+
+
+def test_a_single_colmap_camera_serves_all(tmp_path: Path) -> None:
+    text = "# list\n1 PINHOLE 640 480 500 510 320.5 240.5\n"
+    calibration = read_calibration(_write(tmp_path / "cameras.txt", text))
+    assert _K(calibration, "any.jpg") == [500, 510, 320, 240]
+    with pytest.raises(InputError, match=r"640 x 480 pixels, the image has 320 x 240"):
+        _K(calibration, "any.jpg", (320, 240))
+
+
+def test_csv(tmp_path: Path) -> None:
+    text = "name,fx,fy,cx,cy,width,height\na.jpg,500,510,320,240,640,480\nb.jpg,50,51,32,24,,\n"
+    calibration = read_calibration(_write(tmp_path / "cameras.csv", text))
+    assert _K(calibration, "a.jpg") == [500, 510, 320, 240]
+    assert _K(calibration, "b.jpg", (64, 48)) == [50, 51, 32, 24]
+
+
+@pytest.mark.parametrize("frames", ["common", "own", "angle"])
+def test_transforms_json(tmp_path: Path, frames: str) -> None:
+    size = {"w": 640, "h": 480}
+    lens = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5, "k1": 0.1, **size}
+    data: dict[str, object] = {"frames": [{"file_path": "./images/a.jpg"}]}
+    expected = [500, 510, 320, 240]
+    if frames == "common":
+        data |= lens
+    elif frames == "own":
+        data["frames"] = [{"file_path": "images/a", **lens}]
+    else:
+        data |= size | {"camera_angle_x": 2 * math.atan(0.5)}
+        expected = [640, 640, 319.5, 239.5]
+    calibration = read_calibration(_write(tmp_path / "transforms.json", json.dumps(data)))
+    np.testing.assert_allclose(_K(calibration, "a.jpg"), expected)
+    assert (calibration.camera(tmp_path, "a.jpg", SIZE).distortion is None) == (frames == "angle")
+
+
+def test_kitti(tmp_path: Path) -> None:
+    lines = [f"P{i}: {500 + i} 0 320 {-0.5 * i} 0 {500 + i} 240 0 0 0 1 0" for i in range(4)]
+    calibration = read_calibration(_write(tmp_path / "calib.txt", "\n".join([*lines, "Tr: 1"])))
+    assert _K(calibration, "image_2/000001.png") == [502, 502, 320, 240]
+    assert _K(calibration, "image_03/data/1.png") == [503, 503, 320, 240]
+    assert _K(calibration, "1.png") == [500, 500, 320, 240]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("cameras.txt", "1 NONSENSE 1 2 3\n", "not COLMAP's cameras"),
+        ("cameras.txt", "", "no cameras"),
+        ("cameras.bin", "xx", "not COLMAP's cameras"),
+        ("c.csv", "name,fx\na,1\n", ":2: expected the columns"),
+        ("c.csv", "name,fx,fy,cx,cy\na,1,-1,1,1\n", ":2: expected the columns"),
+        ("c.csv", "name,fx,fy,cx,cy\n", "no cameras"),
+        ("t.json", "{", "not a transforms.json"),
+        ("t.json", '{"frames": [{"file_path": "a.png"}]}', "no focal length"),
+        ("calib.txt", "P0: 1 2 3\n", ":1: not a 3x4 projection"),
+        ("k.txt", "1 2 3\n", "must have shape"),
+    ],
+)
+def test_a_broken_file_is_named(tmp_path: Path, name: str, text: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        read_calibration(_write(tmp_path / name, text))
+
+
+def test_without_a_camera() -> None:
+    with pytest.raises(InputError, match="give --K, or --guess-focal"):
+        _K(read_calibration(None), "a.jpg")
+
+
+def test_cameras_survive_json() -> None:
+    camera = Camera(
+        np.array([[500, 0.5, 320], [0, 510, 240.25], [0, 0, 1]]),
+        SIZE,
+        Distortion("SIMPLE_RADIAL", (0.1,)),
+        ("a guess",),
+    )
+    again = parse_camera_data(json.loads(json.dumps(camera_data(camera))))
+    np.testing.assert_array_equal(again.K, camera.K)
+    assert (again.size, again.distortion, again.warnings) == (SIZE, camera.distortion, ("a guess",))

@@ -1,0 +1,58 @@
+"""Which images are paired."""
+
+from __future__ import annotations
+
+import networkx as nx
+import numpy as np
+import pytest
+
+from dgc_pose.batch.pair_choice import (
+    exhaustive,
+    most_similar,
+    pairs_of,
+    parse_pair_choice,
+    sequential,
+)
+from dgc_pose.errors import InputError
+
+
+def test_all_pairs_and_neighbours() -> None:
+    assert exhaustive(3) == [(0, 1), (0, 2), (1, 2)]
+    assert sequential(4, 2) == [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
+    assert sequential(3, 9) == exhaustive(3)
+
+
+def test_choices_as_text() -> None:
+    assert pairs_of(parse_pair_choice("sequential:1"), "abc") == [(0, 1), (1, 2)]
+    assert pairs_of(parse_pair_choice("exhaustive"), "ab") == [(0, 1)]
+    assert parse_pair_choice("auto:7").number == 7
+
+
+@pytest.mark.parametrize("text", ["all", "auto", "auto:0", "auto:-1", "sequential:x", "", "a:1"])
+def test_another_text_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--pairs"):
+        parse_pair_choice(text)
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_the_most_similar_ones_and_a_spanning_tree(most: int) -> None:
+    """Each image has its `most` best partners; networkx' maximum spanning tree is there too."""
+    rng = np.random.default_rng(5)
+    scores = rng.random((12, 12))
+    scores[:6, 6:] *= 0.01  # two groups, which only the tree connects
+    scores = np.triu(scores, 1)
+    scores += scores.T
+    found = set(most_similar(scores, most))
+    for i in range(12):
+        best = sorted((j for j in range(12) if j != i), key=lambda j: -scores[i, j])[:most]
+        assert {(min(i, j), max(i, j)) for j in best} <= found
+    graph = nx.from_numpy_array(scores)
+    tree = {tuple(sorted(edge)) for edge in nx.maximum_spanning_edges(graph, data=False)}
+    assert tree <= found
+    assert len(found) <= 12 * most + 11
+    assert nx.is_connected(nx.Graph(list(found)))
+
+
+def test_one_image_has_no_pair() -> None:
+    assert most_similar(np.zeros((1, 1)), 3) == []
+    assert most_similar(np.zeros((2, 2)), 3) == [(0, 1)]

@@ -1,0 +1,247 @@
+"""Batches: results, bad images, resuming after a kill, and unusable input."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+from multi_view import K_text, View
+
+from dgc_pose.batch.matches_file import group_name
+from dgc_pose.batch.rows import read_rows
+from dgc_pose.batch.run import read_batch
+from dgc_pose.errors import InputError
+from dgc_pose.geometry.rotation import rotation_angle_deg
+
+BROKEN = "broken.png"
+COUNT = 4  # images, one of them broken
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
+    """Four views and an image that is cut short."""
+    folder = tmp_path_factory.mktemp("photos")
+    views = view_folder(folder, COUNT - 1)
+    whole = (folder / "view0.png").read_bytes()
+    (folder / BROKEN).write_bytes(whole[: len(whole) // 2])
+    return folder, views
+
+
+@pytest.fixture(scope="module")
+def whole(photos: tuple[Path, list[View]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An uninterrupted batch over all pairs."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    run_sift(photos[0], out)
+    return out
+
+
+def test_poses_are_those_of_the_rendered_cameras(
+    photos: tuple[Path, list[View]], whole: Path
+) -> None:
+    batch = read_batch(whole)
+    assert len(batch.rows) == COUNT * (COUNT - 1) // 2
+    for row in batch.rows:
+        if BROKEN in (row.name1, row.name2):
+            continue
+        first, second = (photos[1][int(name[4])] for name in (row.name1, row.name2))
+        R = second.R @ first.R.T
+        t = second.t - R @ first.t
+        pose = row.cam2_from_cam1
+        assert pose is not None
+        assert rotation_angle_deg(R.T @ pose[:, :3]) < 0.2
+        assert pose[:, 3] @ t / np.linalg.norm(t) > np.cos(np.radians(2))
+        assert row.rotation_error_90_deg is not None
+        assert row.num_inliers > 50
+
+
+def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole: Path) -> None:
+    batch = read_batch(whole)
+    bad = [row for row in batch.rows if BROKEN in (row.name1, row.name2)]
+    assert len(bad) == COUNT - 1
+    assert {row.status for row in bad} == {"bad_input"}
+    assert all(BROKEN in row.reason for row in bad)
+    assert list(batch.summary["bad_images"]) == [BROKEN]
+    assert batch.summary["bad_pairs"] == COUNT - 1
+    assert not (whole / "parts").exists()
+
+
+def test_matches_lie_in_hlocs_layout(whole: Path) -> None:
+    """Of each pair, also of bad ones, whose data sets are empty."""
+    for row, matches in read_batch(whole).matches():
+        assert len(matches.points1) >= row.num_matches >= row.num_inliers
+        assert matches.inliers.sum() == row.num_inliers
+        assert matches.points1.dtype == np.float32
+    assert group_name("a/b.jpg", "c.jpg") == "a-b.jpg/c.jpg"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_killed_three_times_and_resumed_gives_the_same(
+    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path, workers: int
+) -> None:
+    out = tmp_path / "out"
+    for after in (1, 2, 0):
+        with pytest.raises(Killed):
+            run_sift(photos[0], out, start_workers=killed_after(after), resume=out.exists())
+    # What kills may leave: a part cut short, and one that was being written.
+    parts = sorted((out / "parts").iterdir())
+    assert len(parts) == 3
+    parts[0].write_bytes(parts[0].read_bytes()[:100])
+    (out / "parts" / "000000099.h5.part").write_bytes(b"x")
+    with pytest.raises(InputError, match="not finished"):
+        read_batch(out)
+    run_sift(photos[0], out, resume=True, workers=workers)
+    assert_same_result(whole, out)
+
+
+def test_a_finished_batch_is_not_done_again(photos: tuple[Path, list[View]], whole: Path) -> None:
+    before = (whole / "matches.h5").stat().st_mtime_ns
+    again = run_sift(photos[0], whole, resume=True, start_workers=killed_after(0))
+    assert len(again.rows) == 6
+    assert (whole / "matches.h5").stat().st_mtime_ns == before
+
+
+def test_the_process_is_killed_and_the_command_resumes(
+    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
+) -> None:
+    """SIGKILL while the command works, as soon as its first part is there."""
+    out = tmp_path / "out"
+    arguments = ["batch", str(photos[0]), "--out", str(out), "--pairs", "exhaustive"]
+    options = ["--K", K_text(), "--weights", "sift", "--runs", "1", "--iterations", "300"]
+    code = "from dgc_pose.cli.main import main; main()"
+    command = [sys.executable, "-c", code, *arguments, *options, "--workers", "1"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not list(out.glob("parts/*.h5")) and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    done = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=True)
+    assert "poses of 6 pairs" in done.stdout
+    assert f"bad image {BROKEN}" in done.stderr
+    assert_same_result(whole, out)
+
+
+def test_parquet_holds_the_same_rows(
+    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyarrow")
+    from dgc_pose.batch.rows import write_parquet
+
+    rows = list(read_rows(whole / "pairs.jsonl"))
+    write_parquet(tmp_path / "pairs.parquet", rows)
+    assert list(read_rows(tmp_path / "pairs.parquet")) == rows
+    data = (tmp_path / "pairs.parquet").read_bytes()
+    (tmp_path / "pairs.parquet").write_bytes(data[:-10])
+    with pytest.raises(InputError, match="not a whole Parquet file"):
+        list(read_rows(tmp_path / "pairs.parquet"))
+
+
+def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_path: Path) -> None:
+    """The pairs of the database, which is left as it is, with the camera that it holds."""
+    listed = tmp_path / "list.csv"
+    listed.write_text("view0.png,view1.png\nview2.png,view1.png\n")
+    database = photos[0].parent / f"{photos[0].name}.db"
+    fx, fy, cx, cy = map(float, K_text().split(","))
+    with pycolmap.Database.open(database) as open_database:
+        camera = pycolmap.Camera(
+            model="PINHOLE", width=240, height=180, params=[fx, fy, cx + 0.5, cy + 0.5]
+        )
+        camera.has_prior_focal_length = True
+        number = open_database.write_camera(camera)
+        for name in ("view0.png", "view1.png", "view2.png"):
+            open_database.write_image(pycolmap.Image(name=name, camera_id=number))
+        for pair in ((1, 2), (2, 3)):
+            open_database.write_matches(*pair, np.zeros((1, 2), np.uint32))
+    before = database.read_bytes()
+    from dgc_pose.batch.calibration import read_calibration
+    from dgc_pose.batch.run import BatchOptions, run_batch
+    from dgc_pose.batch.source import open_source
+    from dgc_pose.batch.work import MatcherSettings
+    from dgc_pose.estimation import EstimationOptions
+
+    by_source = {}
+    for name, path, K in (("list", listed, K_text()), ("database", database, None)):
+        by_source[name] = run_batch(
+            open_source(path, photos[0]),
+            read_calibration(K),
+            None,
+            tmp_path / name,
+            matcher=MatcherSettings("sift"),
+            estimation=EstimationOptions(runs=1, iterations=300),
+            options=BatchOptions(),
+        ).rows
+    assert [(row.name1, row.name2) for row in by_source["list"]] == [
+        ("view0.png", "view1.png"),
+        ("view2.png", "view1.png"),
+    ]
+    assert by_source["database"][0] == by_source["list"][0]
+    assert by_source["database"][1].name1 == "view1.png"
+    assert database.read_bytes() == before
+
+
+def test_unusable_input(photos: tuple[Path, list[View]], whole: Path, tmp_path: Path) -> None:
+    folder, views = photos
+    empty, single, mixed = (tmp_path / name for name in ("empty", "single", "mixed"))
+    for path in (empty, single, mixed):
+        path.mkdir()
+    for path in (single, mixed):
+        cv2.imwrite(str(path / "a.png"), views[0].pixels)
+    cv2.imwrite(str(mixed / "b.png"), views[0].pixels[:150])
+    database = tmp_path / "no.db"
+    database.write_bytes(b"SQLite format 3\0" + b"\0" * 200)
+    for source, out, reason in (
+        (empty, "out", "no image there"),
+        (single, "out", "a single image there"),
+        (mixed, "out", "images of several sizes"),
+        (tmp_path / "none", "out", "no such folder"),
+        (database, "out", "not a COLMAP database"),
+        (folder, str(whole), "holds a batch already"),
+        (folder, str(tmp_path), "no folder of `dgc-pose batch`"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            run_sift(source, tmp_path / out)
+    with pytest.raises(InputError, match="--pairs"):
+        run_sift(folder, tmp_path / "out", pairs=None)
+    with pytest.raises(InputError, match="that batch had pairs"):
+        run_sift(folder, whole, pairs="sequential:1", resume=True)
+    with pytest.raises(InputError, match="auto needs the features of a network"):
+        run_sift(folder, tmp_path / "out", pairs="auto:2")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_result_cut_short_is_named(
+    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("plan.json", "summary.json", "pairs.jsonl", "matches.h5"):
+        (out / name).write_bytes((whole / name).read_bytes())
+    (out / "matches.h5").write_bytes((whole / "matches.h5").read_bytes()[:5000])
+    with pytest.raises(InputError, match="cut short"):
+        list(read_batch(out).matches())
+    lines = (out / "pairs.jsonl").read_text().splitlines(keepends=True)
+    (out / "pairs.jsonl").write_text("".join(lines[:-1]))
+    with pytest.raises(InputError, match="cut short"):
+        read_batch(out)
+    (out / "pairs.jsonl").write_text("".join(lines)[:-20])
+    with pytest.raises(InputError, match="not a whole line"):
+        read_batch(out)
+    (out / "plan.json").write_text("{}")
+    with pytest.raises(InputError, match="not the plan"):
+        read_batch(out)
+
+
+def test_the_cameras_and_the_plan_are_plain_json(whole: Path) -> None:
+    plan = json.loads((whole / "plan.json").read_text())
+    assert {"version", "root", "settings", "images", "pairs"} == plan.keys()

@@ -1,0 +1,80 @@
+"""The order of the pairs, and how blocks are dealt."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+
+from dgc_pose.batch.pair_choice import exhaustive, sequential
+from dgc_pose.batch.schedule import Spans, blocks_of, tile_order
+
+
+def _encoded(pairs: np.ndarray, capacity: int) -> int:
+    """How often an image is encoded if the memory holds `capacity` images, the oldest dropped."""
+    held: OrderedDict[int, None] = OrderedDict()
+    count = 0
+    for pair in pairs:
+        for image in pair.tolist():
+            count += image not in held
+            held[image] = None
+            held.move_to_end(image)
+            if len(held) > capacity:
+                held.popitem(last=False)
+    return count
+
+
+def _shuffled(pairs: list[tuple[int, int]], count: int) -> np.ndarray:
+    """The pairs in any order, of images in any order."""
+    rng = np.random.default_rng(1)
+    return rng.permutation(count)[rng.permutation(np.array(pairs))]
+
+
+def test_all_pairs_are_ordered_once() -> None:
+    pairs = _shuffled(exhaustive(9), 9)
+    assert sorted(tile_order(pairs, 9, 4)) == list(range(len(pairs)))
+    assert len(tile_order(np.zeros((0, 2), np.int64), 0, 4)) == 0
+
+
+def test_with_memory_for_all_each_image_is_encoded_once() -> None:
+    pairs = _shuffled(exhaustive(20), 20)
+    assert _encoded(pairs[tile_order(pairs, 20, 20)], 20) == 20
+
+
+def test_a_sequence_is_encoded_once_although_memory_holds_few() -> None:
+    pairs = _shuffled(sequential(60, 3), 60)
+    assert _encoded(pairs[tile_order(pairs, 60, 12)], 12) == 60
+    assert _encoded(pairs, 12) > 150
+
+
+def test_exhaustive_pairs_are_worked_through_in_tiles() -> None:
+    """In tiles of 5 images, each of 8 tiles is encoded with each other: some 8 * 8 / 2 * 5."""
+    pairs = _shuffled(exhaustive(40), 40)
+    assert _encoded(pairs[tile_order(pairs, 40, 10)], 10) <= 200
+    assert _encoded(np.array(exhaustive(40)), 10) > 600
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_each_block_is_dealt_once(workers: int) -> None:
+    spans = Spans(10, workers)
+    dealt = []
+    turn = 0
+    while (block := spans.take(turn % workers)) is not None:
+        dealt.append(block)
+        turn += 1
+    assert sorted(dealt) == list(range(10))
+
+
+def test_a_worker_takes_neighbours_then_from_the_longest_run() -> None:
+    spans = Spans(10, 2)
+    assert [spans.take(0) for _ in range(5)] == [0, 1, 2, 3, 4]
+    assert spans.take(0) == 9
+    assert spans.take(1) == 5
+    spans.put_back(0, 9)
+    assert spans.take(0) == 9
+
+
+def test_blocks() -> None:
+    assert blocks_of([5, 6, 7], 2) == [[5, 6], [7]]
+    assert blocks_of([], 2) == []

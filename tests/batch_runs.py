@@ -1,0 +1,93 @@
+"""Batches of rendered views with SIFT, for tests in which the network is not the point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+from multi_view import K_text, View, render_views, write_views
+
+from dgc_pose.batch.calibration import read_calibration
+from dgc_pose.batch.local import RunTasks, Workers, local_workers
+from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.run import Batch, BatchOptions, run_batch
+from dgc_pose.batch.source import open_source
+from dgc_pose.batch.work import Job, MatcherSettings, Outcome, Task
+from dgc_pose.estimation import EstimationOptions
+
+
+def view_folder(folder: Path, count: int = 4) -> list[View]:
+    """Rendered views in a folder."""
+    views = render_views(count)
+    write_views(folder, views)
+    return views
+
+
+def run_sift(
+    source: Path,
+    out: Path,
+    *,
+    pairs: str | None = "exhaustive",
+    workers: int = 1,
+    resume: bool = False,
+    start_workers: Workers = local_workers,
+) -> Batch:
+    """A batch with SIFT, and the K of the rendered views."""
+    return run_batch(
+        open_source(source),
+        read_calibration(K_text()),
+        None if pairs is None else parse_pair_choice(pairs),
+        out,
+        matcher=MatcherSettings("sift"),
+        estimation=EstimationOptions(runs=1, iterations=300),
+        options=BatchOptions(workers=workers, resume=resume),
+        start_workers=start_workers,
+    )
+
+
+class Killed(Exception):
+    """What stands for a kill in this process."""
+
+
+def killed_after(tasks_done: int) -> Workers:
+    """Workers that end after so many tasks."""
+
+    @contextmanager
+    def start(job: Job, workers: int) -> Iterator[RunTasks]:
+        with local_workers(job, workers) as run:
+
+            def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
+                for number, outcome in enumerate(run(tasks)):
+                    if number == tasks_done:
+                        raise Killed
+                    yield outcome
+
+            yield some
+
+    return start
+
+
+def result(out: Path) -> tuple[str, dict[str, np.ndarray]]:
+    """The rows and all data sets of a finished batch."""
+    arrays: dict[str, np.ndarray] = {}
+    with h5py.File(out / "matches.h5") as file:
+
+        def add(name: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset):
+                arrays[name] = np.asarray(item)
+
+        file.visititems(add)
+    return (out / "pairs.jsonl").read_text(), arrays
+
+
+def assert_same_result(out1: Path, out2: Path) -> None:
+    """The rows and matches of two batches are the same to the bit."""
+    (rows1, arrays1), (rows2, arrays2) = result(out1), result(out2)
+    assert rows1 == rows2
+    assert arrays1.keys() == arrays2.keys()
+    for name, array in arrays1.items():
+        assert array.dtype == arrays2[name].dtype
+        np.testing.assert_array_equal(array, arrays2[name])

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import cv2
+import pytest
+from click.testing import CliRunner
+
+import dgc_pose
+from dgc_pose import environment
+from dgc_pose.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def facts():
+    result = CliRunner().invoke(main, ["info", "--json"])
+    assert result.exit_code == 0
+    return json.loads(result.stdout)
+
+
+def test_versions_are_those_installed(facts):
+    assert facts["dgc-pose"]["version"] == metadata.version("dgc-pose")
+    assert facts["libraries"]["numpy"] == metadata.version("numpy")
+    assert facts["machine"]["Python"].startswith(sys.version.split()[0])
+    assert facts["threads"]["OpenCV"] == str(cv2.getNumThreads())
+
+
+def test_weights_have_their_digests(facts):
+    folder = Path(dgc_pose.__file__).parent / "weights"
+    files = sorted(folder.glob("*.safetensors"))
+    assert files
+    for file in files:
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        assert facts["weights"][file.name].endswith(f"sha256 {digest[:16]}")
+
+
+def test_the_text_has_all_facts(facts):
+    text = CliRunner().invoke(main, ["info"]).stdout
+    for heading, group in facts.items():
+        assert heading in text.splitlines()
+        for name, value in group.items():
+            assert f"  {name} " in text and value in text
+
+
+def test_what_is_not_installed_is_said(monkeypatch):
+    monkeypatch.setattr(environment, "find_spec", lambda name: None)
+    monkeypatch.setattr(environment, "LIBRARIES", ("numpy", "no-such-library"))
+    found = environment.environment()
+    assert found["devices"] == {"torch": "not installed"}
+    assert found["libraries"]["no-such-library"] == "not installed"
+
+
+def test_a_variable_that_is_set_is_shown(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    found = environment.environment()["environment"]
+    assert found["OMP_NUM_THREADS"] == "1" and "OMP_WAIT_POLICY" not in found
