@@ -80,9 +80,7 @@ class Engine:
     matcher: Matcher
     refiners: Mapping[RefinementOptions, Refiner]
 
-    def matches(
-        self, method: Method, image1: Image, image2: Image, found: MatchResult
-    ) -> Matches:
+    def matches(self, method: Method, image1: Image, image2: Image, found: MatchResult) -> Matches:
         """The matches that go into the pose, of what the matcher found in two images."""
         if found.correspondence_map is not None:
             selected = select_matches(found.correspondence_map, method.options.matching)

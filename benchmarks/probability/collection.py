@@ -54,8 +54,17 @@ def require_engine(out: Path, method: str, matcher: Matcher) -> None:
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(own) + "\n")
-    elif json.loads(path.read_text(encoding="utf-8")) != own:
+    elif read_engine(out, method) != own:
         raise InputError(f"{path}: collected with other weights than those of {matcher.name}")
+
+
+def read_engine(out: Path, method: str) -> dict[str, str | None]:
+    """Name and fingerprint of what a collection was matched with. Raises InputError without."""
+    path = out / "matches" / method / _ENGINE
+    if not path.is_file():
+        raise InputError(f"{path}: nothing is collected for {method}")
+    engine: dict[str, str | None] = json.loads(path.read_text(encoding="utf-8"))
+    return engine
 
 
 def collect(

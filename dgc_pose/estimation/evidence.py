@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.model import Model
-from dgc_pose.estimation.rivals import DISTINCT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.rivals import DISTINCT_DEG
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.geometry.triangulation import (

@@ -1,7 +1,7 @@
 """The probability that a pose is right, and its expected error, from all the evidence.
 
-A logistic model of a few features, fitted by `dgc-pose fit-probability`. Its file `probability.json`
-holds a model for each kind of matches; `probability.md` beside it is the card: data, split, figures.
+A logistic model of a few features, fitted by `dgc-pose fit-probability`. `probability.json` holds a
+model for each kind of matches; `probability.md` beside it is the card: data, split, figures.
 """
 
 from __future__ import annotations
@@ -94,7 +94,9 @@ FEATURES: Mapping[str, Feature] = {
         lambda e: "the inliers hardly determine the translation",
     ),
     "residual": Feature(
-        lambda e: e.residual, -1, lambda e: "the inliers' errors are as large as the threshold allows"
+        lambda e: e.residual,
+        -1,
+        lambda e: "the inliers do not agree closely",
     ),
     "threshold": Feature(
         lambda e: _log(e.threshold_cells, 0.01, 0.5),
@@ -112,7 +114,9 @@ FEATURES: Mapping[str, Feature] = {
     "triangulation": Feature(
         lambda e: _log(e.median_triangulation_angle_deg, 0.2, 30),
         1,
-        lambda e: f"the triangulation angles are small ({e.median_triangulation_angle_deg:.1f} deg)",
+        lambda e: (
+            f"small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)"
+        ),
     ),
     "homography": Feature(
         lambda e: e.homography_ratio,
@@ -122,9 +126,7 @@ FEATURES: Mapping[str, Feature] = {
     "depth_spread": Feature(
         lambda e: min(e.depth_spread, 1.0), 1, lambda e: "the inliers have little depth"
     ),
-    "confidence": Feature(
-        lambda e: e.confidence, 1, lambda e: "the matched patches are not alike"
-    ),
+    "confidence": Feature(lambda e: e.confidence, 1, lambda e: "the matched patches are not alike"),
     "run_agreement": Feature(
         lambda e: e.run_agreement,
         1,
@@ -199,7 +201,8 @@ class ProbabilityModel:
         factors = [
             math.exp(model.log_factor(error_features(evidence, part)))
             for part, model in (
-                ("rotation", self.rotation_error), ("translation", self.translation_error)
+                ("rotation", self.rotation_error),
+                ("translation", self.translation_error),
             )
         ]
         scale = np.repeat(factors, 3)
@@ -240,9 +243,7 @@ def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:
 def _model(values: Mapping[str, object]) -> ProbabilityModel:
     weights = _numbers(values["weights"], FEATURES)
     rotation, translation = (
-        ErrorModel(
-            _numbers(part["weights"], ("own", *ERROR_FEATURES)), float(part["intercept"])
-        )
+        ErrorModel(_numbers(part["weights"], ("own", *ERROR_FEATURES)), float(part["intercept"]))
         for part in (values["rotation_error"], values["translation_error"])  # type: ignore[index]
     )
     return ProbabilityModel(

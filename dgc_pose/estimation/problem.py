@@ -22,7 +22,7 @@ class TwoViewProblem:
     points1: np.ndarray  # (N, 2)
     points2: np.ndarray  # (N, 2)
     threshold: float  # Sampson distance below which a match is an inlier, in the points' unit
-    cells: tuple[float, float]  # sides of a grid cell in image 1 and in image 2, in the points' unit
+    cells: tuple[float, float]  # sides of a grid cell in images 1 and 2, in the points' unit
     seed: int  # of every random draw
     index: np.ndarray  # (N,) int, the row of each match among the matches given
     confidence: np.ndarray  # (N,) of each match, 0 to 1

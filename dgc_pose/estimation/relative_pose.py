@@ -82,7 +82,7 @@ def estimate_pose(
         evidence=found.evidence,
         probability=0.0 if verdict.status == "rotation_only" else found.probability,
         alternatives=_alternatives(alternatives, found.probability),
-        warnings=problem.warnings + verdict.warnings,
+        warnings=problem.warnings + verdict.warnings + _warnings(len(alternatives)),
     )
 
 
@@ -141,6 +141,13 @@ def _alternatives(found: Sequence[_Found], probability: float | None) -> tuple[A
         )
         for one in found
     )
+
+
+def _warnings(alternatives: int) -> tuple[str, ...]:
+    if not alternatives:
+        return ()
+    others = "1 other pose explains" if alternatives == 1 else f"{alternatives} other poses explain"
+    return (f"{others} the matches about as well: see the alternatives",)
 
 
 def _refined(

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from dgc_pose.estimation.model import Model
@@ -22,13 +21,13 @@ from dgc_pose.estimation.plane import planar_models
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.ransac import sampled_models
 from dgc_pose.estimation.refine import refine
+from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.triangulation import depths
 
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
 _WORTH_REFINING = 0.3  # of the model's inliers, in front of both cameras
 _LEAST_LEFT = 20  # matches left over that are searched
 _LEAST_PLANAR = 0.5  # share of inliers that one homography explains
-_MOST_POINTS = 500  # that the mirrored scene is fitted to
 
 
 def rivals(
@@ -49,38 +48,40 @@ def rivals(
     for candidate in _candidates(problem, model, runs, homography, options):
         if candidate.count_in_front < least or _known(candidate, [model, *found]):
             continue
+        # Refined first: what is no minimum of its own is a bad fit of the same pose.
         refined = refine(problem, candidate) if options.refine else candidate
         if not _known(refined, [model, *found]):
             found.append(refined)
+    # Between a relief and its reversal there is a valley of poses, down which a fit would go back.
+    reversal = mirrored(problem, model)
+    if reversal is not None and not _known(reversal, [model, *found]):
+        found.append(reversal)
     return sorted(found, key=lambda other: -other.count_in_front)
 
 
 def mirrored(problem: TwoViewProblem, model: Model) -> Model | None:
-    """The model of the scene with its relief turned inside out; None if there is no such pose.
+    """The model of the scene with its relief turned inside out; None without inliers.
 
-    Depths are mirrored at the median of their inverses, and camera 2 is resected from the mirrored
-    points (SQPnP, Terzakis and Lourakis 2020).
+    Each point is mirrored at the plane through the middle of the scene that camera 1 sees face on.
+    With the reflections M1 and M2 along the viewing rays to the middle, R becomes M2 R M1, and t
+    becomes -M2 t: in images without perspective nothing changes.
     """
     inliers = problem.subset(model.inliers_in_front)
-    chosen = np.random.default_rng(problem.seed).permutation(len(inliers))[:_MOST_POINTS]
-    points1, points2 = inliers.points1[chosen], inliers.points2[chosen]
-    depth, _ = depths(points1, points2, model.R, model.t)
-    inverse = 1 / depth
-    inverse = 2 * np.median(inverse) - inverse if len(inverse) else inverse
-    known = np.isfinite(inverse) & (inverse > 0)
-    if known.sum() < 6:
+    depth, _ = depths(inliers.points1, inliers.points2, model.R, model.t)
+    known = np.isfinite(depth)
+    if not known.any():
         return None
-    points = np.column_stack([points1, np.ones(len(points1))])[known] / inverse[known][:, None]
-    try:
-        done, rotation, t = cv2.solvePnP(
-            points, points2[known], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
-        )
-    except cv2.error:  # degenerate points
-        return None
-    length = np.linalg.norm(t)
-    if not done or not np.isfinite(t).all() or length < 1e-12:
-        return None
-    return Model.of_pose(problem, cv2.Rodrigues(rotation)[0], t[:, 0] / length)
+    middle = homogeneous(np.median(inliers.points1[known], axis=0)[None])[0]
+    middle = middle * np.median(depth[known])
+    M1, M2 = (_reflection(point) for point in (middle, model.R @ middle + model.t))
+    return Model.of_pose(problem, M2 @ model.R @ M1, -M2 @ model.t)
+
+
+def _reflection(direction: np.ndarray) -> np.ndarray:
+    """The reflection (3, 3) that reverses a direction (3,)."""
+    unit = direction / np.linalg.norm(direction)
+    found: np.ndarray = np.eye(3) - 2 * np.outer(unit, unit)
+    return found
 
 
 def _candidates(
@@ -94,9 +95,6 @@ def _candidates(
     share, H = homography
     if H is not None and share >= _LEAST_PLANAR:
         yield from planar_models(problem, H)
-    other = mirrored(problem, model)
-    if other is not None:
-        yield other
     left = problem.subset(~model.inliers)
     if len(left) >= max(_LEAST_LEFT, _WORTH_REFINING * model.count_in_front):
         for found in sampled_models(left, replace(options, runs=1))[:1]:

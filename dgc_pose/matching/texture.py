@@ -23,7 +23,7 @@ _GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
 _WINDOW = 4.0  # pixels, deviation of the Gaussian over which gradients are averaged
 _EDGE = 5  # pixels at the image's edge that the first Gaussian and the derivative reach
 _TIMES_NOISE = 3.0  # both eigenvalues over that of the noise
-_LEAST_NOISE = 1.0  # grey levels: rounding, dithering and compression at the least
+_LEAST_NOISE = 2.0  # grey levels: rounding, dithering and the blocks of JPEG at the least
 # The smaller eigenvalue over the larger one. The jagged edges of a stripe have less.
 _LEAST_RATIO = 0.003
 _BAR_RANGE = 12.0  # grey levels between most pixels of a row or column that belongs to a bar

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.estimation import EstimationOptions, ransac
-from dgc_pose.estimation.ransac import sampled_models, run_seeds
+from dgc_pose.estimation.ransac import run_seeds, sampled_models
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
