@@ -175,7 +175,7 @@ def load_engines(
         else:
             cache, native = (None, None) if kept is None else (kept.features, kept.native)
             if name in networks:
-                dense = DenseMatcher(networks[name].net, options, cache)
+                dense = DenseMatcher(networks[name].engine, options, cache)
             else:
                 dense = load_dense_matcher(name, device=device, options=options, cache=cache)
                 networks[name] = dense

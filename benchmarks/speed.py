@@ -15,7 +15,6 @@ from typing import TypeVar
 
 import cv2
 import numpy as np
-import torch
 
 from dgc_pose.benchmarks.forwards import milliseconds, multiply_adds
 from dgc_pose.benchmarks.pair_list import bundled_pair
@@ -30,7 +29,6 @@ from dgc_pose.estimation.ransac import run_seeds
 from dgc_pose.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DenseMatcher, MatchResult, select_matches
-from dgc_pose.matching.dense import network_input
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement import Refiner
@@ -80,18 +78,15 @@ class Stopwatch:
         return result
 
 
-@torch.inference_mode()
 def time_stages(setup: Setup) -> Seconds:
     """Seconds of every stage of a pair, once; with those of SIFT and of PoseLib alone."""
     watch, dense, refiner = Stopwatch(), setup.dense, setup.refiner
     paths = (setup.path1, setup.path2)
     first, second = images = watch("read", lambda: [load_image(path) for path in paths])
-    net = dense.net
-    device = next(net.parameters()).device
-    inputs = watch("resize", lambda: [network_input(image.pixels, device) for image in images])
-    source, target = watch("encoder", lambda: [net.features(one) for one in inputs])
-    watch("decoders", lambda: net.decode(source, target, dense.options.finest))
-    upright = DenseMatcher(net, replace(dense.options, rotate_below=0.0))
+    engine = dense.engine
+    source, target = watch("encoder", lambda: [engine.encode(image.pixels) for image in images])
+    watch("decoders", lambda: engine.decode([source], [target], dense.options.finest))
+    upright = DenseMatcher(engine, replace(dense.options, rotate_below=0.0))
     watch(_UPRIGHT, lambda: upright.correspondence_maps([(first, second)]))
     (found,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
     selected = watch("selection", lambda: select_matches(found, dense.options))
@@ -103,7 +98,7 @@ def time_stages(setup: Setup) -> Seconds:
     sift = watch("sift, matching", lambda: SiftMatcher().match(first, second)).matches
     _time_pose(watch, "sift, pose", setup, sift)
     seconds = watch.seconds
-    network = seconds["resize"] + seconds["encoder"] + seconds["decoders"]
+    network = seconds["encoder"] + seconds["decoders"]
     parts = seconds["the map"] + seconds["selection"] + seconds["refinement"] + seconds["pose"]
     return seconds | {
         "map in pixels": seconds[_UPRIGHT] - network,
@@ -120,7 +115,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
     others, as the rotated tries, may be slightly negative.
     """
     # Of a network of the same configuration, before its layers are folded.
-    encoder, decoders = multiply_adds(DGCNet(setup.dense.net.config).eval())
+    encoder, decoders = multiply_adds(DGCNet(setup.dense.engine.config).eval())
     time_stages(setup)  # the first pass pays for what is set up once
     rows, rates = [], []
     for _ in range(repetitions):
@@ -133,7 +128,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
         "decoders": decoders / fastest,
         "pose": median["poselib alone"],
     }
-    names = ["read", "resize", "encoder", "decoders", "map in pixels", "rotated tries", "selection"]
+    names = ["read", "encoder", "decoders", "map in pixels", "rotated tries", "selection"]
     names += ["refinement", "pose", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL]
     return [
         Stage(

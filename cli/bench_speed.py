@@ -27,11 +27,11 @@ from dgc_pose.files import staged
 from dgc_pose.image import load_image
 from dgc_pose.matchers import refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
-from dgc_pose.matching.dense import network_input
-from dgc_pose.network.config import preset
+from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
 from dgc_pose.refinement import RefinementOptions
+from dgc_pose.runtime.torch_engine import network_input
 
 
 @click.command()
@@ -104,7 +104,8 @@ def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict
     click.echo(", ".join(f"{name} {value}" for name, value in facts.items()))
     found = stages(setup, repetitions, matrix_rate)
     click.echo("\n" + stages_text(found) + "\n")
-    inputs = [network_input(image.pixels, torch.device("cpu")) for image in images]
+    size, device = (INPUT_SIZE, INPUT_SIZE), torch.device("cpu")
+    inputs = [network_input(image.pixels, size, device) for image in images]
     ways = [
         way
         for name, net in nets.items()

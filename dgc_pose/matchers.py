@@ -70,7 +70,7 @@ def refined(
     """A network's matcher with refinement, whose features are of the same network."""
     sources: list[MatchSource] = []
     if options.source in ("auto", "features"):
-        sources.append(FeatureMatches(dense.net, options.features, cache))
+        sources.append(FeatureMatches(dense.engine, options.features, cache))
     if options.source in ("auto", "map"):
         sources.append(MapMatches())
     if options.source == "flow":

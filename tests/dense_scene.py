@@ -20,7 +20,7 @@ from dgc_pose.matching import (
     MatchResult,
     select_matches,
 )
-from dgc_pose.network.net import DGCNet
+from dgc_pose.runtime.engine import Engine
 
 SIZE = (320, 240)  # width, height, pixels
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
@@ -37,11 +37,11 @@ class MapMatcher(Matcher):
         self,
         correspondence_map: CorrespondenceMap,
         options: MatchingOptions | None = None,
-        net: DGCNet | None = None,
+        engine: Engine | None = None,
     ) -> None:
         self.correspondence_map = correspondence_map
         self.options = options or MatchingOptions()
-        self.net = net
+        self.engine = engine
 
     @property
     def name(self) -> str:

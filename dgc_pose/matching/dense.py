@@ -2,45 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import Tensor
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image, resize
+from dgc_pose.image import Image
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.texture import textured
-from dgc_pose.network.config import COARSEST, INPUT_SIZE
-from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.device import choose_device
-from dgc_pose.network.inference import for_inference
-from dgc_pose.network.net import DGCNet, Prediction
-from dgc_pose.network.statistics import normalise
-from dgc_pose.network.weights import DEFAULT, load_network
-from dgc_pose.pixels import Size, cell_centres, rescale
-
-_SQUARE = (INPUT_SIZE, INPUT_SIZE)  # width and height of the images that the network takes
+from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
+from dgc_pose.pixels import cell_centres, rescale
+from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
+from dgc_pose.sampling import bilinear
 
 # The encoder's features by image and quarter turns of it; keyed by the object, not by its pixels.
-FeatureCache = BoundedCache[tuple[Image, int], list[Tensor]]
+FeatureCache = BoundedCache[tuple[Image, int], MapFeatures]
 
 
 def feature_cache() -> FeatureCache:
     """A cache of the default size. The images that it keeps alive count towards it."""
-    return BoundedCache(
-        lambda key, features: key[0].pixels.nbytes + sum(level.nbytes for level in features)
-    )
+    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes)
 
 
 class DenseMatcher(Matcher):
-    """Matches by a frozen `DGCNet`; image 1 is its source, image 2 its target.
+    """Matches by a frozen network; image 1 is its source, image 2 its target.
 
     cache: of the encoder's features; None to encode the images anew for each pair.
 
@@ -49,13 +37,13 @@ class DenseMatcher(Matcher):
 
     def __init__(
         self,
-        net: DGCNet,
+        engine: Engine,
         options: MatchingOptions | None = None,
         cache: FeatureCache | None = None,
     ) -> None:
-        self.net = net.eval().requires_grad_(False)
+        self.engine = engine
         self.options = options or MatchingOptions()
-        if net.config.matchability == "network" and self.options.finest != INPUT_SIZE:
+        if engine.config.matchability == "network" and self.options.finest != INPUT_SIZE:
             raise InputError(
                 f"the mask network of {self.name} works at {INPUT_SIZE} cells alone: finest must "
                 f"be {INPUT_SIZE}, not {self.options.finest}"
@@ -64,15 +52,12 @@ class DenseMatcher(Matcher):
 
     @property
     def name(self) -> str:
-        return self.net.config.name
+        return self.engine.config.name
 
     @property
     def fingerprint(self) -> str:
         """Of the weights: different weights of one network have different fingerprints."""
-        digest = hashlib.sha256()
-        for key, value in sorted(self.net.state_dict().items()):
-            digest.update(key.encode() + value.cpu().numpy().tobytes())
-        return digest.hexdigest()[:16]
+        return self.engine.fingerprint
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
         """The map at `finest` x `finest` cells, and the matches of it that pass the options."""
@@ -85,19 +70,16 @@ class DenseMatcher(Matcher):
             for pair, found in zip(pairs, self.correspondence_maps(pairs), strict=True)
         ]
 
-    @torch.inference_mode()
     def coarse_features(self, image: Image) -> np.ndarray:
         """The coarsest features of an image (cells, C) float32, of unit length over C."""
         cache = feature_cache() if self.cache is None else self.cache
-        coarse = self._features(image, 0, cache)[COARSEST][0].flatten(1)
-        return F.normalize(coarse.float(), dim=0).T.cpu().numpy()
+        return np.concatenate(self.engine.coarsest(self._features(image, 0, cache)))
 
-    @torch.inference_mode()
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
         """The map of each pair, with the cycle error if the options ask for one.
 
-        Pairs of images of the same shapes are decoded together. Images are encoded one by one, so
-        that the features of an image are independent of the batch.
+        Pairs are decoded together. Images are encoded one by one, so that the features of an image
+        are independent of the batch.
         """
         cache = feature_cache() if self.cache is None else self.cache
         found = self._rotated_maps(pairs, 0, cache)
@@ -119,76 +101,43 @@ class DenseMatcher(Matcher):
         This needs no decoder, and on rendered pairs it finds the rotation as well as the maps do.
         """
         source, *targets = (
-            F.normalize(self._features(image, turns, cache)[COARSEST][0].flatten(1), dim=0)
+            np.concatenate(self.engine.coarsest(self._features(image, turns, cache)))  # (cells, C)
             for image, turns in ((image1, 0), *((image2, turns) for turns in range(4)))
         )
-        similarity = [float((source.T @ target).amax(0).mean()) for target in targets]
+        similarity = [float((source @ target.T).max(0).mean()) for target in targets]
         return similarity.index(max(similarity))
 
     def _rotated_maps(
         self, pairs: Sequence[tuple[Image, Image]], quarter_turns: int, cache: FeatureCache
     ) -> list[CorrespondenceMap]:
         """The maps computed with each image 2 rotated, given over image 2 as it is."""
-        found: dict[int, CorrespondenceMap] = {}
-        for same in _by_shapes(pairs):
-            source = _stacked([self._features(pairs[i][0], 0, cache) for i in same])
-            target = _stacked([self._features(pairs[i][1], quarter_turns, cache) for i in same])
-            forward = _split(self.net.decode(source, target, self.options.finest))
-            reverse: Sequence[Prediction | None] = [None] * len(same)
-            if self.options.cycle_px is not None:
-                reverse = _split(self.net.decode(target, source, self.options.finest))
-            for i, one, other in zip(same, forward, reverse, strict=True):
-                found[i] = self._map(*pairs[i], quarter_turns, one, other)
-        return [found[i] for i in range(len(pairs))]
+        source = [self._features(first, 0, cache) for first, _ in pairs]
+        target = [self._features(second, quarter_turns, cache) for _, second in pairs]
+        finest = self.options.finest
+        forward = self.engine.decode(source, target, finest)
+        cycles: list[np.ndarray | None] = [None] * len(pairs)
+        if self.options.cycle_px is not None:
+            reverse = self.engine.decode(target, source, finest)
+            cycles = [
+                _cycle_error(one, other, _rotated_size(image2, quarter_turns))
+                for one, other, (_, image2) in zip(forward, reverse, pairs, strict=True)
+            ]
+        return [
+            _upright_map(*pair, quarter_turns, one, cycle)
+            for pair, one, cycle in zip(pairs, forward, cycles, strict=True)
+        ]
 
-    def _map(
-        self,
-        image1: Image,
-        image2: Image,
-        quarter_turns: int,
-        forward: Prediction,
-        reverse: Prediction | None,
-    ) -> CorrespondenceMap:
-        """The map of one pair from its predictions with image 2 rotated."""
-        seen1, seen2 = (self.net.config.input_size(image.size) for image in (image1, image2))
-        points1 = self._finest_points(forward, seen1)
-        cycle = None
-        if reverse is not None:
-            rotated2 = _rotated_size(seen2, quarter_turns)
-            returned = self._finest_points(reverse, rotated2)
-            size2 = _rotated_size(image2.size, quarter_turns)
-            cycle = _cycle_error(points1, returned, (seen1, rotated2), size2)
-            cycle = np.rot90(cycle, -quarter_turns)
-        upright = np.rot90(points1[0].cpu().numpy(), -quarter_turns)
-        centres = cell_centres(upright.shape[1::-1], seen2)
-        return CorrespondenceMap(
-            map=rescale(upright, seen1, image1.size).astype(np.float32),
-            grid=rescale(centres, seen2, image2.size).astype(np.float32),
-            matchability=np.ascontiguousarray(np.rot90(_matchability(forward), -quarter_turns)),
-            size1=image1.size,
-            size2=image2.size,
-            cycle=cycle,
-        )
-
-    def _features(self, image: Image, quarter_turns: int, cache: FeatureCache) -> list[Tensor]:
+    def _features(self, image: Image, quarter_turns: int, cache: FeatureCache) -> MapFeatures:
         """The encoder's features of an image rotated by `numpy.rot90`."""
 
-        def encode() -> list[Tensor]:
-            rotated = np.ascontiguousarray(np.rot90(image.pixels, quarter_turns))
-            size = self.net.config.input_size((rotated.shape[1], rotated.shape[0]))
-            device = next(self.net.parameters()).device
-            return self.net.features(network_input(rotated, device, size))
+        def encode() -> MapFeatures:
+            return self.engine.encode(np.ascontiguousarray(np.rot90(image.pixels, quarter_turns)))
 
         return cache.get((image, quarter_turns), encode)
 
-    def _finest_points(self, prediction: Prediction, size: tuple[int, int]) -> Tensor:
-        """The finest map (1, H, W, 2), in pixels of the source at `size`, the network's input."""
-        finest = prediction.maps[-1].movedim(1, -1).float()
-        return to_pixels(finest.nan_to_num(-2.0), size, self.net.config.align_corners)
-
 
 def load_dense_matcher(
-    weights: str | Path = DEFAULT,
+    weights: str | Path = DEFAULT_WEIGHTS,
     *,
     device: str = "auto",
     options: MatchingOptions | None = None,
@@ -199,71 +148,48 @@ def load_dense_matcher(
 
     Raises WeightsError if the weights cannot be loaded, InputError if there is no such device.
     """
-    net = for_inference(load_network(weights, choose_device(device)))
-    return DenseMatcher(net, options, cache)
+    from dgc_pose.network.device import choose_device  # imports torch
+    from dgc_pose.runtime.torch_engine import load_torch_engine
+
+    return DenseMatcher(load_torch_engine(weights, choose_device(device)), options, cache)
 
 
-def network_input(
-    pixels: np.ndarray, device: torch.device, size: tuple[int, int] = _SQUARE
-) -> Tensor:
-    """An image (H, W, 3), uint8, as the network takes it: (1, 3, h, w), channels last.
+def _upright_map(
+    image1: Image,
+    image2: Image,
+    quarter_turns: int,
+    found: DecodedMap,
+    cycle: np.ndarray | None,
+) -> CorrespondenceMap:
+    """The map over image 2 as it is, of one computed with image 2 rotated.
 
-    size: (w, h), see `NetworkConfig.input_size`.
+    cycle: pixels of image 2, on the grid of the map computed.
     """
-    resized = torch.from_numpy(resize(pixels, size))
-    planes = resized.to(device).permute(2, 0, 1)[None].float() / 255
-    return normalise(planes).contiguous(memory_format=torch.channels_last)
-
-
-def _cycle_error(
-    forward: Tensor, reverse: Tensor, seen: tuple[Size, Size], size2: Size
-) -> np.ndarray:
-    """Distance (H, W) between each cell of image 2 and its image under both maps, in pixels of
-    image 2 at size2.
-
-    forward: (1, H, W, 2), reverse: (1, H1, W1, 2), pixels of images 1 and 2 at the sizes `seen` by
-    the network.
-    """
-    normalised = (2 * forward + 1) / forward.new_tensor(seen[0]) - 1
-    sampled = F.grid_sample(
-        reverse.movedim(-1, 1), normalised, padding_mode="border", align_corners=False
+    upright, matchability = (
+        np.rot90(values, -quarter_turns) for values in (found.points, found.matchability)
     )
-    returned = sampled[0].movedim(0, -1).cpu().numpy()
-    offset = returned - cell_centres(returned.shape[1::-1], seen[1])
-    return np.linalg.norm(offset * np.divide(size2, seen[1]), axis=-1).astype(np.float32)
+    rows, columns = matchability.shape
+    return CorrespondenceMap(
+        map=rescale(upright, found.size, image1.size).astype(np.float32),
+        grid=cell_centres((columns, rows), image2.size).astype(np.float32),
+        matchability=np.ascontiguousarray(matchability),
+        size1=image1.size,
+        size2=image2.size,
+        cycle=None if cycle is None else np.rot90(cycle, -quarter_turns),
+    )
 
 
-def _rotated_size(size: Size, quarter_turns: int) -> Size:
-    return size if quarter_turns % 2 == 0 else (size[1], size[0])
+def _cycle_error(forward: DecodedMap, reverse: DecodedMap, size2: tuple[int, int]) -> np.ndarray:
+    """Distance (H, W) float32 between each cell of image 2 and its image under both maps, in pixels
+    of image 2 at size2."""
+    rows, columns = reverse.matchability.shape
+    returned = bilinear(reverse.points, rescale(forward.points, forward.size, (columns, rows)))
+    rows, columns = forward.matchability.shape
+    offset = returned - cell_centres((columns, rows), reverse.size)
+    return np.linalg.norm(offset * np.divide(size2, reverse.size), axis=-1).astype(np.float32)
 
 
-def _by_shapes(pairs: Sequence[tuple[Image, Image]]) -> list[list[int]]:
-    """Indices of the pairs, those of images of the same sizes together."""
-    groups: dict[tuple[Size, Size], list[int]] = {}
-    for index, (first, second) in enumerate(pairs):
-        groups.setdefault((first.size, second.size), []).append(index)
-    return list(groups.values())
-
-
-def _stacked(features: Sequence[list[Tensor]]) -> list[Tensor]:
-    """The features of several images as those of one batch, level by level."""
-    if len(features) == 1:
-        return features[0]
-    return [torch.cat(level) for level in zip(*features, strict=True)]
-
-
-def _split(prediction: Prediction) -> list[Prediction]:
-    """The predictions of a batch, each as that of a batch of one."""
-    return [
-        Prediction(
-            tuple(level[i : i + 1] for level in prediction.maps),
-            tuple(level[i : i + 1] for level in prediction.logits),
-        )
-        for i in range(len(prediction.maps[0]))
-    ]
-
-
-def _matchability(prediction: Prediction) -> np.ndarray:
-    if not prediction.logits:
-        return np.ones(prediction.maps[-1].shape[2:], np.float32)
-    return prediction.logits[-1][0, 0].float().sigmoid().cpu().numpy()
+def _rotated_size(image: Image, quarter_turns: int) -> tuple[int, int]:
+    """(width, height) of the image rotated."""
+    width, height = image.size
+    return (width, height) if quarter_turns % 2 == 0 else (height, width)

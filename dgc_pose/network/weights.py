@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 from importlib import resources
@@ -57,6 +58,15 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
     with replaced(Path(path)) as temporary:
         # Not save_file, whose files only their owner may read.
         temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
+
+
+def fingerprint(net: DGCNet) -> str:
+    """16 hexadecimal digits that identify the weights of a network."""
+    digest = hashlib.sha256()
+    for key, value in sorted(net.state_dict().items()):
+        if not key.endswith(_COUNTER):
+            digest.update(key.encode() + value.float().cpu().numpy().tobytes())
+    return digest.hexdigest()[:16]
 
 
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 from dgc_pose.image import resize_by
 from dgc_pose.pixels import rescale
 from dgc_pose.refinement.consistency import LocalMatches
-from dgc_pose.refinement.sampling import bilinear
+from dgc_pose.sampling import bilinear
 from dgc_pose.threads import in_threads
 
 _CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner

@@ -12,14 +12,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
-from dgc_pose.network.net import DGCNet
-from dgc_pose.pixels import rescale
+from dgc_pose.pixels import cell_centres, rescale
 from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.guide import (
     points_in_image1,
@@ -27,14 +24,10 @@ from dgc_pose.refinement.guide import (
     rotation_between,
     scale_between,
 )
-from dgc_pose.refinement.native import (
-    Features,
-    NativeCache,
-    cells_at,
-    native_cache,
-    native_features,
-)
+from dgc_pose.refinement.native import NativeCache, cells_at, native_cache
 from dgc_pose.refinement.options import FeatureOptions
+from dgc_pose.runtime.engine import Engine, NativeFeatures
+from dgc_pose.threads import in_threads
 
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
 _FEW = 0.3  # share of consistent matches below which other scales are tried
@@ -42,7 +35,7 @@ _OTHER_SCALES = (1 / 3, 3.0)
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
-_CHUNK = 1024  # coarse cells compared at a time, which bounds the memory
+_CHUNK = 128  # coarse cells compared at a time, likewise
 
 
 class FeatureMatches:
@@ -53,11 +46,11 @@ class FeatureMatches:
 
     def __init__(
         self,
-        net: DGCNet,
+        engine: Engine,
         options: FeatureOptions | None = None,
         cache: NativeCache | None = None,
     ) -> None:
-        self.net = net
+        self.engine = engine
         self.options = options or FeatureOptions()
         self.cache = cache
 
@@ -69,7 +62,7 @@ class FeatureMatches:
         If the map is weak, other scales are tried, and that with the most consistent matches kept.
         """
         options, cache = self.options, self.cache or native_cache()
-        given = (self.net, image1, image2, correspondence_map, options, cache)
+        given = (self.engine, image1, image2, correspondence_map, options, cache)
         shown = 2.0 ** round(math.log2(scale_between(correspondence_map)))
         found = match_features(*given, scale=shown)
         if correspondence_map.matchability.mean() >= options.other_scales_below:
@@ -86,9 +79,8 @@ class FeatureMatches:
         return found
 
 
-@torch.no_grad()
 def match_features(
-    net: DGCNet,
+    engine: Engine,
     image1: Image,
     image2: Image,
     correspondence_map: CorrespondenceMap,
@@ -108,20 +100,19 @@ def match_features(
     factor1, factor2 = equal_scales(image1.size, image2.size, scale, options.long_side)
     cells1 = cells_at(image1.size, factor1)
     cells2 = cells_at((rotated.shape[1], rotated.shape[0]), factor2)
-    source = cache.get((image1, 0, cells1), lambda: native_features(net, image1.pixels, cells1))
-    target = cache.get(
-        (image2, quarter_turns, cells2), lambda: native_features(net, rotated, cells2)
-    )
+    source = cache.get((image1, 0, cells1), lambda: engine.native(image1.pixels, cells1))
+    target = cache.get((image2, quarter_turns, cells2), lambda: engine.native(rotated, cells2))
     guided = _guided_cells(correspondence_map, source, target, quarter_turns)
     similar = _similar_cells(source, target, options.candidates)
-    found1, found2, cosine = mutual_neighbours(source, target, torch.cat([similar, guided], 1))
+    candidates = np.concatenate([similar, guided], 1)
+    found1, found2, cosine = mutual_neighbours(source, target, candidates)
     fine1, fine2 = subcell_points(source.fine, target.fine, found1, found2)
-    points2 = to_pixels(fine2, target.fine, target.size).cpu().numpy().astype(np.float64)
+    points2 = to_pixels(fine2, target.fine, target.size)
     cell = math.sqrt(_cell_area(source) * _cell_area(target)) ** 0.5
     return Matches(
-        to_pixels(fine1, source.fine, source.size).cpu().numpy(),
+        to_pixels(fine1, source.fine, source.size),
         rotate_points(points2, target.size, -quarter_turns),
-        cosine.clamp(0, 1).cpu().numpy(),
+        cosine.clip(0, 1),
         error_px=ERROR_CELLS * cell,
     )
 
@@ -140,114 +131,133 @@ def equal_scales(
 
 
 def mutual_neighbours(
-    source: Features, target: Features, candidates: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
+    source: NativeFeatures, target: NativeFeatures, candidates: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mutual nearest neighbours at stride 8 among the children of candidate cells.
 
     candidates: (n, K) indices, row by row, of stride-16 cells of the source for each of the
-    target's n. Returns cells (M, 2) of stride 8, x and y, in source and target, and their cosine.
+    target's n. Returns cells (M, 2) int of stride 8, x and y, in source and target, and their
+    cosine.
     """
-    middle1, middle2 = source.middle.flatten(1).T.contiguous(), target.middle.flatten(1).T
+    middle1, middle2 = (np.concatenate(features.middle) for features in (source, target))
     children1, children2 = _children(source.coarse), _children(target.coarse)
-    limit = middle1.new_full((len(middle1),), -torch.inf)  # best cosine of each source cell
+
+    def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        """The children (m, 4 K) of each cell's candidates, and their cosines (m, 4, 4 K)."""
+        index = children1[candidates[rows]].reshape(-1, 4 * candidates.shape[1])
+        return index, middle2[children2[rows]] @ middle1[index].transpose(0, 2, 1)
+
+    limit = np.full(len(middle1), -np.inf, np.float32)  # best cosine of each source cell
     best, cell = [], []
-    for rows, own in zip(candidates.split(_CHUNK), children2.split(_CHUNK), strict=True):
-        index = children1[rows].flatten(1)  # (m, 4 K)
-        scores = torch.bmm(middle2[own], middle1[index].transpose(1, 2))  # (m, 4, 4 K)
-        limit.scatter_reduce_(0, index.flatten(), scores.amax(1).flatten(), "amax")
-        score, which = scores.max(2)
-        best.append(score.flatten())
-        cell.append(index.gather(1, which).flatten())
-    cosine, cell1, cell2 = torch.cat(best), torch.cat(cell), children2.flatten()
+    for index, scores in in_threads(compare, _parts(len(candidates), _CHUNK)):
+        np.maximum.at(limit, index.ravel(), scores.max(1).ravel())
+        which = scores.argmax(2)
+        best.append(np.take_along_axis(scores, which[..., None], 2).ravel())
+        cell.append(np.take_along_axis(index, which, 1).ravel())
+    cosine, cell1, cell2 = np.concatenate(best), np.concatenate(cell), children2.ravel()
     mutual = cosine >= limit[cell1]
     cell1, cell2 = cell1[mutual], cell2[mutual]
     return _xy(cell1, source.middle), _xy(cell2, target.middle), cosine[mutual]
 
 
 def subcell_points(
-    fine1: Tensor, fine2: Tensor, cells1: Tensor, cells2: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Points (M, 2) in cells of stride 4 of matched cells (M, 2) of stride 8.
+    fine1: np.ndarray, fine2: np.ndarray, cells1: np.ndarray, cells2: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (M, 2) float64 in cells of stride 4 of matched cells (M, 2) of stride 8.
 
     The target's point is the cell's centre; the source's is the mean of the cells within one of the
     most similar in a window, weighted by the softmax of their cosines.
     """
     halves1, halves2 = _between_cells(fine1), _between_cells(fine2)
-    axis = torch.arange(-_RADIUS, _RADIUS + 1, device=fine1.device)
-    window = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(-1, 2)
-    corner1, corner2 = 2 * cells1.long(), 2 * cells2.long()
-    around = corner1[:, None] + window
-    limit = around.new_tensor((halves1.shape[1] - 1, halves1.shape[0] - 1))
+    axis = np.arange(-_RADIUS, _RADIUS + 1)
+    window = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    around = 2 * cells1[:, None] + window
+    limit = (halves1.shape[1] - 1, halves1.shape[0] - 1)
     inside = (around >= 0).all(-1) & (around <= limit).all(-1)
-    around = around.clamp_min(0).minimum(limit)
-    wanted = halves2[corner2[:, 1], corner2[:, 0], :, None]  # (M, C, 1)
+    around = around.clip(0, limit)
     cells = around[..., 1] * halves1.shape[1] + around[..., 0]
-    rows = halves1.flatten(0, 1)
-    cosines = torch.cat(
-        [
-            torch.bmm(rows[part], own)[..., 0]
-            for part, own in zip(cells.split(_WINDOWS), wanted.split(_WINDOWS), strict=True)
-        ]
-    )
-    cosines = cosines.masked_fill(~inside, -torch.inf)
+    rows1, rows2 = np.concatenate(halves1), np.concatenate(halves2)
+    wanted = 2 * (cells2[:, 1] * halves2.shape[1] + cells2[:, 0])
+
+    def compare(part: slice) -> np.ndarray:
+        """Cosines (m, P) of each match's window."""
+        return (rows1[cells[part]] @ rows2[wanted[part], :, None])[..., 0]
+
+    cosines = np.concatenate(in_threads(compare, _parts(len(cells), _WINDOWS)))
+    cosines[~inside] = -np.inf
     best = window[cosines.argmax(1)]
-    far = (window - best[:, None]).abs().amax(-1) > 1
-    weights = (_SHARPNESS * cosines).masked_fill(far, -torch.inf).softmax(1)
-    return 2 * cells1 + 0.5 + weights @ window.to(fine1.dtype), 2 * cells2 + 0.5
+    far = np.abs(window - best[:, None]).max(-1) > 1
+    sharp = _SHARPNESS * (cosines - cosines.max(1, keepdims=True)).astype(np.float64)
+    weights = np.where(far, 0.0, np.exp(sharp))
+    weights /= weights.sum(1, keepdims=True)
+    return 2 * cells1 + 0.5 + weights @ window, 2 * cells2 + 0.5
 
 
-def to_pixels(cells: Tensor, level: Tensor, size: tuple[int, int]) -> Tensor:
-    """Points (M, 2) in cells of a level (C, h, w) to pixels of the image of `size`."""
-    height, width = level.shape[1:]
-    scale = cells.new_tensor((size[0] / width, size[1] / height))
-    return (cells + 0.5) * scale - 0.5
+def to_pixels(cells: np.ndarray, level: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Points (M, 2) in cells of a level (h, w, C) to pixels of the image of `size`."""
+    return rescale(cells, level.shape[1::-1], size)
 
 
-def _similar_cells(source: Features, target: Features, count: int) -> Tensor:
+def _similar_cells(source: NativeFeatures, target: NativeFeatures, count: int) -> np.ndarray:
     """The most similar cells of stride 16 of the source for each of the target's: (n, count)."""
-    own, other = source.coarse.flatten(1), target.coarse.flatten(1).T
-    count = min(count, own.shape[1])
-    return torch.cat([(part @ own).topk(count, 1).indices for part in other.split(_CHUNK)])
+    own, other = (np.concatenate(features.coarse) for features in (source, target))
+    count = min(count, len(own))
+
+    def best(rows: slice) -> np.ndarray:
+        cosines = other[rows] @ own.T
+        found = np.empty((len(cosines), count), np.int64)
+        # Faster than a partition for as few as are asked for.
+        for column in found.T:
+            column[:] = cosines.argmax(1)
+            np.put_along_axis(cosines, column[:, None], -np.inf, 1)
+        return found
+
+    return np.concatenate(in_threads(best, _parts(len(other), _CHUNK)))
 
 
 def _guided_cells(
-    correspondence_map: CorrespondenceMap, source: Features, target: Features, quarter_turns: int
-) -> Tensor:
+    correspondence_map: CorrespondenceMap,
+    source: NativeFeatures,
+    target: NativeFeatures,
+    quarter_turns: int,
+) -> np.ndarray:
     """The 2x2 cells of stride 16 around the map's point for each cell of the target: (n, 4)."""
-    height, width = target.coarse.shape[1:]
-    index = torch.arange(height * width, device=target.coarse.device)
-    centres = to_pixels(_xy(index, target.coarse), target.coarse, target.size)
-    points2 = rotate_points(centres.cpu().numpy().astype(np.float64), target.size, -quarter_turns)
-    rows, columns = source.coarse.shape[1:]
-    points1 = points_in_image1(correspondence_map, points2)
-    cells = rescale(points1, source.size, (columns, rows))
+    rows, columns = source.coarse.shape[:2]
+    centres = cell_centres(target.coarse.shape[1::-1], target.size).reshape(-1, 2)
+    points2 = rotate_points(centres, target.size, -quarter_turns)
+    cells = rescale(points_in_image1(correspondence_map, points2), source.size, (columns, rows))
     corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
     corner = corner.clip(0, (columns - 1, rows - 1))
-    found = torch.from_numpy(corner[..., 1] * columns + corner[..., 0])
-    return found.to(target.coarse.device)
+    found: np.ndarray = corner[..., 1] * columns + corner[..., 0]
+    return found
 
 
-def _children(coarse: Tensor) -> Tensor:
+def _children(coarse: np.ndarray) -> np.ndarray:
     """Indices (n, 4), row by row, of the cells of twice the resolution in each cell of a level."""
-    height, width = coarse.shape[1:]
-    finer = torch.arange(4 * height * width, device=coarse.device).view(height, 2, width, 2)
-    return finer.permute(0, 2, 1, 3).reshape(-1, 4)
+    height, width = coarse.shape[:2]
+    finer = np.arange(4 * height * width).reshape(height, 2, width, 2)
+    return finer.transpose(0, 2, 1, 3).reshape(-1, 4)
 
 
-def _xy(index: Tensor, level: Tensor) -> Tensor:
+def _xy(index: np.ndarray, level: np.ndarray) -> np.ndarray:
     """Indices (M,), row by row, of a level's cells as x and y (M, 2)."""
-    width = level.shape[2]
-    rows = torch.div(index, width, rounding_mode="floor")
-    return torch.stack([index - rows * width, rows], -1).to(level.dtype)
+    rows, columns = np.divmod(index, level.shape[1])
+    return np.stack([columns, rows], -1)
 
 
-def _between_cells(features: Tensor) -> Tensor:
-    """Features (C, h, w) half a cell right of and below each cell: (h - 1, w - 1, C)."""
-    cells = features.permute(1, 2, 0)  # channels last already, as `native_features` makes them
-    pairs = cells[:, 1:] + cells[:, :-1]
-    return (pairs[1:] + pairs[:-1]).mul_(0.25)
+def _between_cells(features: np.ndarray) -> np.ndarray:
+    """Features (h, w, C) half a cell right of and below each cell: (h - 1, w - 1, C)."""
+    pairs = features[:, 1:] + features[:, :-1]
+    between: np.ndarray = pairs[1:] + pairs[:-1]
+    between *= 0.25
+    return between
 
 
-def _cell_area(features: Features) -> float:
+def _parts(count: int, size: int) -> list[slice]:
+    """Slices of `size` that cover `count` rows; at least one."""
+    return [slice(i, i + size) for i in range(0, max(1, count), size)]
+
+
+def _cell_area(features: NativeFeatures) -> float:
     """Of a stride-4 cell, in pixels of the original."""
-    return math.prod(features.size) / math.prod(features.fine.shape[1:])
+    return math.prod(features.size) / math.prod(features.fine.shape[:2])

@@ -17,7 +17,7 @@ from dgc_pose.matching.selection import even_subsample
 from dgc_pose.pixels import pixel_grid, rescale
 from dgc_pose.refinement.guide import points_in_image1
 from dgc_pose.refinement.options import FlowOptions
-from dgc_pose.refinement.sampling import bilinear
+from dgc_pose.sampling import bilinear
 
 ERROR_PX = 0.5  # of a match along one axis, pixels of the resized image 2
 _CYCLE_PX = 1.0  # largest cycle error, pixels of the resized image 2

@@ -7,7 +7,7 @@ import numpy as np
 
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.pixels import rescale
-from dgc_pose.refinement.sampling import bilinear
+from dgc_pose.sampling import bilinear
 
 _LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
 

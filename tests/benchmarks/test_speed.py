@@ -77,7 +77,7 @@ def test_the_table_adds_up(quick: None, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     data = json.loads(out.read_text())
     seconds = {stage["name"]: stage["seconds"] for stage in data["stages"]}
-    parts = ("read", "resize", "encoder", "decoders", "map in pixels", "rotated tries")
+    parts = ("read", "encoder", "decoders", "map in pixels", "rotated tries")
     parts += ("selection", "refinement", "pose")
     assert seconds[TOTAL] == pytest.approx(sum(seconds[name] for name in parts))
     sift = seconds["read"] + seconds["sift, matching"] + seconds["sift, pose"]

@@ -12,6 +12,7 @@ from dgc_pose.matching.dense import feature_cache
 from dgc_pose.matching.sift import SiftMatcher, key_point_cache
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 def _cache(limit: int) -> BoundedCache[str, bytes]:
@@ -47,7 +48,8 @@ def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite"))
     options = MatchingOptions(matchability=0.0, rotate_below=0.0)
-    plain, cached = DenseMatcher(net, options), DenseMatcher(net, options, feature_cache())
+    engine = TorchEngine(net)
+    plain, cached = DenseMatcher(engine, options), DenseMatcher(engine, options, feature_cache())
     images = _images(3)
     for first, second in ((0, 1), (0, 2), (1, 2)):
         pair = (images[first], images[second])
@@ -61,8 +63,9 @@ def test_rotated_images_have_features_of_their_own() -> None:
     """If rotations are tried, features are made for image 1 and four rotations of image 2."""
     torch.manual_seed(0)
     options = MatchingOptions(matchability=0.0, rotate_below=1.0)
-    matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), options, feature_cache())
-    plain = DenseMatcher(matcher.net, options)
+    engine = TorchEngine(DGCNet(preset("dgcm-lite")))
+    matcher = DenseMatcher(engine, options, feature_cache())
+    plain = DenseMatcher(engine, options)
     images = _images(2)
     (found,), (expected,) = (
         one.correspondence_maps([(images[0], images[1])]) for one in (matcher, plain)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,9 +13,10 @@ import torch
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.image import Image
 from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_dense_matcher
-from dgc_pose.matching.dense import network_input
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
+from dgc_pose.runtime.engine import DecodedMap
+from dgc_pose.runtime.torch_engine import TorchEngine, network_input
 
 
 def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
@@ -43,7 +45,7 @@ def _map(matcher: DenseMatcher, first: Image, second: Image) -> CorrespondenceMa
 @pytest.mark.parametrize("align_corners", [True, False])
 def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> None:
     """The map that is the identity at 240 scales by the half-pixel rule to any pair of sizes."""
-    matcher = DenseMatcher(_constant_net(align_corners=align_corners))
+    matcher = DenseMatcher(TorchEngine(_constant_net(align_corners=align_corners)))
     first, second = _image(1600, 1200), _image(320, 90)
     found = _map(matcher, first, second)
     cells = np.arange(240)
@@ -56,7 +58,7 @@ def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> No
 
 def test_a_shift_of_the_map_is_a_shift_in_pixels() -> None:
     """2 / 240 of the normalised width, edges at -1 and +1, is one cell: 1600 / 240 pixels."""
-    matcher = DenseMatcher(_constant_net(2 / 240, align_corners=False))
+    matcher = DenseMatcher(TorchEngine(_constant_net(2 / 240, align_corners=False)))
     found = _map(matcher, _image(1600, 1200), _image(1600, 1200))
     shift = np.broadcast_to((1600 / 240, 0), found.map.shape)
     np.testing.assert_allclose(found.map - found.grid, shift, atol=3e-3)
@@ -65,14 +67,14 @@ def test_a_shift_of_the_map_is_a_shift_in_pixels() -> None:
 def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
     """Forward by +1 cell and back by +1 cell is an error of 2 cells, in pixels of image 2."""
     options = MatchingOptions(cycle_px=5.0, matchability=0.0)
-    matcher = DenseMatcher(_constant_net(2 / 240, align_corners=False), options)
+    matcher = DenseMatcher(TorchEngine(_constant_net(2 / 240, align_corners=False)), options)
     pair = _image(480, 480), _image(960, 480)
     result = matcher.match(*pair)
     found = result.correspondence_map
     assert found is not None and found.cycle is not None
     np.testing.assert_allclose(found.cycle[:, :200], 2 * 960 / 240, atol=0.05)
     assert len(result.matches) == 0
-    still = DenseMatcher(_constant_net(0.0), options)
+    still = DenseMatcher(TorchEngine(_constant_net(0.0)), options)
     result = still.match(*pair)
     assert result.correspondence_map is not None
     np.testing.assert_allclose(result.correspondence_map.cycle, 0, atol=0.05)
@@ -85,11 +87,14 @@ def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
     net = DGCNet(preset("dgcm-lite")).eval()
     first, second = _image(480, 360, 1), _image(320, 240, 2)
     with torch.no_grad():
-        inputs = [network_input(image.pixels, torch.device("cpu")) for image in (first, second)]
+        inputs = [
+            network_input(image.pixels, (240, 240), torch.device("cpu"))
+            for image in (first, second)
+        ]
         prediction = net(*inputs)
     for level, cells in ((1, 120), (2, 60)):
         options = MatchingOptions(finest=cells, rotate_below=0.0, cycle_px=10.0)  # type: ignore[arg-type]
-        found = _map(DenseMatcher(net, options), first, second)
+        found = _map(DenseMatcher(TorchEngine(net), options), first, second)
         wanted = prediction.maps[-1 - level][0].movedim(0, -1).numpy()  # edges at -1 and +1
         wanted = (wanted + 1) * first.size / np.array(2) - 0.5
         np.testing.assert_allclose(found.map, wanted, atol=0.01)
@@ -106,21 +111,23 @@ def test_the_cycle_error_at_a_coarser_level() -> None:
     net = _constant_net(align_corners=False)
     with torch.no_grad():
         net.get_submodule("reg_2.final").bias[0] = 2 / 60
-    found = _map(DenseMatcher(net, options), _image(480, 480), _image(960, 480))
+    found = _map(DenseMatcher(TorchEngine(net), options), _image(480, 480), _image(960, 480))
     assert found.cycle is not None
     np.testing.assert_allclose(found.cycle[:, :50], 2 * 960 / 60, atol=0.05)
 
 
 def test_a_mask_network_has_no_coarser_level() -> None:
     with pytest.raises(InputError, match="finest"):
-        DenseMatcher(DGCNet(preset("dgcm")), MatchingOptions(finest=120))
+        DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))), MatchingOptions(finest=120))
     with pytest.raises(InputError, match="finest"):
         MatchingOptions(finest=100)  # type: ignore[arg-type]
 
 
 def test_the_same_images_give_the_same_matches() -> None:
     torch.manual_seed(0)
-    matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), MatchingOptions(matchability=0.0))
+    matcher = DenseMatcher(
+        TorchEngine(DGCNet(preset("dgcm-lite"))), MatchingOptions(matchability=0.0)
+    )
     pair = _image(200, 150, 1), _image(180, 240, 2)
     one, two = matcher.match(*pair).matches, matcher.match(*pair).matches
     assert len(one) > 0
@@ -132,7 +139,7 @@ def test_nothing_is_nan_whatever_the_network_says() -> None:
     net = _constant_net()
     with torch.no_grad():
         net.get_submodule("reg_0.final").bias.fill_(torch.nan)
-    matcher = DenseMatcher(net, MatchingOptions(matchability=0.0))
+    matcher = DenseMatcher(TorchEngine(net), MatchingOptions(matchability=0.0))
     result = matcher.match(_image(100, 100), _image(100, 100))
     assert result.correspondence_map is not None
     assert np.isfinite(result.correspondence_map.map).all()
@@ -143,11 +150,14 @@ def test_a_rotation_is_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None
     """With a net that matches upright images alone, the rotated image's map is rotated back, and no
     other rotation is decoded."""
     upright = _image(300, 200)
-    matcher = DenseMatcher(_constant_net())
+    engine = TorchEngine(_constant_net())
+    matcher = DenseMatcher(engine)
+    decode = engine.decode
 
-    def matchability(prediction: object) -> np.ndarray:
+    def decode_upright_alone(*given: Any) -> list[DecodedMap]:
         seen = (decoded[-1] + quarter_turns) % 4 == 0
-        return np.full((240, 240), 0.9 if seen else 0.1, np.float32)
+        matchability = np.full((240, 240), 0.9 if seen else 0.1, np.float32)
+        return [replace(one, matchability=matchability) for one in decode(*given)]
 
     decoded: list[int] = []
     rotated_maps = matcher._rotated_maps
@@ -157,7 +167,7 @@ def test_a_rotation_is_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None
         return rotated_maps(pairs, rotation, cache)  # type: ignore[arg-type]
 
     monkeypatch.setattr(matcher, "_rotated_maps", recorded)
-    monkeypatch.setattr("dgc_pose.matching.dense._matchability", matchability)
+    monkeypatch.setattr(engine, "decode", decode_upright_alone)
     for quarter_turns in range(4):
         rotated = Image(np.rot90(upright.pixels, quarter_turns).copy())
         decoded.clear()
@@ -187,7 +197,7 @@ def test_a_batch_gives_what_its_pairs_give_alone() -> None:
     """Of several sizes, with the cycle error, and with rotations of those that match badly."""
     torch.manual_seed(0)
     options = MatchingOptions(matchability=0.0, cycle_px=5.0)
-    matcher = DenseMatcher(DGCNet(preset("dgcm-lite")), options)
+    matcher = DenseMatcher(TorchEngine(DGCNet(preset("dgcm-lite"))), options)
     pairs = [
         (_image(200, 150, 1), _image(180, 240, 2)),
         (_image(100, 100, 3), _image(300, 100, 4)),
@@ -195,7 +205,7 @@ def test_a_batch_gives_what_its_pairs_give_alone() -> None:
     ]
     means = [float(_map(matcher, *pair).matchability.mean()) for pair in pairs]
     weakest = replace(options, rotate_below=(sorted(means)[0] + sorted(means)[1]) / 2)
-    matcher = DenseMatcher(matcher.net, weakest)
+    matcher = DenseMatcher(matcher.engine, weakest)
     for pair, found in zip(pairs, matcher.correspondence_maps(pairs), strict=True):
         alone = _map(matcher, *pair)
         np.testing.assert_allclose(found.map, alone.map, atol=0.02)

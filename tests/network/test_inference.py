@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 
 from dgc_pose.image import load_image
-from dgc_pose.matching.dense import network_input
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.weights import load_network, shipped
+from dgc_pose.runtime.torch_engine import network_input
 
 
 def _net(name: str) -> DGCNet:
@@ -32,7 +32,7 @@ def _inputs(net: DGCNet) -> list[Tensor]:
     folder = resources.files("dgc_pose") / "data" / "demo"
     device = next(net.parameters()).device
     images = [load_image(str(folder / f"image{number}.jpg")) for number in (1, 2)]
-    return [network_input(image.pixels, device) for image in images]
+    return [network_input(image.pixels, (INPUT_SIZE, INPUT_SIZE), device) for image in images]
 
 
 def _apart_px(one: Prediction, other: Prediction) -> Tensor:

@@ -14,20 +14,23 @@ from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement.features import (
+    _similar_cells,
     equal_scales,
     match_features,
     mutual_neighbours,
     subcell_points,
 )
 from dgc_pose.refinement.guide import rotate_points
-from dgc_pose.refinement.native import Features, native_cache
+from dgc_pose.refinement.native import native_cache
 from dgc_pose.refinement.options import FeatureOptions
+from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @pytest.fixture(scope="module")
-def net() -> DGCNet:
+def engine() -> TorchEngine:
     torch.manual_seed(0)
-    return DGCNet(preset("dgcm-lite")).eval().requires_grad_(False)
+    return TorchEngine(DGCNet(preset("dgcm-lite")))
 
 
 def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
@@ -69,54 +72,75 @@ def test_factors_make_the_scales_equal(
 
 
 def _match(
-    net: DGCNet, first: np.ndarray, second: np.ndarray, guide: CorrespondenceMap, scale: float = 1.0
+    engine: TorchEngine,
+    first: np.ndarray,
+    second: np.ndarray,
+    guide: CorrespondenceMap,
+    scale: float = 1.0,
 ) -> Matches:
     options = FeatureOptions(long_side=192, candidates=4)
     images = Image(first), Image(second)
-    return match_features(net, *images, guide, options, native_cache(), scale=scale)
+    return match_features(engine, *images, guide, options, native_cache(), scale=scale)
 
 
-def _random_features(seed: int, rows: int, columns: int) -> Features:
-    generator = torch.Generator().manual_seed(seed)
+def _unit(features: np.ndarray) -> np.ndarray:
+    return features / np.linalg.norm(features, axis=-1, keepdims=True)
+
+
+def _random_features(seed: int, rows: int, columns: int) -> NativeFeatures:
+    rng = np.random.default_rng(seed)
     levels = [
-        F.normalize(torch.randn(16, k * rows, k * columns, generator=generator), dim=0)
-        for k in (1, 2, 4)
+        _unit(rng.standard_normal((k * rows, k * columns, 16), np.float32)) for k in (1, 2, 4)
     ]
-    return Features(levels[0], levels[1], levels[2], (16 * columns, 16 * rows))
+    return NativeFeatures(levels[0], levels[1], levels[2], (16 * columns, 16 * rows))
 
 
 def test_with_all_cells_as_candidates_it_is_the_full_mutual_search() -> None:
     source, target = _random_features(0, 3, 4), _random_features(1, 5, 3)
-    every = torch.arange(12).expand(15, 12)
+    every = np.tile(np.arange(12), (15, 1))
     cells1, cells2, cosine = mutual_neighbours(source, target, every)
-    full = source.middle.flatten(1).double().T @ target.middle.flatten(1).double()
+    full = source.middle.reshape(-1, 16).astype(float) @ target.middle.reshape(-1, 16).T
     expected = {
         (int(full[:, j].argmax()), j)
         for j in range(full.shape[1])
         if int(full[int(full[:, j].argmax())].argmax()) == j
     }
-    index1 = (cells1[:, 1] * 8 + cells1[:, 0]).long().tolist()
-    index2 = (cells2[:, 1] * 6 + cells2[:, 0]).long().tolist()
-    assert set(zip(index1, index2, strict=True)) == expected and len(index1) == len(expected)
-    torch.testing.assert_close(cosine.double(), full[index1, index2], atol=1e-5, rtol=0)
+    index1, index2 = cells1 @ (1, 8), cells2 @ (1, 6)
+    found = list(zip(index1.tolist(), index2.tolist(), strict=True))
+    assert set(found) == expected and len(found) == len(expected)
+    np.testing.assert_allclose(cosine, full[index1, index2], atol=1e-5)
+
+
+def test_only_children_of_candidates_are_compared() -> None:
+    """Image 2 is image 1, and each cell's candidate is the next one: itself is never found."""
+    source = _random_features(0, 2, 2)
+    after = np.array([[1], [2], [3], [0]])
+    cells1, cells2, cosine = mutual_neighbours(source, source, after)
+    assert len(cells1) > 4 and cosine.max() < 0.99
+    coarse1, coarse2 = (cells // 2 @ (1, 2) for cells in (cells1, cells2))
+    assert np.array_equal(coarse1, (coarse2 + 1) % 4)
+
+
+def test_the_most_similar_cells_are_those_of_a_full_sort() -> None:
+    source, target = _random_features(0, 9, 7), _random_features(1, 20, 11)
+    found = _similar_cells(source, target, 5)
+    cosines = target.coarse.reshape(-1, 16).astype(float) @ source.coarse.reshape(-1, 16).T
+    assert np.array_equal(found, (-cosines).argsort(1)[:, :5])
+    assert _similar_cells(source, target, 100).shape == (220, 63)  # as many as there are
 
 
 def test_points_follow_a_shift_of_the_fine_level() -> None:
-    fine = torch.zeros(1, 1, 24, 24)
-    fine = F.interpolate(
-        torch.randn(1, 8, 12, 12, generator=torch.Generator().manual_seed(0)), (24, 24),
-        mode="bicubic",
-    )[0]
-    fine1 = F.normalize(fine, dim=0)
-    fine2 = fine1.roll((-2, 1), (2, 1))  # image 2 shows at x what image 1 shows at x + 2
-    cells = torch.tensor([[5.0, 5.0], [6.0, 4.0], [4.0, 7.0]])
+    noise = np.random.default_rng(0).standard_normal((12, 12, 8), np.float32)
+    fine1 = _unit(cv2.resize(noise, (24, 24), interpolation=cv2.INTER_CUBIC))
+    fine2 = np.roll(fine1, (-2, 1), (0, 1))  # image 2 shows at x what image 1 shows at x + 2
+    cells = np.array([[5, 5], [6, 4], [4, 7]])
     points1, points2 = subcell_points(fine1, fine2, cells, cells)
-    assert torch.equal(points2, 2 * cells + 0.5)
-    torch.testing.assert_close(points1 - points2, torch.tensor([[2.0, -1.0]] * 3), atol=0.5, rtol=0)
+    assert np.array_equal(points2, 2 * cells + 0.5)
+    np.testing.assert_allclose(points1 - points2, [[-1.0, 2.0]] * 3, atol=0.5)
 
 
 @pytest.mark.parametrize("quarter_turns", [0, 1, 3])
-def test_a_rotated_picture_matches_itself(net: DGCNet, quarter_turns: int) -> None:
+def test_a_rotated_picture_matches_itself(engine: TorchEngine, quarter_turns: int) -> None:
     """Image 2 is image 1 rotated; the map shows the rotation, with an error of 10 pixels."""
     pixels = _picture(192, 160)
     second = np.ascontiguousarray(np.rot90(pixels, -quarter_turns))
@@ -124,7 +148,7 @@ def test_a_rotated_picture_matches_itself(net: DGCNet, quarter_turns: int) -> No
     grid = _grid(size2)
     truth = rotate_points(grid.reshape(-1, 2), size2, quarter_turns)
     guide = _guide(truth.reshape(grid.shape) + 10, grid, (192, 160), size2)
-    found = _match(net, pixels, second, guide)
+    found = _match(engine, pixels, second, guide)
     assert len(found) > 200
     off = found.points1 - rotate_points(found.points2, size2, quarter_turns)
     assert np.median(np.abs(off)) < 0.5 and (np.abs(off).max(1) < 3).mean() > 0.9
@@ -132,19 +156,19 @@ def test_a_rotated_picture_matches_itself(net: DGCNet, quarter_turns: int) -> No
     assert found.error_px == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_random_map_does_no_harm(net: DGCNet) -> None:
+def test_a_random_map_does_no_harm(engine: TorchEngine) -> None:
     pixels = _picture(192, 160)
     grid = _grid((192, 160))
     random = np.random.default_rng(0).uniform(-500, 700, grid.shape)
     guide = _guide(random, grid, (192, 160), (192, 160))
     guide.matchability[:] = 0.0  # so that its rotation does not count
-    found = _match(net, pixels, pixels, guide)
+    found = _match(engine, pixels, pixels, guide)
     off = np.abs(found.points1 - found.points2).max(1)
     assert len(found) > 200 and (off < 3).mean() > 0.9
 
 
 @pytest.mark.parametrize("shrunk", ["first", "second"])
-def test_a_picture_matches_itself_at_a_third(net: DGCNet, shrunk: str) -> None:
+def test_a_picture_matches_itself_at_a_third(engine: TorchEngine, shrunk: str) -> None:
     """One picture at three times the size of the other, with and without the scale given."""
     large = _picture(192, 192)
     small = cv2.resize(large, (64, 64), interpolation=cv2.INTER_AREA)
@@ -156,7 +180,7 @@ def test_a_picture_matches_itself_at_a_third(net: DGCNet, shrunk: str) -> None:
     guide.matchability[:] = 0.0
     shares = []
     for given in (scale, 1.0):
-        found = _match(net, first, second, guide, given)
+        found = _match(engine, first, second, guide, given)
         off = found.points1 - ((found.points2 + 0.5) * scale - 0.5)
         shares.append((np.abs(off).max(1) < 3 * max(1.0, scale)).sum())
     assert shares[0] > 40 and shares[0] > 2 * shares[1]

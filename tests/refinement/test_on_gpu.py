@@ -12,11 +12,12 @@ from pretend_gpu import DEVICE, pretended_gpu
 
 from dgc_pose.image import Image
 from dgc_pose.matchers import refined
-from dgc_pose.matching import DenseMatcher, MatchingOptions
+from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
 from dgc_pose.refinement import RefinementOptions
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +29,11 @@ def images() -> list[Image]:
 def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset(name)).eval()
-    on_cpu = DenseMatcher(net, MatchingOptions()).correspondence_maps([(images[0], images[1])])[0]
+    pairs = [(images[0], images[1])]
+    on_cpu = DenseMatcher(TorchEngine(net)).correspondence_maps(pairs)[0]
     with pretended_gpu():
-        matcher = DenseMatcher(deepcopy(net).to(DEVICE), MatchingOptions())
-        on_device = matcher.correspondence_maps([(images[0], images[1])])[0]
+        matcher = DenseMatcher(TorchEngine(deepcopy(net).to(DEVICE)))
+        on_device = matcher.correspondence_maps(pairs)[0]
     np.testing.assert_allclose(on_device.map, on_cpu.map, atol=0.05)
     np.testing.assert_allclose(on_device.matchability, on_cpu.matchability, atol=1e-3)
 
@@ -40,12 +42,12 @@ def test_refinement_by_features_is_that_of_the_cpu(
     images: list[Image], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The pretended device knows no bfloat16.
-    monkeypatch.setattr("dgc_pose.refinement.native.multiplies_bfloat16", lambda device: False)
+    monkeypatch.setattr("dgc_pose.runtime.torch_engine.multiplies_bfloat16", lambda device: False)
     net = load_network("dgcm-lite").eval()
     options = RefinementOptions(source="features")
-    on_cpu = refined(DenseMatcher(net, MatchingOptions()), options).match(*images).matches
+    on_cpu = refined(DenseMatcher(TorchEngine(net)), options).match(*images).matches
     with pretended_gpu():
-        matcher = DenseMatcher(deepcopy(net).to(DEVICE), MatchingOptions())
+        matcher = DenseMatcher(TorchEngine(deepcopy(net).to(DEVICE)))
         on_device = refined(matcher, options).match(*images).matches
     assert len(on_device) == len(on_cpu) > 50
     np.testing.assert_allclose(on_device.points1, on_cpu.points1, atol=0.01)

@@ -29,6 +29,7 @@ from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import native_cache
 from dgc_pose.refinement.source import MapMatches, MatchSource
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 _OPTIONS = MatchingOptions(max_matches=1500)
 
@@ -40,9 +41,9 @@ def images() -> tuple[Image, Image]:
 
 
 @pytest.fixture(scope="module")
-def net() -> DGCNet:
+def engine() -> TorchEngine:
     torch.manual_seed(0)
-    return DGCNet(preset("dgcm-lite")).eval().requires_grad_(False)
+    return TorchEngine(DGCNet(preset("dgcm-lite")))
 
 
 def _noisy() -> dense_scene.MapMatcher:
@@ -98,14 +99,14 @@ def test_a_batch_gives_what_its_pairs_give_alone(images: tuple[Image, Image]) ->
 
 
 def test_without_a_map_the_matcher_s_own_matches_are_aligned(
-    images: tuple[Image, Image], net: DGCNet
+    images: tuple[Image, Image], engine: TorchEngine
 ) -> None:
     """Sources that need a map are passed over, and the matches stay those of key points."""
     rng = np.random.default_rng(0)
     points2 = rng.uniform((60, 40), (260, 200), (400, 2))
     points1 = dense_scene.points_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
     given = Matches(points1, points2, np.ones(400), 1.0, key_points=True)
-    result = Refiner(_GivenPoints(given), [FeatureMatches(net), FlowMatches()]).match(*images)
+    result = Refiner(_GivenPoints(given), [FeatureMatches(engine), FlowMatches()]).match(*images)
     assert result.correspondence_map is None and result.matches.key_points
     assert len(result.matches) > 150 and np.median(_errors(result.matches)) < 0.1
 
@@ -139,7 +140,7 @@ def test_a_scene_that_cannot_be_refined_is_no_worse(images: tuple[Image, Image])
 @pytest.mark.parametrize("found_by_features", [0, 400])
 def test_auto_takes_the_map_only_if_the_features_give_too_few(
     images: tuple[Image, Image],
-    net: DGCNet,
+    engine: TorchEngine,
     found_by_features: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -152,7 +153,7 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
 
     monkeypatch.setattr("dgc_pose.refinement.features.match_features", match_features)
     matcher = _noisy()
-    matcher.net = net
+    matcher.engine = engine
     by_auto, by_map = (
         refined(matcher, RefinementOptions(source=source)).match(*images).matches  # type: ignore[arg-type]
         for source in ("auto", "map")
@@ -174,7 +175,7 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
 )
 def test_other_scales_are_tried_if_the_map_is_weak(
     images: tuple[Image, Image],
-    net: DGCNet,
+    engine: TorchEngine,
     matchability: float,
     shown: float,
     true: float,
@@ -197,27 +198,29 @@ def test_other_scales_are_tried_if_the_map_is_weak(
     monkeypatch.setattr("dgc_pose.refinement.features.scale_between", lambda found: shown)
     matcher = _noisy()
     matcher.correspondence_map.matchability[:] = matchability
-    found = Refiner(matcher, [FeatureMatches(net)]).match(*images).matches
+    found = Refiner(matcher, [FeatureMatches(engine)]).match(*images).matches
     assert scales == pytest.approx(tried)
     assert (np.median(_errors(found)) < 0.1) == (true in tried)
 
 
 def test_a_cache_spares_native_passes_and_changes_nothing(
-    images: tuple[Image, Image], net: DGCNet
+    images: tuple[Image, Image], engine: TorchEngine
 ) -> None:
     cache = native_cache()
-    plain, cached = (Refiner(_noisy(), [FeatureMatches(net, cache=one)]) for one in (None, cache))
+    plain, cached = (
+        Refiner(_noisy(), [FeatureMatches(engine, cache=one)]) for one in (None, cache)
+    )
     for pair in (images, images[::-1]):
         expected, found = plain.match(*pair).matches, cached.match(*pair).matches
         assert np.array_equal(found.points1, expected.points1)
     assert cache.made < cache.asked
 
 
-def test_features_of_an_untrained_network_match_a_picture_with_itself(net: DGCNet) -> None:
+def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: TorchEngine) -> None:
     first = Image(dense_scene.pictures()[0])
     grid = dense_scene.grid(dense_scene.CELLS, dense_scene.CELLS)
     matcher = dense_scene.MapMatcher(dense_scene.make_map(grid + 6, grid), _OPTIONS)
-    found = Refiner(matcher, [FeatureMatches(net)]).match(first, first).matches
+    found = Refiner(matcher, [FeatureMatches(engine)]).match(first, first).matches
     off = np.abs(found.points1 - found.points2).max(1)
     assert len(found) > 200 and np.median(off) < 0.1 and off.max() < 2
     assert found.error_px == 0.5

@@ -1,0 +1,1 @@
+"""What runs the network: images to features, features to maps."""

@@ -1,0 +1,81 @@
+"""The contract of what runs the network. Nothing above it knows torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from dgc_pose.network.config import NetworkConfig
+
+
+class MapFeatures(Protocol):
+    """Features of an image for the dense map: all levels, and the second scale if there is one.
+
+    What else an engine keeps in it is its own. The features of one engine mean nothing to another.
+    """
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that they take."""
+
+
+@dataclass(frozen=True, eq=False)
+class NativeFeatures:
+    """Features of an image in its own shape, unit length over the channels, channels last."""
+
+    coarse: np.ndarray  # (h, w, C) float32, stride 16
+    middle: np.ndarray  # (2 h, 2 w, C') float32, stride 8
+    fine: np.ndarray  # (4 h, 4 w, C'') float32, stride 4
+    size: tuple[int, int]  # (width, height) of the image before it was resized
+
+    @property
+    def nbytes(self) -> int:
+        return self.coarse.nbytes + self.middle.nbytes + self.fine.nbytes
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedMap:
+    """The dense map of a pair, on the grid of the level that was asked for."""
+
+    # (H, W, 2) float32, for each cell of the target its x and y in the source, pixels of
+    # the source as it was resized; no NaN
+    points: np.ndarray
+    matchability: np.ndarray  # (H, W) float32 in [0, 1]; 1 everywhere for a network without a mask
+    size: tuple[int, int]  # (width, height) of the source as it was resized
+
+
+class Engine(Protocol):
+    """A frozen network with its weights, run by some library on some device.
+
+    Images are (H, W, 3) uint8 RGB. An engine is deterministic: features of an image do not depend
+    on what was computed before, and may be kept for later pairs.
+    """
+
+    @property
+    def config(self) -> NetworkConfig:
+        """Of the network."""
+
+    @property
+    def fingerprint(self) -> str:
+        """16 hexadecimal digits that identify the weights, whatever runs them."""
+
+    def encode(self, pixels: np.ndarray) -> MapFeatures:
+        """Features of an image, resized as `config.input_size` says."""
+
+    def coarsest(self, features: Any) -> np.ndarray:
+        """(h, w, C) float32, the features of the coarsest level, unit length over the channels.
+
+        features: as `encode` gives them.
+        """
+
+    def decode(self, source: Sequence[Any], target: Sequence[Any], finest: int) -> list[DecodedMap]:
+        """The map of each pair, from the features of both images as `encode` gives them.
+
+        finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
+        """
+
+    def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
+        """Features of an image resized to so many columns and rows of stride 16."""

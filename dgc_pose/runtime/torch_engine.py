@@ -1,0 +1,142 @@
+"""The network run by torch: on any device, with any weights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from dgc_pose.image import resize
+from dgc_pose.network.config import COARSEST, STRIDE, NetworkConfig
+from dgc_pose.network.coordinates import to_pixels
+from dgc_pose.network.device import multiplies_bfloat16
+from dgc_pose.network.inference import for_inference
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.statistics import normalise
+from dgc_pose.network.weights import fingerprint, load_network
+from dgc_pose.pixels import Size
+from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
+
+
+@dataclass(frozen=True, eq=False)
+class TorchFeatures:
+    """`MapFeatures` as `DGCNet.features` gives them, of a batch of one."""
+
+    levels: list[Tensor]
+    size: tuple[int, int]  # (width, height) of the resized image
+
+    @property
+    def nbytes(self) -> int:
+        return sum(level.nbytes for level in self.levels)
+
+
+class TorchEngine:
+    """A `DGCNet` as an `Engine`, on the device where its weights are.
+
+    weights: 16 hexadecimal digits of the weights, if the network's own are changed, as by
+    `for_inference`; None to compute them.
+    """
+
+    def __init__(self, net: DGCNet, weights: str | None = None) -> None:
+        self.net = net.eval().requires_grad_(False)
+        self._weights = weights
+
+    @property
+    def config(self) -> NetworkConfig:
+        return self.net.config
+
+    @cached_property
+    def fingerprint(self) -> str:
+        return self._weights or fingerprint(self.net)
+
+    @torch.inference_mode()
+    def encode(self, pixels: np.ndarray) -> TorchFeatures:
+        size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
+        return TorchFeatures(self.net.features(self._input(pixels, size)), size)
+
+    @torch.inference_mode()
+    def coarsest(self, features: TorchFeatures) -> np.ndarray:
+        return _unit(features.levels[COARSEST])
+
+    @torch.inference_mode()
+    def decode(
+        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
+    ) -> list[DecodedMap]:
+        """As `Engine.decode`; pairs of images of the same shapes are decoded together."""
+        groups: dict[tuple[Size, Size], list[int]] = {}
+        for index, (first, second) in enumerate(zip(source, target, strict=True)):
+            groups.setdefault((first.size, second.size), []).append(index)
+        found: dict[int, DecodedMap] = {}
+        for indices in groups.values():
+            maps = self._decode([source[i] for i in indices], [target[i] for i in indices], finest)
+            found |= zip(indices, maps, strict=True)
+        return [found[index] for index in range(len(source))]
+
+    def _decode(
+        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
+    ) -> list[DecodedMap]:
+        """As `decode`, of images of the same shapes."""
+        size = source[0].size
+        first, second = (
+            _stacked([one.levels for one in features]) for features in (source, target)
+        )
+        prediction = self.net.decode(first, second, finest)
+        maps = prediction.maps[-1].movedim(1, -1).float().nan_to_num(-2.0)
+        points = to_pixels(maps, size, self.config.align_corners)
+        masks = torch.ones(points.shape[:3])
+        if prediction.logits:
+            masks = prediction.logits[-1][:, 0].float().sigmoid()
+        return [
+            DecodedMap(*one, size)
+            for one in zip(points.cpu().numpy(), masks.cpu().numpy(), strict=True)
+        ]
+
+    @torch.inference_mode()
+    def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
+        """As `Engine.native`.
+
+        Convolutions run in bfloat16 if the device multiplies it: the cosines of true matches change
+        by less than a hundredth, and the pass takes half the time.
+        """
+        planes = self._input(pixels, (cells[0] * STRIDE, cells[1] * STRIDE))
+        device = planes.device
+        with torch.autocast(device.type, torch.bfloat16, enabled=multiplies_bfloat16(device)):
+            levels = self.net.pyramid.coarse(planes)
+        fine, middle, coarse = map(_unit, levels)
+        return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
+
+    def _input(self, pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
+        return network_input(pixels, size, next(self.net.parameters()).device)
+
+
+def load_torch_engine(weights: str | Path, device: torch.device) -> TorchEngine:
+    """An engine of weights by name or path (see `load_network`), made faster for inference."""
+    net = load_network(weights, device)
+    return TorchEngine(for_inference(net), fingerprint(net))
+
+
+def network_input(pixels: np.ndarray, size: tuple[int, int], device: torch.device) -> Tensor:
+    """An image (H, W, 3), uint8, as the network takes it: (1, 3, h, w) of `size` (width, height),
+    channels last."""
+    resized = torch.from_numpy(resize(pixels, size))
+    planes = resized.to(device).permute(2, 0, 1)[None].float() / 255
+    return normalise(planes).contiguous(memory_format=torch.channels_last)
+
+
+def _unit(level: Tensor) -> np.ndarray:
+    """Features (1, C, h, w) as (h, w, C) of unit length over the channels."""
+    unit: np.ndarray = F.normalize(level[0].float().permute(1, 2, 0), dim=-1).cpu().numpy()
+    return np.ascontiguousarray(unit)
+
+
+def _stacked(features: Sequence[list[Tensor]]) -> list[Tensor]:
+    """The features of several images as those of one batch, level by level."""
+    if len(features) == 1:
+        return features[0]
+    return [torch.cat(level) for level in zip(*features, strict=True)]
