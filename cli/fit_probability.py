@@ -63,7 +63,7 @@ def fit_probability(choice: FitChoice) -> None:
         return
     from dgc_pose.benchmarks.probability.run import fit_all
 
-    found = fit_all(choice.out, methods, sources, click.echo)
+    found = fit_all(choice.out, methods, sources, say=click.echo)
     model, text, figure = (
         str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
     )

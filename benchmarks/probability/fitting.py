@@ -92,9 +92,7 @@ def _logistic(samples: Samples, names: list[str]) -> tuple[dict[str, float], flo
         names = [name for k, name in enumerate(names) if k != int(np.argmin(signed))]
 
 
-def _strength(
-    samples: Samples, names: list[str], right: np.ndarray, scenes: np.ndarray
-) -> float:
+def _strength(samples: Samples, names: list[str], right: np.ndarray, scenes: np.ndarray) -> float:
     """The regularisation of least loss on scenes left out."""
     X = _table(samples, names)
     X = (X - X.mean(0)) / np.maximum(X.std(0), 1e-6)
@@ -112,9 +110,7 @@ def _strength(
     return _STRENGTHS[int(np.argmin(losses))]
 
 
-def _platt(
-    samples: Samples, weights: Mapping[str, float], intercept: float
-) -> tuple[float, float]:
+def _platt(samples: Samples, weights: Mapping[str, float], intercept: float) -> tuple[float, float]:
     """Slope and offset of the log-odds on scenes that the weights were not fitted on.
 
     The targets are smoothed as Platt proposes, so that separable samples give no infinite slope.
@@ -167,6 +163,4 @@ def _sklearn(name: str) -> Any:
     try:
         return importlib.import_module(f"sklearn.{name}")
     except ImportError:
-        raise InputError(
-            "the fit needs scikit-learn: pip install 'dgc-pose[fit]'"
-        ) from None
+        raise InputError("the fit needs scikit-learn: pip install 'dgc-pose[fit]'") from None

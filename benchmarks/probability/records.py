@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,13 +68,7 @@ def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator
 
 def record(pair: StoredPair, options: EstimationOptions) -> Record:
     """The record of one pair."""
-    own = EstimationOptions(
-        estimator=options.estimator,
-        runs=options.runs,
-        iterations=options.iterations,
-        seed=options.seed,
-        verdict=ANY_POSE,
-    )
+    own = replace(options, verdict=ANY_POSE)
     truth = pair.truth
     pose = estimate_pose(
         pair.matches, truth.camera1, truth.camera2, own, map_matches=pair.map_matches
@@ -84,6 +78,4 @@ def record(pair: StoredPair, options: EstimationOptions) -> Record:
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, np.asarray(truth.t))
     source = pair.name.rpartition(" ")[0]
-    return Record(
-        pair.name, source, pair.scene, pair.part, pose.evidence, rotation, translation
-    )
+    return Record(pair.name, source, pair.scene, pair.part, pose.evidence, rotation, translation)

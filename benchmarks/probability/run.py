@@ -22,6 +22,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import MatchKind, match_kind, models_of
 
+_DEFAULTS = EstimationOptions()
 WORDS = {
     "network": "matches of a network, with its dense map",
     "matches": "the same matches without the map",
@@ -36,25 +37,31 @@ class Fitted:
     models: str  # JSON
     report: str
     figure: Figure
+    records: Sequence[Record]  # of all pairs and methods
 
 
 def fit_all(
-    out: Path, methods: Sequence[str], sources: Sequence[Source], say: Callable[[str], object]
+    out: Path,
+    methods: Sequence[str],
+    sources: Sequence[Source],
+    options: EstimationOptions = _DEFAULTS,
+    say: Callable[[str], object] = lambda line: None,
 ) -> Fitted:
     """A model for each kind of matches that the methods make, and the report.
 
-    say: takes a line of progress. Raises InputError if nothing is stored, or too little.
+    options: of the estimation, as users have them. say: takes a line of progress. Raises InputError
+    if nothing is stored, or too little.
     """
+    engine = {method: read_engine(out, method) for method in methods}
     by_kind: dict[MatchKind, list[Record]] = {}
     for method in methods:
-        found = list(records(read_collection(out, method, sources), EstimationOptions()))
+        found = list(records(read_collection(out, method, sources), options))
         say(f"{method}: {len(found)} pairs")
         for kind, own in _by_kind(found).items():
             by_kind.setdefault(kind, own)  # of several networks the first
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
     fitted = {kind: fit_model(own, kind) for kind, own in by_kind.items()}
-    engine = {method: read_engine(out, method) for method in methods}
     text = models_text(fitted, engine)
     models = models_of(text, "the fit")
     reported: dict[str, list[Judged]] = {
@@ -62,7 +69,8 @@ def fit_all(
         for kind, own in by_kind.items()
     }
     parts = [f"{WORDS[kind]}\n\n{report_text(own)}" for kind, own in reported.items()]
-    return Fitted(text, "\n\n\n".join(parts), reliability_figure(reported))
+    everything = [one for own in by_kind.values() for one in own]
+    return Fitted(text, "\n\n\n".join(parts), reliability_figure(reported), everything)
 
 
 def _by_kind(found: Sequence[Record]) -> dict[MatchKind, list[Record]]:

@@ -114,9 +114,7 @@ FEATURES: Mapping[str, Feature] = {
     "triangulation": Feature(
         lambda e: _log(e.median_triangulation_angle_deg, 0.2, 30),
         1,
-        lambda e: (
-            f"small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)"
-        ),
+        lambda e: f"small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)",
     ),
     "homography": Feature(
         lambda e: e.homography_ratio,
