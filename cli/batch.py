@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.options import check_options, option
 
 if TYPE_CHECKING:
-    from dgc_pose.batch.run import Batch, Progress
+    from dgc_pose.batch.run import Batch, BatchOptions, Progress
 
 _GIB = 2**30
 
@@ -78,17 +78,25 @@ def work_through(
     work: WorkChoice,
     matcher: MatcherChoice,
     estimation: EstimationOptions,
+    default_pairs: Callable[[int], str] | None = None,
 ) -> Batch:
-    """Run the batch that the options describe, with a progress bar on a terminal."""
+    """Run the batch that the options describe, with a progress bar on a terminal.
+
+    default_pairs: --pairs of a folder of so many images, if it is not given.
+    """
     from dgc_pose.batch.calibration import read_calibration
     from dgc_pose.batch.local import local_workers
     from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.rows import require_pyarrow
-    from dgc_pose.batch.run import BatchOptions, run_batch
+    from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import open_source
     from dgc_pose.batch.work import MatcherSettings
 
-    choice = None if inputs.pairs is None else parse_pair_choice(inputs.pairs)
+    opened = open_source(Path(source), inputs.root)
+    pairs = inputs.pairs
+    if pairs is None and opened.pairs is None and default_pairs is not None:
+        pairs = default_pairs(len(opened.names))
+    choice = None if pairs is None else parse_pair_choice(pairs)
     if work.format == "parquet":
         require_pyarrow()
     start_workers = local_workers
@@ -97,19 +105,26 @@ def work_through(
 
         start_workers = ray_workers
     refinement = matcher.refine.options(matcher.matching)
-    workers = work.workers or len(os.sched_getaffinity(0))
     with _bars() as progress:
         return run_batch(
-            open_source(Path(source), inputs.root),
+            opened,
             read_calibration(inputs.k, inputs.guess_focal),
             choice,
             out,
             matcher=MatcherSettings(matcher.weights, matcher.device, matcher.matching, refinement),
             estimation=estimation,
-            options=BatchOptions(workers, int(work.memory * _GIB), work.format, work.resume),
+            options=batch_options(work),
             start_workers=start_workers,
             progress=progress,
         )
+
+
+def batch_options(work: WorkChoice) -> BatchOptions:
+    """How a batch is worked through; a worker for each core unless their number is given."""
+    from dgc_pose.batch.run import BatchOptions
+
+    workers = work.workers or len(os.sched_getaffinity(0))
+    return BatchOptions(workers, int(work.memory * _GIB), work.format, work.resume)
 
 
 def report(batch: Batch) -> None:

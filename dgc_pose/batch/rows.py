@@ -86,7 +86,8 @@ def bad_row(names: tuple[str, str], reason: str) -> PairRow:
         "guessed_focal": False,
         "warnings": (),
     }
-    return PairRow(**{field.name: known.get(field.name) for field in fields(PairRow)})
+    values: dict[str, Any] = {field.name: known.get(field.name) for field in fields(PairRow)}
+    return PairRow(**values)
 
 
 def row_data(row: PairRow) -> dict[str, Any]:

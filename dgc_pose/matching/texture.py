@@ -8,7 +8,7 @@ stripe the smaller one is not (the aperture problem). Uniform bars at the border
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -59,14 +59,7 @@ _KEPT: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()  # as long as the
 def textured(matches: Matches, image1: Image, image2: Image) -> Matches:
     """The matches whose points have structure around them in both images."""
     kept = texture(image1).at(matches.points1) & texture(image2).at(matches.points2)
-    if kept.all():
-        return matches
-    return replace(
-        matches,
-        points1=matches.points1[kept],
-        points2=matches.points2[kept],
-        confidence=matches.confidence[kept],
-    )
+    return matches if kept.all() else matches.subset(kept)
 
 
 def texture(image: Image) -> Texture:

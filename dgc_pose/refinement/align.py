@@ -104,11 +104,40 @@ def _align(
     grey1, grey2 = (
         cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY).astype(np.float32) for pixels in (pixels1, pixels2)
     )
-    corners, strength = _nearby_corners(grey2, matches.points2)
+    corners, strength = nearby_corners(grey2, matches.points2)
     chosen = spread(corners, strength, (pixels2.shape[1], pixels2.shape[0]), max_matches)
     corners, affinity = corners[chosen], matches.affinity[chosen]
     moved = corners - matches.points2[chosen]
     start = matches.points1[chosen] + np.einsum("nij,nj->ni", affinity, moved)
+    return _aligned(
+        grey1,
+        grey2,
+        LocalMatches(start, corners, affinity, matches.index[chosen]),
+        radius,
+        max_shift,
+    )
+
+
+def locate(
+    grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, *, radius: int, max_shift: float
+) -> Aligned:
+    """As `align`, of the points of image 2 as they are, all of them.
+
+    grey: (H, W) float32. matches: points1 are where the search begins. radius: of a patch, pixels
+    of image 2. max_shift: pixels of image 1.
+    """
+    return _aligned(grey1, grey2, matches, radius, np.full(2, max_shift))
+
+
+def _aligned(
+    grey1: np.ndarray,
+    grey2: np.ndarray,
+    matches: LocalMatches,
+    radius: int,
+    max_shift: np.ndarray,
+) -> Aligned:
+    """The points of image 1 moved so that their patches agree with those of image 2."""
+    start, corners, affinity = matches.points1, matches.points2, matches.affinity
     found = in_threads(
         lambda part: _shift(grey1, grey2, start[part], corners[part], affinity[part], radius),
         [slice(i, i + _CHUNK) for i in range(0, max(1, len(start)), _CHUNK)],
@@ -117,11 +146,14 @@ def _align(
     settled = (points1 >= 0).all(1) & (points1 <= (grey1.shape[1] - 1, grey1.shape[0] - 1)).all(1)
     settled &= np.linalg.norm((points1 - start) / max_shift, axis=1) <= 1
     settled &= step < _SETTLED
-    return Aligned(points1, corners, zncc, settled, matches.index[chosen])
+    return Aligned(points1, corners, zncc, settled, matches.index)
 
 
-def _nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The strongest corner within the radius of each point, and its strength."""
+def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest corner (N, 2) within a few pixels of each point, and its strength (N,).
+
+    grey: (H, W) float32. points: (N, 2), pixels.
+    """
     strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK)
     axis = np.arange(-_CORNER_RADIUS, _CORNER_RADIUS + 1)
     near = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)

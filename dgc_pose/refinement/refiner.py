@@ -69,11 +69,13 @@ class Refiner(Matcher):
             yield given.matches
             return
         for source in self.sources:
-            found = source.find(image1, image2, given.correspondence_map, given.matches)
-            yield textured(found, image1, image2)
+            yield source.find(image1, image2, given.correspondence_map, given.matches)
 
     def _steps(self, image1: Image, image2: Image, found: Matches) -> Matches | None:
-        """Matches that agree with their neighbours, aligned; None if too few agree."""
+        """Matches that agree with their neighbours, aligned; None if too few agree.
+
+        A match needs structure where it ends: alignment moves it to a corner.
+        """
         options = self.options
         local = consistent(found, options.neighbours)
         if len(local.index) < options.min_matches:
@@ -88,20 +90,26 @@ class Refiner(Matcher):
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
-            if good.sum() >= options.min_matches:
-                return Matches(
-                    aligned.points1[good],
-                    aligned.points2[good],
-                    aligned.zncc[good].clip(0, 1),
-                    ALIGNED_ERROR_PX * aligned.pixel,
-                    found.key_points,
-                )
-        confidence = found.confidence[local.index]
-        kept = spread(local.points2, confidence, image2.size, options.max_matches)
-        return Matches(
-            found.points1[local.index[kept]],
-            local.points2[kept],
-            confidence[kept],
+            refined = Matches(
+                aligned.points1[good],
+                aligned.points2[good],
+                aligned.zncc[good].clip(0, 1),
+                ALIGNED_ERROR_PX * aligned.pixel,
+                found.key_points,
+            )
+            refined = textured(refined, image1, image2)
+            if len(refined) >= options.min_matches:
+                return refined
+        unmoved = Matches(
+            found.points1[local.index],
+            local.points2,
+            found.confidence[local.index],
             found.error_px,
             found.key_points,
+        )
+        unmoved = textured(unmoved, image1, image2)
+        if len(unmoved) < options.min_matches:
+            return None
+        return unmoved.subset(
+            spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
         )

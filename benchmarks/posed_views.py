@@ -1,0 +1,117 @@
+"""Photographs of one scene with true camera poses: what reconstructions are compared with."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dgc_pose.benchmarks.dtu.calibration import read_projection
+from dgc_pose.benchmarks.pair_list import Pair, read_pairs
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.image import load_image, resize_by
+
+
+@dataclass(frozen=True, eq=False)
+class PosedViews:
+    """Images of one folder, with true poses in one frame and unit."""
+
+    root: Path
+    cameras: Mapping[str, Camera]  # by name, with the image's size
+    poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by name
+
+    def centre(self, name: str) -> np.ndarray:
+        """The true position (3,) of a camera."""
+        pose = self.poses[name]
+        return -pose[:, :3].T @ pose[:, 3]
+
+    def every(self, step: int) -> PosedViews:
+        """The first view and every `step`-th after it, in the order of the names."""
+        kept = sorted(self.poses)[::step]
+        return replace(
+            self,
+            cameras={name: self.cameras[name] for name in kept},
+            poses={name: self.poses[name] for name in kept},
+        )
+
+    def resized(self, scale: float, folder: Path) -> PosedViews:
+        """Copies of the images by area means, as PNG in `folder`, with their cameras."""
+        cameras, poses = {}, {}
+        for name, camera in self.cameras.items():
+            small = resize_by(load_image(self.root / name).pixels, scale)
+            new = str(Path(name).with_suffix(".png"))
+            (folder / new).parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(folder / new), small[:, :, ::-1])
+            cameras[new] = camera.resized((small.shape[1], small.shape[0]))
+            poses[new] = self.poses[name]
+        return PosedViews(folder, cameras, poses)
+
+
+def views_of_list(path: Path, folder: Path) -> PosedViews:
+    """The views of a SuperGlue list whose translations have one unit, chained from pair to pair.
+
+    folder: of the images; names are those of the list relative to it. Raises InputError if the
+    pairs do not connect all images.
+    """
+    pairs = read_pairs(path)
+    names = {str(p): _relative(p, folder) for q in pairs for p in (q.path1, q.path2)}
+    cameras: dict[str, Camera] = {}
+    steps: dict[str, list[tuple[str, np.ndarray]]] = {}
+    for pair in pairs:
+        first, second = names[str(pair.path1)], names[str(pair.path2)]
+        step = _square(pair)
+        steps.setdefault(first, []).append((second, step))
+        steps.setdefault(second, []).append((first, np.linalg.inv(step)))
+        cameras.setdefault(first, pair.camera1)
+        cameras.setdefault(second, pair.camera2)
+    start = min(steps)
+    poses = {start: np.eye(4)}
+    queue = deque([start])
+    while queue:
+        name = queue.popleft()
+        for other, step in steps[name]:
+            if other not in poses:
+                poses[other] = step @ poses[name]
+                queue.append(other)
+    if len(poses) < len(cameras):
+        raise InputError(f"{path}: its pairs do not connect all images")
+    sized = {name: _sized(camera, folder / name) for name, camera in sorted(cameras.items())}
+    return PosedViews(folder, sized, {name: pose[:3] for name, pose in poses.items()})
+
+
+def views_of_dtu(calibration: Path, folder: Path) -> PosedViews:
+    """The images `rect_NNN_...` of a scene of DTU with the matrices `pos_NNN.txt`; millimetres.
+
+    Raises InputError if there is no such image, or a matrix is missing or malformed.
+    """
+    cameras, poses = {}, {}
+    for path in sorted(folder.glob("rect_[0-9][0-9][0-9]*")):
+        position = path.name.split("_")[1]
+        view = read_projection(calibration / f"pos_{position}.txt")
+        cameras[path.name] = _sized(Camera(view.K), path)
+        poses[path.name] = np.column_stack([view.R, view.t])
+    if len(poses) < 2:
+        raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
+    return PosedViews(folder, cameras, poses)
+
+
+def _square(pair: Pair) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = pair.R, pair.t
+    return T
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return path.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        raise InputError(f"{path}: not an image of the folder {folder}") from None
+
+
+def _sized(camera: Camera, path: Path) -> Camera:
+    return Camera(camera.K, load_image(path).size, camera.distortion)

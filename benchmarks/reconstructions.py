@@ -1,0 +1,188 @@
+"""Reconstructions of one scene by several methods, compared with the true cameras."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from dgc_pose.batch.calibration import Calibration
+from dgc_pose.batch.pair_choice import PairChoice
+from dgc_pose.batch.run import BatchOptions, run_batch
+from dgc_pose.batch.source import Source
+from dgc_pose.batch.work import MatcherSettings
+from dgc_pose.benchmarks.posed_views import PosedViews
+from dgc_pose.benchmarks.table import aligned
+from dgc_pose.colmap.mapping import MappingError, MappingOptions, map_database
+from dgc_pose.colmap.reconstruction import Model, ReconstructionOptions, as_model, reconstruct
+from dgc_pose.colmap.sift import sift_database
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.metrics.pose import rotation_error_deg
+
+COLMAP_SIFT = "colmap-sift"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How scenes are reconstructed."""
+
+    pairs: PairChoice
+    reconstruction: ReconstructionOptions
+    estimation: EstimationOptions
+    batch: BatchOptions
+
+
+@dataclass(frozen=True)
+class ReconstructionScore:
+    """A model compared with the truth. NaN if too few images are registered."""
+
+    method: str
+    images: int
+    registered: int
+    rotation_median_deg: float  # of the relative rotations of all registered pairs
+    position_rms: float  # after a similarity, the truth's unit
+    position_median: float
+    position_percent: float  # position_rms over the largest distance of two cameras
+    points: int
+    mean_track_length: float
+    reprojection_error_px: float
+    pairs: int  # matched
+    poses: int  # pairs with a pose
+    seconds: float
+
+
+def run_method(
+    method: str, views: PosedViews, out: Path, setting: Setting
+) -> tuple[ReconstructionScore, Model | None]:
+    """Reconstruct the views by one method: `colmap-sift`, or a matcher by its name.
+
+    Both map with the same options. The folder keeps a matcher's batch, which `resume` goes on with.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    pairs = poses = 0
+    try:
+        if method == COLMAP_SIFT:
+            model = _by_sift(views, out, setting.reconstruction.mapping)
+            pairs = poses = len(views.poses) * (len(views.poses) - 1) // 2
+        else:
+            batch = run_batch(
+                Source(views.root, tuple(sorted(views.cameras)), None, {}),
+                Calibration("the truth", views.cameras),
+                setting.pairs,
+                out / "batch",
+                matcher=MatcherSettings(method),
+                estimation=setting.estimation,
+                options=setting.batch,
+            )
+            pairs, poses = batch.summary["pairs"], batch.summary["poses"]
+            model, _ = reconstruct(batch, out, setting.reconstruction)
+    except MappingError:
+        model = None
+    seconds = time.perf_counter() - start
+    return score(method, model, views, pairs, poses, seconds), model
+
+
+def score(
+    method: str, model: Model | None, views: PosedViews, pairs: int, poses: int, seconds: float
+) -> ReconstructionScore:
+    """A model's cameras compared with the true ones."""
+    names = [] if model is None else sorted(model.poses)
+    rotation = position = np.array([np.nan])
+    if model is not None and len(names) > 2:
+        rotation = rotation_errors(model, views, names)
+        position = position_errors(model, views, names)
+    true = np.stack([views.centre(name) for name in views.poses])
+    extent = np.linalg.norm(true[:, None] - true, axis=-1).max()
+    rms = float(np.sqrt((position**2).mean()))
+    return ReconstructionScore(
+        method=method,
+        images=len(views.poses),
+        registered=len(names),
+        rotation_median_deg=float(np.median(rotation)),
+        position_rms=rms,
+        position_median=float(np.median(position)),
+        position_percent=100 * rms / float(extent),
+        points=0 if model is None else len(model.points),
+        mean_track_length=np.nan if model is None else model.mean_track_length,
+        reprojection_error_px=np.nan if model is None else model.reprojection_error_px,
+        pairs=pairs,
+        poses=poses,
+        seconds=seconds,
+    )
+
+
+def rotation_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np.ndarray:
+    """Errors of the relative rotations of all pairs, degrees."""
+    return np.array(
+        [
+            rotation_error_deg(
+                model.poses[b][:, :3] @ model.poses[a][:, :3].T,
+                views.poses[b][:, :3] @ views.poses[a][:, :3].T,
+            )
+            for a, b in combinations(names, 2)
+        ]
+    )
+
+
+def position_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np.ndarray:
+    """Distances (N,) of the positions after the best similarity, the truth's unit."""
+    import pycolmap
+
+    found = np.stack([model.centre(name) for name in names])
+    true = np.stack([views.centre(name) for name in names])
+    similarity = pycolmap.estimate_sim3d(found, true)
+    if similarity is None:
+        return np.full(len(names), np.nan)
+    matrix = similarity.matrix()
+    return np.linalg.norm(found @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
+
+
+def score_table(scores: Sequence[ReconstructionScore]) -> str:
+    """A line a method."""
+    heading = (
+        "method",
+        "images",
+        "registered",
+        "R med deg",
+        "position rms",
+        "med",
+        "% of extent",
+        "points",
+        "track length",
+        "reprojection px",
+        "pairs",
+        "poses",
+        "seconds",
+    )
+    rows = [
+        (
+            one.method,
+            str(one.images),
+            str(one.registered),
+            f"{one.rotation_median_deg:.3f}",
+            f"{one.position_rms:.4g}",
+            f"{one.position_median:.4g}",
+            f"{one.position_percent:.3f}",
+            str(one.points),
+            f"{one.mean_track_length:.2f}",
+            f"{one.reprojection_error_px:.3f}",
+            str(one.pairs),
+            str(one.poses),
+            f"{one.seconds:.0f}",
+        )
+        for one in scores
+    ]
+    return aligned([heading, *rows])
+
+
+def _by_sift(views: PosedViews, out: Path, options: MappingOptions) -> Model:
+    shutil.rmtree(out)
+    out.mkdir()
+    sift_database(out / "database.db", views.root, views.cameras, options.threads)
+    return as_model(map_database(out / "database.db", views.root, options))

@@ -1,0 +1,121 @@
+"""`dgc-pose export-colmap`: a finished batch as a COLMAP database."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+from tqdm import tqdm
+
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.errors import InputError
+from dgc_pose.options import check_options, option
+
+if TYPE_CHECKING:
+    from dgc_pose.colmap.export import Exported, ExportOptions
+
+
+@dataclass(frozen=True)
+class SharingChoice:
+    """How key points are shared between the pairs of an image."""
+
+    sharing: Literal["tracks", "cells"] = option(
+        "tracks",
+        "Key points of an image: tracks, corners located anew in each of its pairs, which reads "
+        "the images again; or cells, matches merged as hloc does.",
+    )
+    per_image: int | None = option(
+        None, "Most corners (1000) or cells (8192) of an image.", metavar="N", min=1
+    )
+    cell: float = option(
+        1.0,
+        "Side of a cell and farthest move of a match, pixels; for cells.",
+        metavar="PX",
+        above=0,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def options(self) -> ExportOptions:
+        from dgc_pose.colmap.cells import CellOptions
+        from dgc_pose.colmap.export import ExportOptions
+        from dgc_pose.colmap.tracking import TrackOptions
+
+        most = {} if self.per_image is None else {"per_image": self.per_image}
+        return ExportOptions(
+            self.sharing,
+            TrackOptions(**most),
+            CellOptions(cell_px=self.cell, max_error_px=self.cell, **most),
+        )
+
+
+def described(exported: Exported) -> str:
+    """What was written, in one line."""
+    longer = sum(count for views, count in exported.tracks_by_length.items() if views > 2)
+    tracks = sum(exported.tracks_by_length.values())
+    return (
+        f"{exported.images} images, {exported.key_points} key points, {exported.pairs} pairs, "
+        f"{exported.matches} matches, {tracks} tracks, {longer} of 3 and more views"
+    )
+
+
+@contextmanager
+def images_bar() -> Iterator[Callable[[int, int], None]]:
+    """A progress bar over images."""
+    with tqdm(unit="image", disable=None) as bar:
+
+        def progress(done: int, of: int) -> None:
+            bar.total = of
+            bar.update(done - bar.n)
+
+        yield progress
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option(
+    "--database", type=click.Path(path_type=Path), metavar="DB", help="The database to write."
+)
+@click.option(
+    "--hloc",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Write features.h5, matches.h5 and pairs.txt there, as hloc's reconstruction reads them.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace what is there.")
+@dataclass_options(SharingChoice, "sharing")
+def export_colmap(
+    folder: Path,
+    database: Path | None,
+    hloc: Path | None,
+    overwrite: bool,
+    sharing: SharingChoice,
+) -> None:
+    """Write the matches and poses of a batch as a COLMAP database.
+
+    DIR is the folder of a finished `dgc-pose batch`. Pairs without a pose or a rotation are left
+    out. The key points have COLMAP's half-pixel offset.
+    """
+    from dgc_pose.adapters.hloc import write_hloc
+    from dgc_pose.batch.run import read_batch
+    from dgc_pose.colmap.export import share, write_shared
+
+    if database is None and hloc is None:
+        raise InputError("give --database, or --hloc")
+    for path in (database, hloc):
+        if path is not None and path.exists() and not overwrite:
+            raise InputError(f"{path} is there already: --overwrite replaces it")
+    batch = read_batch(folder)
+    with images_bar() as progress:
+        shared, pairs = share(batch, sharing.options, progress)
+    if database is not None:
+        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, database))}")
+    if hloc is not None:
+        write_hloc(hloc, shared)
+        click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")

@@ -1,0 +1,108 @@
+"""`dgc-pose reconstruct`: from a folder of photographs to a COLMAP model."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from dgc_pose.cli.batch import SourceChoice, WorkChoice, report, work_through
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.export_colmap import SharingChoice, described, images_bar
+from dgc_pose.cli.options import MatcherChoice
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.options import option
+
+if TYPE_CHECKING:
+    from dgc_pose.colmap.reconstruction import Model
+
+PICTURE = "picture.png"
+EXHAUSTIVE_UP_TO = 20  # images
+
+
+@dataclass(frozen=True)
+class MapperChoice:
+    """How the model is made."""
+
+    mapper: Literal["incremental", "global"] = option("incremental", "Of pycolmap.")
+    refine_intrinsics: bool = option(
+        False,
+        "Let bundle adjustment change focal lengths and distortion; always with --guess-focal.",
+    )
+
+
+@click.command()
+@click.argument("source", metavar="FOLDER")
+@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR")
+@dataclass_options(SourceChoice, "inputs")
+@dataclass_options(SharingChoice, "sharing")
+@dataclass_options(MapperChoice, "mapping")
+@dataclass_options(WorkChoice, "work")
+@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(EstimationOptions, "estimation")
+def reconstruct(
+    source: str,
+    out: Path,
+    inputs: SourceChoice,
+    sharing: SharingChoice,
+    mapping: MapperChoice,
+    work: WorkChoice,
+    matcher: MatcherChoice,
+    estimation: EstimationOptions,
+) -> None:
+    """Reconstruct cameras and points from a folder of photographs.
+
+    FOLDER may also be a list of pairs or a COLMAP database, as for `dgc-pose batch`. Without
+    --pairs, a folder of up to 20 images is matched exhaustively, a larger one by auto:10.
+
+    Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
+    the folder of the batch.
+    """
+    from dgc_pose.colmap import reconstruction
+    from dgc_pose.colmap.mapping import MappingOptions
+
+    known = [name for name in reconstruction.OUTPUTS if (out / name).exists()]
+    if known and not work.resume:
+        raise InputError(f"{out / known[0]} is there already: --resume goes on, and replaces it")
+    start = time.perf_counter()
+    batch = work_through(
+        source, out / "batch", inputs, work, matcher, estimation, default_pairs=_default_pairs
+    )
+    report(batch)
+    matched = time.perf_counter()
+    options = reconstruction.ReconstructionOptions(
+        sharing.options,
+        MappingOptions(mapping.mapper, mapping.refine_intrinsics or bool(batch.plan.guessed)),
+    )
+    with images_bar() as progress:
+        model, exported = reconstruction.reconstruct(batch, out, options, progress)
+    seconds = {"match": matched - start, "map": time.perf_counter() - matched}
+    _draw(out / PICTURE, model)
+    data = reconstruction.summary_data(batch, model, exported, seconds)
+    reconstruction.write_summary(out, data)
+    click.echo(f"{out / reconstruction.DATABASE}: {described(exported)}")
+    click.echo(
+        f"{out / reconstruction.MODEL}: {data['registered']} of {data['images']} images, "
+        f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "
+        f"reprojection error {data['reprojection_error_px']:.3f} px"
+    )
+    for name in data["not_registered"]:
+        click.echo(f"not registered: {name}", err=True)
+
+
+def _default_pairs(images: int) -> str:
+    return "exhaustive" if images <= EXHAUSTIVE_UP_TO else "auto:10"
+
+
+def _draw(path: Path, model: Model) -> None:
+    from dgc_pose.files import replaced
+    from dgc_pose.viz.figure import save_figure
+    from dgc_pose.viz.reconstruction import plot_reconstruction
+
+    figure = plot_reconstruction([*model.poses.values()], model.points, model.colours)
+    with replaced(path) as temporary:
+        save_figure(figure, temporary)

@@ -1,0 +1,1 @@
+"""dgc-pose in the shapes that other tools expect of a matcher."""

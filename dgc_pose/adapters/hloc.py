@@ -1,0 +1,52 @@
+"""hloc's files: `features.h5`, `matches.h5` and `pairs.txt`, which its reconstruction reads.
+
+features.h5 has `<image>/keypoints` (float32, (0, 0) the centre of the first pixel) and
+`<image>/scores`; matches.h5 has `name0/name1` ("/" inside a name becomes "-") with `matches0`
+(int32, -1 for none) and `matching_scores0` (float16); pairs.txt has two names a line.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from dgc_pose.batch.matches_file import group_name
+from dgc_pose.colmap.shared import SharedMatches
+from dgc_pose.errors import InputError
+from dgc_pose.files import replaced
+
+FEATURES, MATCHES, PAIRS = "features.h5", "matches.h5", "pairs.txt"
+_NONE = -1  # in matches0
+
+
+def write_hloc(folder: Path, shared: SharedMatches) -> None:
+    """Write the three files of shared key points, over what is there.
+
+    Raises InputError for a name with a blank, which a pairs file cannot hold.
+    """
+    for names in shared.pairs:
+        if any(len(name.split()) != 1 for name in names):
+            raise InputError(f"hloc's pairs file cannot hold the names {names}: no blanks")
+    folder.mkdir(parents=True, exist_ok=True)
+    with (
+        replaced(folder / FEATURES) as features,
+        replaced(folder / MATCHES) as matches,
+        replaced(folder / PAIRS) as pairs,
+    ):
+        with h5py.File(features, "w") as file:
+            for name, points in shared.key_points.items():
+                group = file.create_group(name)
+                group.create_dataset("keypoints", data=points.astype(np.float32))
+                group.create_dataset("scores", data=np.ones(len(points), np.float32))
+        with h5py.File(matches, "w") as file:
+            for (name0, name1), index in shared.pairs.items():
+                group = file.create_group(group_name(name0, name1))
+                matches0 = np.full(len(shared.key_points[name0]), _NONE, dtype=np.int32)
+                matches0[index[:, 0]] = index[:, 1]
+                group.create_dataset("matches0", data=matches0)
+                scores = (matches0 != _NONE).astype(np.float16)
+                group.create_dataset("matching_scores0", data=scores)
+        lines = (f"{name0} {name1}\n" for name0, name1 in shared.pairs)
+        pairs.write_text("".join(lines), encoding="utf-8")

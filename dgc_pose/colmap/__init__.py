@@ -1,0 +1,1 @@
+"""From the matches of a batch to a COLMAP database and a reconstruction."""

@@ -1,0 +1,69 @@
+"""Shared key points by merging: the best match of each cell of an image becomes a key point.
+
+The matches of each pair are then re-assigned to the nearest key points. This needs no images, and
+moves each match by up to `max_error_px`, as hloc does with dense matchers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dgc_pose.colmap.shared import PairGeometry, SharedMatches, neighbours_of, one_to_one
+from dgc_pose.options import check_options, option
+
+
+@dataclass(frozen=True)
+class CellOptions:
+    """Raises InputError, naming the field, for a value out of range."""
+
+    cell_px: float = option(1.0, above=0)  # side of a cell, pixels of the originals
+    max_error_px: float = option(1.0, above=0)  # farthest key point that a match moves to
+    per_image: int = option(8192, min=1)  # key points of an image: those with the best scores
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def merge_by_cells(
+    pairs: Sequence[PairGeometry], options: CellOptions | None = None
+) -> SharedMatches:
+    """Key points in cells, and the matches of each pair re-assigned to them.
+
+    A cell that more pairs have a match in is preferred to one of fewer, then the better score.
+    """
+    options = options or CellOptions()
+    key_points = {
+        name: _best_of_cells(name, own, options) for name, own in neighbours_of(pairs).items()
+    }
+    trees = {name: cKDTree(points) for name, points in key_points.items()}
+    found = {}
+    for pair in pairs:
+        index = []
+        near = np.ones(len(pair.points1), dtype=bool)
+        for name, points in zip(pair.names, (pair.points1, pair.points2), strict=True):
+            distance, nearest = trees[name].query(points)
+            near &= distance <= options.max_error_px
+            index.append(nearest)
+        matches = np.column_stack(index)[near].astype(np.uint32)
+        found[pair.names] = one_to_one(matches, pair.scores[near])
+    return SharedMatches(key_points, found)
+
+
+def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: CellOptions) -> np.ndarray:
+    """The key points (N, 2) of one image."""
+    points = np.concatenate([p.points1 if p.row.name1 == name else p.points2 for p in pairs])
+    scores = np.concatenate([p.scores for p in pairs])
+    of_pair = np.concatenate([np.full(len(p.scores), i) for i, p in enumerate(pairs)])
+    cells = np.floor((points + 0.5) / options.cell_px).astype(np.int64)
+    _, cell = np.unique(cells, axis=0, return_inverse=True)
+    cell = cell.ravel()
+    seen = np.unique(np.column_stack([cell, of_pair]), axis=0)[:, 0]
+    support = np.bincount(seen)[cell]
+    order = np.lexsort((np.arange(len(points)), -scores, -support))
+    _, first = np.unique(cell[order], return_index=True)
+    best = order[np.sort(first)][: options.per_image]
+    return points[best]

@@ -1,0 +1,152 @@
+"""A COLMAP database of shared key points, matches and two-view geometries, through pycolmap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.camera import Camera
+from dgc_pose.colmap.shared import Names, SharedMatches
+from dgc_pose.errors import InputError
+from dgc_pose.files import replaced
+from dgc_pose.geometry.epipolar import essential_from_pose
+
+if TYPE_CHECKING:
+    import pycolmap
+
+# COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
+HALF_PIXEL = 0.5
+# COLMAP's configuration of a pair by our status. Pairs of another status are not written.
+CONFIGURATIONS: Mapping[str, str] = {
+    "ok": "CALIBRATED",
+    "planar": "PLANAR",
+    "rotation_only": "PANORAMIC",
+}
+
+
+def write_database(
+    path: Path,
+    names: Sequence[str],
+    cameras: Mapping[str, Camera],
+    guessed: frozenset[str],
+    shared: SharedMatches,
+    rows: Mapping[Names, PairRow],
+) -> None:
+    """Write a database, whole or not at all, over what is there.
+
+    names: all images; those without a camera are left out. guessed: images whose focal length is no
+    prior. rows: by pair, of a status in `CONFIGURATIONS`.
+
+    Raises InputError if COLMAP cannot hold a camera.
+    """
+    import pycolmap
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replaced(path) as temporary:
+        temporary.unlink(missing_ok=True)
+        with pycolmap.Database.open(temporary) as database, _transaction(database):
+            ids = _write_images(database, names, cameras, guessed)
+            for name, points in shared.key_points.items():
+                xy = (points + HALF_PIXEL).astype(np.float32)
+                database.write_keypoints(ids[name], xy)
+            for pair, index in shared.pairs.items():
+                first, second = (ids[name] for name in pair)
+                database.write_matches(first, second, index)
+                geometry = two_view_geometry(rows[pair], index)
+                database.write_two_view_geometry(first, second, geometry)
+
+
+def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeometry:
+    """COLMAP's two-view geometry of a row of a status in `CONFIGURATIONS`.
+
+    matches: (M, 2) uint32, indices of key points, all of them inliers.
+    """
+    import pycolmap
+
+    geometry = pycolmap.TwoViewGeometry()
+    name = CONFIGURATIONS[row.status]
+    geometry.config = getattr(pycolmap.TwoViewGeometryConfiguration, name)
+    if row.R is not None:
+        R = np.reshape(row.R, (3, 3))
+        t = np.zeros(3) if row.t is None else np.array(row.t)
+        geometry.cam2_from_cam1 = pycolmap.Rigid3d(pycolmap.Rotation3d(R), t)
+        if row.t is not None:
+            geometry.E = essential_from_pose(R, t)
+    if row.median_triangulation_angle_deg is not None and row.t is not None:
+        geometry.tri_angle = float(np.radians(row.median_triangulation_angle_deg))
+    geometry.inlier_matches = matches
+    return geometry
+
+
+def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
+    """A camera with its size as COLMAP's: PINHOLE, or the model of its distortion.
+
+    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew, or two
+    focal lengths in a model of one.
+    """
+    import pycolmap
+
+    assert camera.size is not None
+    K = camera.K
+    if abs(K[0, 1]) > 1e-9 * K[0, 0]:
+        raise InputError(f"{name}: its K has a skew of {K[0, 1]:g}, which COLMAP cannot hold")
+    lens = camera.distortion
+    made = pycolmap.Camera.create_from_model_name(
+        0, "PINHOLE" if lens is None else lens.model, 1.0, *camera.size
+    )
+    parameters = np.zeros(len(made.params))
+    focal = list(made.focal_length_idxs())
+    if len(focal) == 1 and abs(K[0, 0] - K[1, 1]) > 1e-6 * K[0, 0]:
+        raise InputError(f"{name}: {made.model.name} has one focal length, and its K has two")
+    parameters[focal] = (K[0, 0], K[1, 1])[: len(focal)]
+    parameters[list(made.principal_point_idxs())] = K[:2, 2] + HALF_PIXEL
+    if lens is not None:
+        parameters[list(made.extra_params_idxs())] = lens.coefficients
+    made.params = parameters.tolist()
+    return made
+
+
+def _write_images(
+    database: pycolmap.Database,
+    names: Sequence[str],
+    cameras: Mapping[str, Camera],
+    guessed: frozenset[str],
+) -> dict[str, int]:
+    """The id of each image. Images of the same K, size and distortion share a camera."""
+    import pycolmap
+
+    known: dict[tuple[object, ...], int] = {}
+    ids = {}
+    for name in names:
+        if name not in cameras:
+            continue
+        camera = colmap_camera(cameras[name], name)
+        camera.has_prior_focal_length = name not in guessed
+        key = (
+            camera.model.name,
+            camera.has_prior_focal_length,
+            camera.width,
+            camera.height,
+            *camera.params.tolist(),
+        )
+        if key not in known:
+            known[key] = camera.camera_id = database.write_camera(camera)
+            rig = pycolmap.Rig(rig_id=known[key])
+            rig.add_ref_sensor(camera.sensor_id)
+            database.write_rig(rig, use_rig_id=True)
+        image = pycolmap.Image(name=name, camera_id=known[key])
+        image.image_id = ids[name] = database.write_image(image)
+        frame = pycolmap.Frame(frame_id=image.image_id, rig_id=known[key])
+        frame.add_data_id(image.data_id)
+        database.write_frame(frame, use_frame_id=True)
+    return ids
+
+
+def _transaction(database: pycolmap.Database) -> pycolmap.DatabaseTransaction:
+    import pycolmap
+
+    return pycolmap.DatabaseTransaction(database)

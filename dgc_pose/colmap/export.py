@@ -1,0 +1,113 @@
+"""From a finished batch to a COLMAP database."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from dgc_pose.batch.run import Batch
+from dgc_pose.colmap.cells import CellOptions, merge_by_cells
+from dgc_pose.colmap.database import CONFIGURATIONS, write_database
+from dgc_pose.colmap.shared import PairGeometry, SharedMatches, count_by_length
+from dgc_pose.colmap.tracking import TrackOptions, track_corners
+from dgc_pose.errors import InputError
+from dgc_pose.image import Image, load_image
+from dgc_pose.matching.cache import BoundedCache
+
+Sharing = Literal["tracks", "cells"]
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """How key points are shared between the pairs of an image."""
+
+    sharing: Sharing = "tracks"
+    tracks: TrackOptions = field(default_factory=TrackOptions)
+    cells: CellOptions = field(default_factory=CellOptions)
+    memory_bytes: int = 2**29  # of images that are kept
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written."""
+
+    images: int  # with key points
+    key_points: int
+    pairs: int
+    matches: int
+    tracks_by_length: dict[int, int]  # tracks by number of views
+
+
+def export_batch(
+    batch: Batch,
+    database: Path,
+    options: ExportOptions | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Exported:
+    """Write the database of a batch's poses and matches.
+
+    Raises InputError if the file is there already and `overwrite` is not asked for, or if no pair
+    has a pose; ImageError if an image cannot be read any more.
+    """
+    if database.exists() and not overwrite:
+        raise InputError(f"{database} is there already: --overwrite replaces it")
+    shared, pairs = share(batch, options or ExportOptions(), progress)
+    return write_shared(batch, shared, pairs, database)
+
+
+def write_shared(
+    batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
+) -> Exported:
+    """Write the database of shared key points, over what is there."""
+    plan = batch.plan
+    rows = {pair.names: pair.row for pair in pairs}
+    write_database(database, plan.names, plan.cameras, plan.guessed, shared, rows)
+    return Exported(
+        images=sum(len(points) > 0 for points in shared.key_points.values()),
+        key_points=sum(map(len, shared.key_points.values())),
+        pairs=len(shared.pairs),
+        matches=sum(map(len, shared.pairs.values())),
+        tracks_by_length=count_by_length(shared.track_lengths()),
+    )
+
+
+def share(
+    batch: Batch,
+    options: ExportOptions,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[SharedMatches, list[PairGeometry]]:
+    """The shared key points of a batch, and the pairs that they are of.
+
+    Raises InputError if no pair has a pose.
+    """
+    pairs = pair_geometries(batch)
+    if not pairs:
+        raise InputError(f"{batch.folder}: no pair of this batch has a pose")
+    if options.sharing == "cells":
+        return merge_by_cells(pairs, options.cells), pairs
+    images: BoundedCache[str, Image] = BoundedCache(
+        lambda name, image: image.pixels.nbytes, options.memory_bytes
+    )
+
+    def load(name: str) -> Image:
+        return images.get(name, lambda: load_image(batch.plan.root / name))
+
+    shared = track_corners(pairs, batch.plan.cameras, load, options.tracks, progress)
+    return shared, pairs
+
+
+def pair_geometries(batch: Batch) -> list[PairGeometry]:
+    """The pairs with a pose or a rotation, and the matches that fit it."""
+    found = []
+    for row, matches in batch.matches():
+        if row.status in CONFIGURATIONS:
+            kept = matches.inliers
+            arrays = (matches.points1[kept], matches.points2[kept], matches.scores[kept])
+            found.append(PairGeometry(row, *(array.astype(np.float64) for array in arrays)))
+    return found

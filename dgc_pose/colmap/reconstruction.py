@@ -1,0 +1,126 @@
+"""From a finished batch to a model, its points and a summary in one folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dgc_pose.batch.run import Batch
+from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
+from dgc_pose.colmap.mapping import MappingOptions, map_database
+from dgc_pose.files import replaced, write_text
+
+if TYPE_CHECKING:
+    import pycolmap
+
+DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
+OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
+
+
+@dataclass(frozen=True)
+class ReconstructionOptions:
+    """How a batch becomes a model."""
+
+    export: ExportOptions = field(default_factory=ExportOptions)
+    mapping: MappingOptions = field(default_factory=MappingOptions)
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Cameras and points, in the model's own unit and axes. Pixels have (0, 0) at the first pixel's
+    centre."""
+
+    poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by image name
+    points: np.ndarray  # (N, 3) float64
+    colours: np.ndarray  # (N, 3) uint8, RGB
+    mean_track_length: float
+    reprojection_error_px: float  # mean over the observations
+
+    def centre(self, name: str) -> np.ndarray:
+        """Position (3,) of a camera."""
+        pose = self.poses[name]
+        return -pose[:, :3].T @ pose[:, 3]
+
+
+def reconstruct(
+    batch: Batch,
+    out: Path,
+    options: ReconstructionOptions | None = None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[Model, Exported]:
+    """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
+
+    Raises MappingError if no model is found; what `export_batch` raises.
+    """
+    options = options or ReconstructionOptions()
+    out.mkdir(parents=True, exist_ok=True)
+    database = out / DATABASE
+    exported = export_batch(batch, database, options.export, overwrite=True, progress=progress)
+    found = map_database(database, batch.plan.root, options.mapping)
+    _write_model(found, out / MODEL)
+    with replaced(out / POINTS) as temporary:
+        found.export_PLY(temporary)
+    return as_model(found), exported
+
+
+def as_model(found: pycolmap.Reconstruction) -> Model:
+    """What COLMAP found, as arrays."""
+    points = list(found.points3D.values())
+    return Model(
+        poses={
+            image.name: np.array(image.cam_from_world().matrix())
+            for image in found.images.values()
+            if image.has_pose
+        },
+        points=np.array([point.xyz for point in points]).reshape(-1, 3),
+        colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
+        mean_track_length=float(found.compute_mean_track_length()),
+        reprojection_error_px=float(found.compute_mean_reprojection_error()),
+    )
+
+
+def summary_data(
+    batch: Batch, model: Model, exported: Exported, seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    """A reconstruction for JSON. seconds: by stage."""
+    names = batch.plan.names
+    return {
+        "images": len(names),
+        "registered": len(model.poses),
+        "not_registered": [name for name in names if name not in model.poses],
+        "points": len(model.points),
+        "mean_track_length": round(model.mean_track_length, 3),
+        "reprojection_error_px": round(model.reprojection_error_px, 4),
+        "pairs": batch.summary["pairs"],
+        "poses": batch.summary["poses"],
+        "key_points": exported.key_points,
+        "matches": exported.matches,
+        "tracks_by_length": exported.tracks_by_length,
+        "bad_images": batch.summary["bad_images"],
+        "guessed_focal": batch.summary["guessed_focal"],
+        "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
+    }
+
+
+def write_summary(out: Path, data: Mapping[str, Any]) -> None:
+    """Write `summary.json`."""
+    write_text(out / SUMMARY, json.dumps(data, indent=2, allow_nan=False) + "\n")
+
+
+def _write_model(model: pycolmap.Reconstruction, folder: Path) -> None:
+    """Write a model in COLMAP's binary format, instead of what is there."""
+    new = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    try:
+        new.mkdir()
+        model.write_binary(new)
+        shutil.rmtree(folder, ignore_errors=True)
+        os.replace(new, folder)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)

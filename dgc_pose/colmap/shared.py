@@ -1,0 +1,121 @@
+"""Key points that all pairs of an image share, and the matches between them.
+
+Matches of a dense matcher lie at fresh places in each pair. A reconstruction needs tracks: points
+that are seen in three views and more, so the pairs of an image must share key points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.camera import Camera
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+
+Names = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class PairGeometry:
+    """A pair whose images show the same scene, with the matches that fit its pose."""
+
+    row: PairRow  # of status ok, planar or rotation_only
+    points1: np.ndarray  # (N, 2) float64, pixels of image 1
+    points2: np.ndarray  # (N, 2) float64
+    scores: np.ndarray  # (N,) float64, confidence in [0, 1]
+
+    @property
+    def names(self) -> Names:
+        return self.row.name1, self.row.name2
+
+
+@dataclass(frozen=True, eq=False)
+class SharedMatches:
+    """Key points of images, and matches between them."""
+
+    key_points: Mapping[str, np.ndarray]  # (N, 2) float64 by image, (0, 0) the first pixel's centre
+    pairs: Mapping[Names, np.ndarray]  # (M, 2) uint32, indices of key points, by pair
+
+    def track_lengths(self) -> np.ndarray:
+        """The number of images (T,) of each track: of key points connected by matches."""
+        start, total = {}, 0
+        for name, points in self.key_points.items():
+            start[name] = total
+            total += len(points)
+        if total == 0 or not self.pairs:
+            return np.zeros(0, dtype=np.int64)
+        ends = np.concatenate(
+            [
+                index.astype(np.int64) + (start[first], start[second])
+                for (first, second), index in self.pairs.items()
+            ]
+        )
+        graph = coo_matrix((np.ones(len(ends), np.int8), ends.T), (total, total))
+        count, label = connected_components(graph, directed=False)
+        sizes = np.concatenate([np.full(len(p), i) for i, p in enumerate(self.key_points.values())])
+        seen = np.unique(np.column_stack([label, sizes]), axis=0)[:, 0]
+        lengths: np.ndarray = np.bincount(seen, minlength=count)
+        return lengths[lengths > 1]
+
+
+def fits_pose(
+    row: PairRow,
+    cameras: Mapping[str, Camera],
+    points1: np.ndarray,
+    points2: np.ndarray,
+    max_error_px: float,
+) -> np.ndarray:
+    """Whether matches (N, 2) fit the pose of a row: Sampson distance, in pixels of the originals.
+
+    All fit a row without a translation.
+    """
+    distance = epipolar_error_px(row, cameras, points1, points2)
+    return np.ones(len(points1), bool) if distance is None else distance <= max_error_px
+
+
+def epipolar_error_px(
+    row: PairRow, cameras: Mapping[str, Camera], points1: np.ndarray, points2: np.ndarray
+) -> np.ndarray | None:
+    """Sampson distances (N,) of matches to the pose of a row, pixels of the originals; infinite
+    where distortion cannot be undone, and None for a row without a translation."""
+    if row.R is None or row.t is None:
+        return None
+    camera1, camera2 = cameras[row.name1], cameras[row.name2]
+    E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
+    focal = (camera1.focal + camera2.focal) / 2
+    distance = sampson_distance(camera1.normalise(points1), camera2.normalise(points2), E) * focal
+    return np.where(np.isfinite(distance), distance, np.inf)
+
+
+def neighbours_of(pairs: Iterable[PairGeometry]) -> dict[str, list[PairGeometry]]:
+    """The pairs of each image, in their order."""
+    found: dict[str, list[PairGeometry]] = {}
+    for pair in pairs:
+        for name in pair.names:
+            found.setdefault(name, []).append(pair)
+    return found
+
+
+def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Of matches (M, 2) those in which no key point occurs twice: the best scored ones are kept,
+    in their order."""
+    kept = np.ones(len(index), dtype=bool)
+    order = np.argsort(-scores, kind="stable")
+    for side in (0, 1):
+        order = order[kept[order]]
+        _, first = np.unique(index[order, side], return_index=True)
+        chosen = np.zeros(len(index), dtype=bool)
+        chosen[order[first]] = True
+        kept &= chosen
+    return index[kept]
+
+
+def count_by_length(lengths: Sequence[int] | np.ndarray) -> dict[int, int]:
+    """How many tracks have each number of views."""
+    values, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
+    return {int(value): int(count) for value, count in zip(values, counts, strict=True)}

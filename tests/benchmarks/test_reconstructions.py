@@ -1,0 +1,131 @@
+"""True cameras from lists and from DTU, and scores of models against them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from batch_runs import view_folder
+from click.testing import CliRunner
+from multi_view import SIZE, K, View
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.benchmarks.pair_list import Pair, write_pairs
+from dgc_pose.benchmarks.posed_views import PosedViews, views_of_dtu, views_of_list
+from dgc_pose.benchmarks.reconstructions import score
+from dgc_pose.camera import Camera
+from dgc_pose.cli.main import main
+from dgc_pose.colmap.reconstruction import Model
+from dgc_pose.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[View]]:
+    """A folder of four views, and a list that connects them 0-1, 2-1, 2-3."""
+    folder = tmp_path_factory.mktemp("scene") / "photos"
+    views = view_folder(folder, 4)
+    pairs = []
+    for i, j in ((0, 1), (2, 1), (2, 3)):
+        R = views[j].R @ views[i].R.T
+        t = views[j].t - R @ views[i].t
+        names = (f"photos/view{i}.png", f"photos/view{j}.png")
+        pairs.append(Pair(*names, folder.parent, Camera(K), Camera(K), R, t))
+    path = folder.parent / "pairs.txt"
+    write_pairs(path, pairs)
+    return folder, path, views
+
+
+def _relative(poses: dict[str, np.ndarray], a: str, b: str) -> np.ndarray:
+    square = [np.vstack([poses[name], [0, 0, 0, 1]]) for name in (a, b)]
+    relative: np.ndarray = square[1] @ np.linalg.inv(square[0])
+    return relative
+
+
+def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
+    folder, path, views = scene
+    found = views_of_list(path, folder)
+    assert sorted(found.poses) == [f"view{i}.png" for i in range(4)]
+    true = {f"view{i}.png": np.column_stack([v.R, v.t]) for i, v in enumerate(views)}
+    for a, b in (("view0.png", "view3.png"), ("view3.png", "view1.png")):
+        np.testing.assert_allclose(
+            _relative(dict(found.poses), a, b), _relative(true, a, b), atol=1e-9
+        )
+    assert found.cameras["view0.png"].size == SIZE
+    assert sorted(found.every(3).poses) == ["view0.png", "view3.png"]
+    lines = path.read_text().splitlines()
+    (folder.parent / "broken.txt").write_text("\n".join([lines[0], lines[2]]))
+    with pytest.raises(InputError, match="do not connect"):
+        views_of_list(folder.parent / "broken.txt", folder)
+    with pytest.raises(InputError, match="not an image of the folder"):
+        views_of_list(path, folder / "other")
+
+
+def test_smaller_copies_have_their_own_cameras(
+    scene: tuple[Path, Path, list[View]], tmp_path: Path
+) -> None:
+    views = views_of_list(scene[1], scene[0]).resized(0.5, tmp_path)
+    camera = views.cameras["view0.png"]
+    assert camera.size == (SIZE[0] // 2, SIZE[1] // 2)
+    assert cv2.imread(str(tmp_path / "view0.png")).shape[1::-1] == camera.size
+    np.testing.assert_allclose(camera.K[:2, 2], (K[:2, 2] + 0.5) / 2 - 0.5)
+
+
+def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:
+    calibration = tmp_path / "cal18"
+    calibration.mkdir()
+    for i, view in enumerate(scene[2][:2], start=1):
+        np.savetxt(calibration / f"pos_{i:03d}.txt", K @ np.column_stack([view.R, view.t]))
+        cv2.imwrite(str(tmp_path / f"rect_{i:03d}_3_r5000.png"), view.pixels)
+    found = views_of_dtu(calibration, tmp_path)
+    np.testing.assert_allclose(found.centre("rect_001_3_r5000.png"), scene[2][0].centre, atol=1e-12)
+    np.testing.assert_allclose(found.cameras["rect_002_3_r5000.png"].K, K, atol=1e-9)
+    with pytest.raises(InputError, match="no images rect_NNN"):
+        views_of_dtu(calibration, calibration)
+
+
+def _model(views: PosedViews, error: float) -> Model:
+    """The true model in other axes and units, with one camera moved by `error` true units."""
+    turn = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
+    poses = {}
+    for i, (name, pose) in enumerate(views.poses.items()):
+        centre = 0.2 * turn @ (views.centre(name) + np.array([0, error if i == 1 else 0, 0])) + 5
+        R = pose[:, :3] @ turn.T
+        poses[name] = np.column_stack([R, -R @ centre])
+    return Model(poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8), 4.0, 0.5)
+
+
+def test_scores_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[View]]) -> None:
+    views = views_of_list(scene[1], scene[0])
+    exact = score("m", _model(views, 0), views, 6, 5, 1.0)
+    assert (exact.images, exact.registered, exact.points) == (4, 4, 7)
+    assert exact.position_rms < 1e-9
+    assert exact.rotation_median_deg < 1e-6
+    moved = score("m", _model(views, 0.1), views, 6, 5, 1.0)
+    assert 0.02 < moved.position_rms < 0.05  # 0.1 in one of four, and the fit takes a part
+    length = np.linalg.norm(views.centre("view3.png") - views.centre("view0.png"))
+    np.testing.assert_allclose(moved.position_percent, 100 * moved.position_rms / length)
+    none = score("m", None, views, 6, 5, 1.0)
+    assert none.registered == 0
+    assert np.isnan(none.position_rms)
+    model = _model(views, 0)
+    few = replace(model, poses=dict(list(model.poses.items())[:2]))
+    assert np.isnan(score("m", few, views, 6, 5, 1.0).position_rms)
+
+
+def test_the_command(scene: tuple[Path, Path, list[View]], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ["bench-reconstruct", str(scene[0]), "--truth", str(scene[1]), "--out", str(out)]
+    options = ["--methods", "sift,colmap-sift", "--workers", "1", "--runs", "1"]
+    done = CliRunner().invoke(main, [*arguments, *options])
+    assert done.exit_code == 0, done.output
+    summary = json.loads((out / "summary.json").read_text())["methods"]
+    assert [one["method"] for one in summary] == ["sift", "colmap-sift"]
+    for one in summary:
+        assert one["registered"] == 4
+        assert one["position_percent"] < 2
+    assert "track length" in done.output
+    assert CliRunner().invoke(main, [*arguments, *options, "--every", "3"]).exit_code == 2

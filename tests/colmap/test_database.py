@@ -1,0 +1,111 @@
+"""The COLMAP database: the half-pixel offset, cameras, geometries, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from colmap_scene import camera, true_row
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.camera import Camera
+from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
+from dgc_pose.colmap.shared import SharedMatches
+from dgc_pose.colmap_camera import Distortion
+from dgc_pose.errors import InputError
+from dgc_pose.geometry.epipolar import essential_from_pose
+
+NAMES = ("b.png", "a.png")
+INDEX = np.array([[0, 1], [2, 0]], np.uint32)
+
+
+def _write(path: Path, status: str = "ok") -> tuple[np.ndarray, np.ndarray]:
+    R = Rotation.from_rotvec([0.2, -0.4, 0.1]).as_matrix()
+    t = np.array([0.6, 0.0, 0.8])
+    points = {
+        "b.png": np.array([[0.0, 0], [10.25, 7], [3, 4]]),
+        "a.png": np.array([[5.0, 6], [7, 8]]),
+    }
+    shared = SharedMatches(points, {NAMES: INDEX})
+    row = true_row(NAMES, R, t, status)
+    cameras = {name: camera() for name in (*NAMES, "c.png")}
+    names = ("a.png", "b.png", "c.png", "bad.png")
+    write_database(path, names, cameras, frozenset({"c.png"}), shared, {NAMES: row})
+    return R, t
+
+
+def test_key_points_are_half_a_pixel_more(tmp_path: Path) -> None:
+    """The centre of the top-left pixel, our (0, 0), is COLMAP's (0.5, 0.5)."""
+    path = tmp_path / "d" / "database.db"
+    _write(path)
+    with pycolmap.Database.open(path) as database:
+        image = database.read_image_with_name("b.png")
+        points = database.read_keypoints(image.image_id)
+        np.testing.assert_array_equal(points[:, :2], [[0.5, 0.5], [10.75, 7.5], [3.5, 4.5]])
+        stored = database.read_camera(image.camera_id)
+    K = stored.calibration_matrix()
+    np.testing.assert_allclose(K[:2, 2], camera().K[:2, 2] + 0.5)
+    # A ray through our pixel is the ray through COLMAP's.
+    ours = camera().normalise(np.array([[10.25, 7]]))
+    np.testing.assert_allclose(stored.cam_from_img(points[1:2, :2].astype(float)), ours)
+
+
+def test_matches_and_geometry_in_the_order_of_the_ids(tmp_path: Path) -> None:
+    """b.png has the larger id: COLMAP stores the pair the other way round, and inverts the pose."""
+    path = tmp_path / "database.db"
+    R, t = _write(path)
+    with pycolmap.Database.open(path) as database:
+        b, a = (database.read_image_with_name(name).image_id for name in NAMES)
+        assert a < b
+        matches = database.read_matches(b, a)
+        forward = database.read_two_view_geometry(b, a)
+        backward = database.read_two_view_geometry(a, b)
+        assert database.num_images() == 3
+        # One is known, the other a guess.
+        priors = [one.has_prior_focal_length for one in database.read_all_cameras()]
+        assert sorted(priors) == [False, True]
+    np.testing.assert_array_equal(matches, INDEX)
+    np.testing.assert_array_equal(forward.inlier_matches, INDEX)
+    assert forward.config == pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+    np.testing.assert_allclose(forward.cam2_from_cam1.rotation.matrix(), R, atol=1e-9)
+    np.testing.assert_allclose(forward.cam2_from_cam1.translation, t, atol=1e-9)
+    np.testing.assert_allclose(backward.cam2_from_cam1.rotation.matrix(), R.T, atol=1e-9)
+    E = forward.E / np.linalg.norm(forward.E)
+    expected = essential_from_pose(R, t)
+    expected /= np.linalg.norm(expected)
+    np.testing.assert_allclose(E * np.sign((E * expected).sum()), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("status", "config"),
+    [("ok", "CALIBRATED"), ("planar", "PLANAR"), ("rotation_only", "PANORAMIC")],
+)
+def test_the_status_is_the_configuration(status: str, config: str) -> None:
+    row = true_row(NAMES, np.eye(3), np.array([1.0, 0, 0]), status)
+    geometry = two_view_geometry(row, INDEX)
+    assert geometry.config == getattr(pycolmap.TwoViewGeometryConfiguration, config)
+    assert (geometry.E is None) == (status == "rotation_only")
+
+
+def test_cameras_go_there_and_back() -> None:
+    K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+    lens = Distortion("RADIAL", (0.1, -0.01))
+    made = colmap_camera(Camera(K, (640, 480), lens), "a")
+    assert made.params.tolist() == [500, 320.5, 240.5, 0.1, -0.01]
+    with pytest.raises(InputError, match="a: RADIAL has one focal length"):
+        colmap_camera(Camera(K * (1, 1.1, 1), (640, 480), lens), "a")
+    with pytest.raises(InputError, match="a: its K has a skew"):
+        colmap_camera(Camera(K + np.eye(3, k=1) * (0, 2, 0), (640, 480)), "a")
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "database.db"
+    _write(path)
+    before = path.read_bytes()
+    skewed = Camera(camera().K + np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]]), camera().size)
+    with pytest.raises(InputError, match="skew"):
+        write_database(path, ["a"], {"a": skewed}, frozenset(), SharedMatches({}, {}), {})
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]

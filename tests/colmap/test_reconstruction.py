@@ -1,0 +1,156 @@
+"""From rendered photographs to a model, whose cameras are compared with the rendered ones."""
+
+from __future__ import annotations
+
+import json
+from itertools import combinations
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pycolmap
+import pytest
+from batch_runs import run_sift, view_folder
+from click.testing import CliRunner
+from multi_view import K_text, View
+
+from dgc_pose.batch.run import Batch, read_batch
+from dgc_pose.cli.main import main
+from dgc_pose.colmap.export import ExportOptions
+from dgc_pose.colmap.mapping import MapperName, MappingError, MappingOptions
+from dgc_pose.colmap.reconstruction import Model, ReconstructionOptions, reconstruct
+from dgc_pose.errors import InputError
+from dgc_pose.metrics.pose import rotation_error_deg
+
+COUNT = 5
+SIFT = ["--weights", "sift", "--runs", "1", "--iterations", "300"]
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
+    folder = tmp_path_factory.mktemp("reconstruction") / "photos"
+    return folder, view_folder(folder, COUNT)
+
+
+@pytest.fixture(scope="module")
+def batch(views: tuple[Path, list[View]]) -> Batch:
+    """All pairs by SIFT."""
+    return run_sift(views[0], views[0].parent / "batch")
+
+
+def _assert_true(model: Model, views: list[View], max_deg: float, max_share: float) -> None:
+    """All cameras, after a similarity, are where they were rendered; max_share of the extent."""
+    names = sorted(model.poses)
+    assert names == [f"view{i}.png" for i in range(COUNT)]
+    for i, j in combinations(range(COUNT), 2):
+        R = model.poses[names[j]][:, :3] @ model.poses[names[i]][:, :3].T
+        assert rotation_error_deg(R, views[j].R @ views[i].R.T) < max_deg
+    true = np.stack([view.centre for view in views])
+    found = np.stack([model.centre(name) for name in names])
+    similarity = pycolmap.estimate_sim3d(found, true)
+    assert similarity is not None
+    matrix = similarity.matrix()
+    error = np.linalg.norm(found @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
+    assert error.max() < max_share * np.linalg.norm(true[-1] - true[0])
+
+
+@pytest.mark.parametrize("mapper", ["incremental", "global"])
+@pytest.mark.parametrize("sharing", ["tracks", "cells"])
+def test_cameras_are_those_that_rendered_the_views(
+    views: tuple[Path, list[View]],
+    batch: Batch,
+    tmp_path: Path,
+    sharing: str,
+    mapper: MapperName,
+) -> None:
+    options = ReconstructionOptions(
+        ExportOptions(sharing),  # type: ignore[arg-type]
+        MappingOptions(mapper, threads=1),
+    )
+    model, exported = reconstruct(batch, tmp_path, options)
+    # Merging moves key points, which costs accuracy.
+    _assert_true(model, views[1], *((0.05, 0.01) if sharing == "tracks" else (0.2, 0.03)))
+    assert model.reprojection_error_px < 0.3
+    assert model.mean_track_length > 3
+    assert sum(n for length, n in exported.tracks_by_length.items() if length > 2) > 200
+    assert pycolmap.Reconstruction(tmp_path / "sparse").num_reg_images() == COUNT
+    assert (tmp_path / "points.ply").read_bytes().startswith(b"ply")
+
+
+def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    arguments = ["reconstruct", str(views[0]), "--out", str(out), "--K", K_text(), *SIFT]
+    arguments += ["--workers", "1"]
+    done = CliRunner().invoke(main, arguments)
+    assert done.exit_code == 0, done.output
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["images"] == summary["registered"] == COUNT
+    assert summary["pairs"] == 10
+    assert summary["mean_track_length"] > 3
+    assert set(summary["seconds"]) == {"match", "map"}
+    expected = {"batch", "database.db", "sparse", "points.ply", "picture.png", "summary.json"}
+    assert {path.name for path in out.iterdir()} == expected
+    refused = CliRunner().invoke(main, arguments)
+    assert refused.exit_code == 2
+    assert "is there already" in refused.output
+    again = CliRunner().invoke(main, [*arguments, "--resume"])
+    assert again.exit_code == 0
+    assert f"{COUNT} of {COUNT} images" in again.output
+
+
+def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
+    """To COLMAP, and to hloc's files, read as hloc reads them."""
+    database, hloc = tmp_path / "database.db", tmp_path / "hloc"
+    arguments = ["export-colmap", str(batch.folder), "--database", str(database)]
+    done = CliRunner().invoke(main, [*arguments, "--hloc", str(hloc), "--sharing", "cells"])
+    assert done.exit_code == 0, done.output
+    with pycolmap.Database.open(database) as opened:
+        assert opened.num_images() == COUNT
+        assert opened.num_verified_image_pairs() == 10
+    before = database.read_bytes()
+    refused = CliRunner().invoke(main, arguments)
+    assert refused.exit_code == 2
+    assert "--overwrite" in refused.output
+    assert database.read_bytes() == before
+    assert CliRunner().invoke(main, [*arguments, "--overwrite"]).exit_code == 0
+    assert CliRunner().invoke(main, arguments[:2]).exit_code == 2
+    with h5py.File(hloc / "features.h5") as features, h5py.File(hloc / "matches.h5") as matches:
+        for line in (hloc / "pairs.txt").read_text().splitlines():
+            name0, name1 = line.split()
+            group = matches[f"{name0}/{name1}"]
+            matches0 = np.asarray(group["matches0"])
+            assert matches0.dtype == np.int32
+            assert group["matching_scores0"].dtype == np.float16
+            assert len(matches0) == len(features[name0]["keypoints"])
+            assert matches0.max() < len(features[name1]["keypoints"])
+            assert (matches0 >= 0).sum() > 50
+
+
+def test_nothing_to_reconstruct(
+    views: tuple[Path, list[View]], batch: Batch, tmp_path: Path
+) -> None:
+    """A batch without a pose, and two images that make no model."""
+    out = tmp_path / "pair"
+    two = tmp_path / "pairs.txt"
+    two.write_text("view0.png view1.png\n")
+    from dgc_pose.batch.calibration import read_calibration
+    from dgc_pose.batch.run import BatchOptions, run_batch
+    from dgc_pose.batch.source import open_source
+    from dgc_pose.batch.work import MatcherSettings
+    from dgc_pose.estimation import EstimationOptions
+
+    pair = run_batch(
+        open_source(two, views[0]),
+        read_calibration(K_text()),
+        None,
+        out,
+        matcher=MatcherSettings("sift"),
+        estimation=EstimationOptions(runs=1, iterations=300),
+        options=BatchOptions(),
+    )
+    with pytest.raises(MappingError, match="no reconstruction"):
+        reconstruct(pair, tmp_path / "model")
+    rows = (out / "pairs.jsonl").read_text().replace('"ok"', '"no_model"')
+    (out / "pairs.jsonl").write_text(rows)
+    with pytest.raises(InputError, match="has a pose"):
+        reconstruct(read_batch(out), tmp_path / "model")

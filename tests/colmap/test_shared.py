@@ -1,0 +1,85 @@
+"""Key points that pairs share: tracks, errors, one-to-one matches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from colmap_scene import camera, cloud_pairs, true_row
+from multi_view import render_views
+
+from dgc_pose.colmap.cells import CellOptions, merge_by_cells
+from dgc_pose.colmap.shared import (
+    SharedMatches,
+    count_by_length,
+    epipolar_error_px,
+    fits_pose,
+    one_to_one,
+)
+from dgc_pose.errors import InputError
+
+
+def _tracks(shared: SharedMatches) -> dict[int, int]:
+    return count_by_length(shared.track_lengths())
+
+
+def test_track_lengths_count_images() -> None:
+    """a0-b0-c0 has three images; a1-b1 two; a2-b2-a3 two, though three points."""
+    points = {name: np.zeros((4, 2)) for name in "abc"}
+    pairs = {
+        ("a", "b"): np.array([[0, 0], [1, 1], [2, 2], [3, 2]], np.uint32),
+        ("b", "c"): np.array([[0, 0]], np.uint32),
+    }
+    assert _tracks(SharedMatches(points, pairs)) == {2: 2, 3: 1}
+    assert _tracks(SharedMatches({}, {})) == {}
+
+
+def test_one_to_one_keeps_the_best() -> None:
+    index = np.array([[0, 0], [0, 1], [1, 1], [2, 2], [3, 2]])
+    scores = np.array([0.5, 0.9, 0.8, 0.3, 0.4])
+    assert one_to_one(index, scores).tolist() == [[0, 1], [3, 2]]
+    assert one_to_one(index[:0], scores[:0]).shape == (0, 2)
+
+
+@pytest.mark.parametrize("noise_px", [0.05, 0.3])
+def test_merging_makes_tracks_of_matches_at_fresh_places(noise_px: float) -> None:
+    """Unmerged matches are tracks of two views each; in cells most points are seen by all four."""
+    views = render_views(4)
+    pairs = cloud_pairs([(view.R, view.t) for view in views], count=150, noise_px=noise_px)
+    shared = merge_by_cells(pairs, CellOptions(cell_px=2, max_error_px=2))
+    lengths = shared.track_lengths()
+    assert (lengths == 4).sum() > 100
+    cameras = {name: camera() for name in shared.key_points}
+    for pair in pairs:
+        index = shared.pairs[pair.names]
+        assert len(np.unique(index[:, 0])) == len(index) == len(np.unique(index[:, 1]))
+        merged = [shared.key_points[name][index[:, k]] for k, name in enumerate(pair.names)]
+        error = epipolar_error_px(pair.row, cameras, *merged)
+        assert error is not None
+        assert np.median(error) < 2 * noise_px
+        # No match moves farther than it may.
+        for points, moved in zip((pair.points1, pair.points2), merged, strict=True):
+            nearest = np.linalg.norm(points[:, None] - moved, axis=-1).min(0)
+            assert nearest.max() <= 2
+
+
+def test_the_best_cells_are_kept() -> None:
+    pairs = cloud_pairs([(v.R, v.t) for v in render_views(3)], count=80, noise_px=0.01)
+    shared = merge_by_cells(pairs, CellOptions(per_image=30))
+    assert {len(points) for points in shared.key_points.values()} == {30}
+
+
+def test_matches_far_from_the_pose_do_not_fit() -> None:
+    views = render_views(2)
+    (pair,) = cloud_pairs([(v.R, v.t) for v in views], count=50, noise_px=0)
+    cameras = {name: camera() for name in pair.names}
+    assert fits_pose(pair.row, cameras, pair.points1, pair.points2, 1e-3).all()
+    moved = pair.points2 + (0, 3)
+    assert not fits_pose(pair.row, cameras, pair.points1, moved, 1.0).any()
+    turned = true_row(pair.names, np.eye(3), np.zeros(3), "rotation_only")
+    assert epipolar_error_px(turned, cameras, pair.points1, moved) is None
+    assert fits_pose(turned, cameras, pair.points1, moved, 1.0).all()
+
+
+def test_options_out_of_range() -> None:
+    with pytest.raises(InputError, match="cell_px"):
+        CellOptions(cell_px=0)
