@@ -116,7 +116,8 @@ def _read(path: Path, source: Source) -> StoredPair:
     with np.load(path, allow_pickle=False) as archive:
         arrays = dict(archive)
     camera1, camera2 = (
-        Camera(arrays[f"K{n}"], tuple(int(side) for side in arrays[f"size{n}"])) for n in (1, 2)
+        Camera(arrays[f"K{n}"], (int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])))
+        for n in (1, 2)
     )
     name = f"{source.name} {path.stem}"
     truth = Truth({"name": name}, camera1, camera2, arrays.get("R"), arrays.get("t"))

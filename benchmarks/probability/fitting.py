@@ -67,7 +67,7 @@ def fit_model(found: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     }
 
 
-def models_text(models: Mapping[str, Mapping[str, Any]], engine: Mapping[str, Any]) -> str:
+def models_text(models: Mapping[MatchKind, Mapping[str, Any]], engine: Mapping[str, Any]) -> str:
     """The file that the package reads."""
     return json.dumps({"format": FORMAT, "engine": engine, "models": models}, indent=1) + "\n"
 

@@ -73,7 +73,7 @@ def report_text(found: Sequence[Judged]) -> str:
 
 def claims_table(found: Sequence[Judged]) -> str:
     """A row a data set, and all of them."""
-    rows = [
+    rows: list[tuple[str, ...]] = [
         ("pairs", "number", "right", "gates claim", "wrong", "right refused", "probability claims")
         + ("wrong", "right refused")
     ]
@@ -91,7 +91,7 @@ def claims_table(found: Sequence[Judged]) -> str:
 
 def auc_table(found: Sequence[Judged]) -> str:
     """With the gates, with the probability, and without a verdict."""
-    rows = [("pairs", "gates", "probability", "all answered")]
+    rows: list[tuple[str, ...]] = [("pairs", "gates", "probability", "all answered")]
     for name, own in _groups(found).items():
         errors = np.array([one.record.pair_error_deg for one in own])
         if not np.isfinite(errors).any():

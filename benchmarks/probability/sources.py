@@ -106,7 +106,7 @@ def _unrelated(folders: list[Path], source: Source) -> Iterator[Callable[[], Pos
     places = {path: f"{path.parent} {path.stem.split('_')[0]}" for path in paths}
     one_each = {path for path in paths if "photos" in path.parts and "more" not in path.parts}
     rng = np.random.default_rng(source.seed)
-    found = []
+    found: list[tuple[Path, Path]] = []
     while len(found) < source.pairs:
         first, second = (paths[k] for k in rng.integers(0, len(paths), 2))
         if places[first] == places[second] and not (first in one_each and first != second):

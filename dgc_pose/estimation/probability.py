@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -238,19 +238,16 @@ def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:
         raise InputError(f"{name}: not a model of the probability ({error})") from None
 
 
-def _model(values: Mapping[str, object]) -> ProbabilityModel:
+def _model(values: Mapping[str, Any]) -> ProbabilityModel:
     weights = _numbers(values["weights"], FEATURES)
     rotation, translation = (
         ErrorModel(_numbers(part["weights"], ("own", *ERROR_FEATURES)), float(part["intercept"]))
-        for part in (values["rotation_error"], values["translation_error"])  # type: ignore[index]
+        for part in (values["rotation_error"], values["translation_error"])
     )
-    return ProbabilityModel(
-        weights,
-        float(values["intercept"]),  # type: ignore[arg-type]
-        _numbers(values["reference"], weights),
-        rotation,
-        translation,
-    )
+    reference = _numbers(values["reference"], weights)
+    if set(reference) != set(weights):
+        raise ValueError("features without a reference")
+    return ProbabilityModel(weights, float(values["intercept"]), reference, rotation, translation)
 
 
 def _numbers(values: object, known: Sequence[str] | Mapping[str, object]) -> dict[str, float]:

@@ -141,6 +141,7 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
         _text(weights={"inliers": math.nan}),
         _text(rotation_error=None),
         _text(intercept="much"),
+        _text(reference={}),
     ],
 )
 def test_a_file_that_is_no_model_is_refused_by_its_name(text: str, tmp_path) -> None:
