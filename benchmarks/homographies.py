@@ -18,14 +18,16 @@ import numpy as np
 import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason
 from dgc_pose.image import load_image, resize
+from dgc_pose.inputs import read_text
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.pixels import pixel_grid
 from dgc_pose.synthesis.map_pairs import MapPairs
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
+_MATRIX_BYTES = 2**16  # of a file with nine numbers
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 
 
@@ -134,10 +136,13 @@ def true_map(
 def read_matrix(path: Path) -> np.ndarray:
     """A homography from a text file. Raises InputError, with the path, if it is malformed."""
     try:
-        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+        text = read_text(path, "a homography", _MATRIX_BYTES)
+        rows = [line.split() for line in text.splitlines()]
         H = np.array([[float(field) for field in row] for row in rows if row])
+    except InputError:
+        raise
     except ValueError as error:
-        raise InputError(f"{path}: not a matrix of numbers ({error})") from None
+        raise InputError(f"{path}: not a matrix of numbers ({reason(error)})") from None
     return check_matrix(H, str(path))
 
 

@@ -7,6 +7,7 @@ image 1, and the homography from im1 to im2 at full size.
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from dgc_pose.benchmarks.homographies import (
     check_matrix,
 )
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_as, read_text
 
 _MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 _COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]
@@ -45,15 +47,13 @@ def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
 
 
 def _read(path: Path, root: Path, viewpoint: str) -> list[HomographyPair]:
-    with path.open(newline="", encoding="utf-8") as stream:
-        try:
-            reader = csv.DictReader(stream)
-            absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-            if absent:
-                raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
-            return [_parse(row, f"{path}:{reader.line_num}", root, viewpoint) for row in reader]
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: not a list ({error})") from None
+    text = io.StringIO(read_text(path, "a list of pairs"), newline="")
+    with read_as("a list of pairs", path):
+        reader = csv.DictReader(text)
+        absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+        if absent:
+            raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
+        return [_parse(row, f"{path}:{reader.line_num}", root, viewpoint) for row in reader]
 
 
 def _parse(row: dict[str, str], where: str, root: Path, viewpoint: str) -> HomographyPair:

@@ -7,6 +7,7 @@ they are matched; lists with such rotations are refused, since K and T are of th
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
@@ -16,6 +17,7 @@ import numpy as np
 
 from dgc_pose.camera import Camera, as_camera
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_text
 
 FIELDS = 38
 ROTATION_TOLERANCE = 1e-3  # largest entry of R^T R - 1 that rounding in a list may leave
@@ -50,10 +52,7 @@ def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
     """
     path = Path(path)
     folder = path.parent if root is None else Path(root)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: a pair list is text, and this is not") from None
+    lines = io.StringIO(read_text(path, "a pair list"))
     pairs = [
         _parse_line(line, folder, f"{path}:{number}")
         for number, line in enumerate(lines, start=1)
@@ -120,7 +119,8 @@ def _numbers(fields: list[str], where: str) -> np.ndarray:
 
 def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
     R, t = T[:3, :3], T[:3, 3]
-    orthonormal = np.abs(R.T @ R - np.eye(3)).max() < ROTATION_TOLERANCE
+    with np.errstate(over="ignore", invalid="ignore"):
+        orthonormal = np.abs(R.T @ R - np.eye(3)).max() < ROTATION_TOLERANCE
     if not orthonormal or np.linalg.det(R) < 0:
         raise InputError(f"{where}: the upper left 3x3 of T is not a rotation")
     if not np.array_equal(T[3], [0, 0, 0, 1]):

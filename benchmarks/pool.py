@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -31,8 +32,14 @@ def pose_pool(
     # Not forked: torch's threads do not survive that.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker)
+    others = set(multiprocessing.active_children())
     try:
         yield lambda job: pool.submit(score, job)
+    except BaseException:
+        # A job in a library's call hears nothing, and an interrupt shall not wait for it.
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -55,6 +62,8 @@ def _done_here(job: Job[Score]) -> Future[Scored[Score]]:
 
 
 def _start_worker() -> None:
+    # A terminal sends an interrupt to all processes: the owner of the pool answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

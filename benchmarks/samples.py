@@ -12,6 +12,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.scores import Key
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_json
 from dgc_pose.matches import Matches
 
 FOLDER = "matches"
@@ -71,11 +72,11 @@ def read_sample(out: Path, key: Key) -> MatchSample:
     if it cannot be read."""
     path = sample_path(out, key)
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = read_json(path, "a sample of matches")
         return MatchSample(record["points1"], record["points2"], record["inliers"])
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (ValueError, KeyError, TypeError):
+        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
+    except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{path}: not a sample of matches") from None
 
 

@@ -19,7 +19,8 @@ from dgc_pose.benchmarks.samples import write_sample
 from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
 from dgc_pose.benchmarks.scoring import Scored
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged, write_text
+from dgc_pose.files import only_writer, staged, write_text
+from dgc_pose.inputs import read_as, read_bytes, read_json
 
 SETTINGS = "run.json"
 _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell; words of a Literal are text
@@ -44,6 +45,7 @@ class RunStore(Generic[Score]):
         settings: Mapping[str, Any],
         *,
         resume: bool = False,
+        overwrite: bool = False,
         samples: bool = False,
     ) -> None:
         """
@@ -53,6 +55,7 @@ class RunStore(Generic[Score]):
             keys: for each pair the keys of its records, one a method.
             settings: all that the records depend on; JSON.
             resume: go on with the run that `out` holds; begin one if it holds none.
+            overwrite: drop the run that `out` holds.
             samples: write the samples of matches too.
         """
         self.out = out
@@ -63,6 +66,8 @@ class RunStore(Generic[Score]):
         self._stack = ExitStack()
         self._tables: dict[str, TextIO] = {}
         if out is not None:
+            if overwrite and not resume:
+                _drop(out, kind)
             _require(out, settings, resume)
             tables = {name: _read_rows(out / name, kind, name) for name in kind.tables}
             self.done = _complete(kind, keys, tables)
@@ -72,6 +77,7 @@ class RunStore(Generic[Score]):
 
     def __enter__(self) -> RunStore[Score]:
         if self.out is not None:
+            self._stack.enter_context(only_writer(self.out))
             for name in self._kind.tables:
                 self._tables[name] = self._open(self.out / name)
         return self
@@ -123,6 +129,12 @@ def _columns(kind: type[PoseScore], table: str) -> list[str]:
     return [kind.headings.get(name, name) for name in kind.tables[table]]
 
 
+def _drop(out: Path, kind: type[PoseScore]) -> None:
+    """Remove the tables of a run, its settings last: a run without tables begins anew."""
+    for name in (*kind.tables, SETTINGS):
+        (out / name).unlink(missing_ok=True)
+
+
 def _require(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
     """Begin a run, or see that the one that is there can be gone on with."""
     known = out / SETTINGS
@@ -138,10 +150,7 @@ def _require(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
 
 
 def _require_same(path: Path, settings: Mapping[str, Any]) -> None:
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        before = None
+    before = read_json(path, "the settings of a run")
     if not isinstance(before, dict):
         raise InputError(f"{path}: not the settings of a run")
     for key, value in json.loads(json.dumps(settings)).items():
@@ -175,14 +184,16 @@ def _read_rows(path: Path, kind: type[Score], table: str) -> list[dict[str, Any]
     """The complete rows of a table, by field; a row that a kill cut short is left out."""
     if not path.exists():
         return []
-    whole = path.read_bytes().rpartition(b"\n")[0].decode("utf-8", "replace")
+    whole = read_bytes(path).rpartition(b"\n")[0].decode("utf-8", "replace")
     lines = csv.reader(whole.splitlines())
     columns = _columns(kind, table)
-    if whole and next(lines) != columns:
-        raise InputError(f"{path}:1: expected the columns {','.join(columns)}")
     hints = get_type_hints(kind)
     rows = []
-    for number, line in enumerate(lines, start=2):
+    with read_as("a table of results", path):
+        if whole and next(lines, None) != columns:
+            raise InputError(f"{path}:1: expected the columns {','.join(columns)}")
+        found = list(lines)
+    for number, line in enumerate(found, start=2):
         try:
             cells = zip(kind.tables[table], line, strict=True)
             rows.append({name: _READERS.get(hints[name], str)(text) for name, text in cells})

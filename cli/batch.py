@@ -13,6 +13,7 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.options import check_options, option
@@ -54,10 +55,17 @@ class WorkChoice:
     """How the pairs are worked through."""
 
     workers: int | None = option(
-        None, "Processes that match; default: one for each core. The result is the same.", min=1
+        None,
+        "Processes that match; default: one for each core. The result is the same.",
+        min=1,
+        max=1024,
     )
     memory: float = option(
-        1.0, "GiB of images and features kept, all workers together.", metavar="GIB", above=0
+        1.0,
+        "GiB of images and features kept, all workers together.",
+        metavar="GIB",
+        above=0,
+        max=10**6,
     )
     engine: Literal["local", "ray"] = option(
         "local", "Workers on this machine, or actors of a Ray cluster (extra dgc-pose[ray])."
@@ -165,7 +173,7 @@ def _bars() -> Iterator[Progress]:
 
 @click.command()
 @click.argument("source", metavar="SOURCE")
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR")
+@click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(WorkChoice, "work")
 @dataclass_options(MatcherChoice, "matcher")

@@ -29,7 +29,7 @@ from dgc_pose.benchmarks.summary import (
     summarise_maps,
     summary_data,
 )
-from dgc_pose.cli.bench_run import MethodChoice, RunChoice, open_store, work
+from dgc_pose.cli.bench_run import RUN_FOLDER, MethodChoice, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.dtu_pairs import FolderChoice
 from dgc_pose.cli.options import split_names
@@ -45,7 +45,7 @@ from dgc_pose.options import option
 
 def _numbers(text: str) -> tuple[int, ...]:
     names = split_names(text)
-    if not names or not all(name.isdecimal() for name in names):
+    if not names or not all(name.isdecimal() and len(name) < 10 for name in names):
         raise InputError(f"--scenes takes numbers separated by commas, not {text!r}")
     return tuple(int(name) for name in names)
 
@@ -55,7 +55,9 @@ class Experiment:
     """Which pairs, in which protocol, and where the results go."""
 
     root: str = option(help="Folder of DTU.", metavar="DIR")
-    out: str = option(help="Folder of the results; created if missing.", metavar="DIR")
+    out: str = option(
+        help="Folder of the results; created if missing.", metavar="DIR", type=RUN_FOLDER
+    )
     scenes: tuple[int, ...] | None = option(
         None, "Numbers of the scenes; default: all that are found.", metavar="N,N", parse=_numbers
     )

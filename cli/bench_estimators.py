@@ -38,7 +38,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
 )
 @click.option(
     "--seeds",
-    type=click.IntRange(1),
+    type=click.IntRange(1, 10**6),
     default=5,
     show_default=True,
     help="Synthetic scenes of each study.",

@@ -25,6 +25,7 @@ from dgc_pose.benchmarks.summary import (
     summary_table,
 )
 from dgc_pose.cli.bench_run import (
+    RUN_FOLDER,
     MethodChoice,
     RunChoice,
     limit_option,
@@ -35,13 +36,14 @@ from dgc_pose.cli.bench_run import (
     work,
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
 from dgc_pose.matchers import SIFT
 from dgc_pose.network.weights import shipped
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 from dgc_pose.viz import plot_errors, save_figure
 
 
@@ -54,12 +56,13 @@ class SceneChoice:
         "Instead of LIST: N pairs of rendered scenes, textured with --photos.",
         metavar="N",
         min=1,
+        max=10**6,
     )
     photos: Path | None = option(
         None,
         "Folder of photographs, as for training; those that training holds back are used.",
     )
-    scene_seed: int = option(7, "Seed of the rendered scenes.")
+    scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -80,10 +83,17 @@ class SceneChoice:
 @limit_option
 @click.option(
     "--out",
+    type=RUN_FOLDER,
     metavar="DIR",
     help="Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
 )
-@click.option("--json", "json_path", metavar="PATH", help="Write the summary as JSON.")
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("json"),
+    metavar="PATH",
+    help="Write the summary as JSON.",
+)
 @dataclass_options(RunChoice, "run")
 @dataclass_options(MethodChoice, "defaults")
 def bench_pairs(
@@ -103,14 +113,15 @@ def bench_pairs(
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
     """
-    if pair_list is not None and scenes.rendered is None:
+    if pair_list is not None and scenes.rendered is None and scenes.photos is None:
         pairs: PairSet[Any] = listed_pairs(pair_list, root, limit)
     elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
         pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
     else:
         raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
     chosen = parse_methods(split_names(methods), defaults.options)
-    with staged(json_path) as stage:
+    images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
+    with staged(json_path, inputs=images) as stage:
         engines = load_engines(chosen, device=run.device)
         evaluation = Evaluation(pairs, chosen, engines, run.options)
         store = open_store(evaluation, out, run)

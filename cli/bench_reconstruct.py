@@ -18,6 +18,7 @@ from dgc_pose.benchmarks.reconstructions import (
 from dgc_pose.cli.batch import WorkChoice, batch_options
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import SharingChoice
+from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.cli.reconstruct import MapperChoice
@@ -31,7 +32,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
 
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR")
+@click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),

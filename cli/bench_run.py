@@ -14,8 +14,10 @@ from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
 from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
-from dgc_pose.benchmarks.scores import Score
-from dgc_pose.benchmarks.store import RunStore, keys_of
+from dgc_pose.benchmarks.scores import RESULTS, Score
+from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
+from dgc_pose.cli.dataclass_options import NamedPath
+from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.cli.options import DeviceName, RefineChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -24,11 +26,14 @@ from dgc_pose.network.device import choose_device
 from dgc_pose.options import check_options, option
 
 GPU_BATCH = 16
+RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
 
 pair_list_argument = click.argument("pair_list", metavar="[LIST]", required=False)
-root_option = click.option("--root", help="Folder of the image paths; by default the list's own.")
+root_option = click.option(
+    "--root", type=NamedPath(), help="Folder of the image paths; by default the list's own."
+)
 limit_option = click.option(
-    "--limit", type=click.IntRange(min=1), metavar="N", help="Only the first N pairs."
+    "--limit", type=click.IntRange(1, 10**9), metavar="N", help="Only the first N pairs."
 )
 
 
@@ -37,12 +42,16 @@ class RunChoice:
     """How a data set is worked through."""
 
     workers: int = option(
-        1, "Processes that estimate poses; the results are the same for any number.", min=1
+        1,
+        "Processes that estimate poses; the results are the same for any number.",
+        min=1,
+        max=1024,
     )
     batch: int | None = option(
         None,
         f"Pairs that a network matches together; default: {GPU_BATCH} on a GPU, 1 on a CPU.",
         min=1,
+        max=4096,
     )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
     device: DeviceName = option("auto", "Where the network runs.")
@@ -99,6 +108,7 @@ def open_store(
         keys_of(evaluation.pairs, [method.name for method in evaluation.methods]),
         {**(settings or {}), **evaluation.settings(run.device_type)},
         resume=run.resume,
+        overwrite=overwrites(),
         samples=samples,
     )
 

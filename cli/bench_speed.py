@@ -22,6 +22,7 @@ from dgc_pose.benchmarks.speed import (
     stages,
     stages_text,
 )
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.files import staged
 from dgc_pose.image import load_image
@@ -48,17 +49,23 @@ from dgc_pose.runtime.torch_engine import network_input
 )
 @click.option(
     "--repetitions",
-    type=click.IntRange(1),
+    type=click.IntRange(1, 10**6),
     default=7,
     show_default=True,
     help="Their median counts.",
 )
 @click.option(
     "--threads",
-    type=click.IntRange(1),
+    type=click.IntRange(1, 1024),
     help="Threads of torch and OpenCV; default: their own choice.",
 )
-@click.option("--json", "json_path", metavar="PATH", help="Write all figures as JSON.")
+@click.option(
+    "--json",
+    "json_path",
+    type=OutputFile("json"),
+    metavar="PATH",
+    help="Write all figures as JSON.",
+)
 def bench_speed(
     image1: Path | None,
     image2: Path | None,

@@ -20,7 +20,7 @@ from dgc_pose.benchmarks.synthetic import SETS, listed_set, synthetic_set
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.map_bench import MapBenchOptions, run_map_bench
 from dgc_pose.cli.options import split_names
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class SyntheticOptions:
         metavar="CSV",
     )
     sets: str = option(",".join(SETS), "Comma-separated sets.")
-    pairs: int = option(100, "Pairs of each set.", metavar="N", min=1)
-    seed: int = option(0, "The same seed, the same pairs.")
+    pairs: int = option(100, "Pairs of each set.", metavar="N", min=1, max=10**6)
+    seed: int = option(0, "The same seed, the same pairs.", min=0, max=MAX_SEED)
     changed: bool = option(
         False,
         "With the trainer's changes of light, blur and noise, and with occluders in warped views; "

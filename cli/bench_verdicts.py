@@ -19,10 +19,10 @@ from dgc_pose.benchmarks.verdict_pairs import (
     unrelated_scenes,
 )
 from dgc_pose.benchmarks.verdicts import gates_table, groups_table
-from dgc_pose.cli.bench_run import RunChoice, open_store, work
+from dgc_pose.cli.bench_run import RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 from dgc_pose.refinement import RefinementOptions
 
 
@@ -44,12 +44,14 @@ class PairChoice:
         flag="--list",
         metavar="LIST[,ROOT]",
     )
-    limit: int | None = option(None, "Pairs of each list at most.", min=1)
-    unrelated: int = option(200, "Unrelated pairs of photographs.", min=0)
-    unrelated_scenes: int = option(100, "Unrelated pairs of the folders of --scene.", min=0)
-    pairs: int = option(100, "Rendered true pairs.", min=0)
-    misleading: int = option(10, "Misleading pairs of each kind.", min=0)
-    seed: int = option(11, "The same seed, the same pairs.", min=0)
+    limit: int | None = option(None, "Pairs of each list at most.", min=1, max=10**9)
+    unrelated: int = option(200, "Unrelated pairs of photographs.", min=0, max=10**6)
+    unrelated_scenes: int = option(
+        100, "Unrelated pairs of the folders of --scene.", min=0, max=10**6
+    )
+    pairs: int = option(100, "Rendered true pairs.", min=0, max=10**6)
+    misleading: int = option(10, "Misleading pairs of each kind.", min=0, max=10**6)
+    seed: int = option(11, "The same seed, the same pairs.", min=0, max=MAX_SEED)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -71,7 +73,12 @@ class PairChoice:
 @click.option(
     "--method", default=DEFAULT_WEIGHTS, show_default=True, help="One of --methods of bench-pairs."
 )
-@click.option("--out", metavar="DIR", help="Write results.csv, each pair as soon as it is done.")
+@click.option(
+    "--out",
+    type=RUN_FOLDER,
+    metavar="DIR",
+    help="Write results.csv, each pair as soon as it is done.",
+)
 @dataclass_options(RunChoice, "run")
 def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunChoice) -> None:
     """Measure verdicts on unrelated pairs, true pairs, and pairs that mislead.

@@ -110,6 +110,15 @@ class _Parsed(click.ParamType):
         return self._parse(value) if isinstance(value, str) else value
 
 
+class NamedPath(click.Path):
+    """A path that is not empty: Path("") would be the working folder."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value == "":
+            self.fail("a path is needed", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 class _Choice(click.Choice):
     """One of a Literal's values, which need not be text."""
 
@@ -122,12 +131,14 @@ class _Choice(click.Choice):
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:
+    if info.type is not None:
+        return info.type
     if info.parse is not None:
         return _Parsed(info.parse)
     if get_origin(kind) is Literal:
         return _Choice(get_args(kind))
     if kind is Path:
-        return click.Path(path_type=Path)
+        return NamedPath(path_type=Path)
     if kind is str and _FILE.search(info.metavar or ""):
         return click.Path()  # so that a shell completes it; the value stays text
     if kind in (str, int, float):

@@ -7,6 +7,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
@@ -18,7 +19,13 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 @click.command()
 @dataclass_options(MatcherChoice, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
-@click.option("--plot", "plot_path", metavar="PATH.png", help="Draw what the pose was found from.")
+@click.option(
+    "--plot",
+    "plot_path",
+    type=OutputFile(None),
+    metavar="PATH.png",
+    help="Draw what the pose was found from.",
+)
 def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
     """Estimate the pose of the bundled pair and print it beside the known one."""
     check_picture(plot_path)

@@ -12,6 +12,7 @@ from dgc_pose.benchmarks.dtu.scene import Light
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
 from dgc_pose.benchmarks.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
 from dgc_pose.options import option
@@ -31,8 +32,8 @@ class FolderChoice:
 
 @click.command()
 @click.argument("root", metavar="ROOT")
-@click.argument("out", metavar="OUT.txt")
-@click.option("--scan", type=int, required=True, help="Number of the scan.")
+@click.argument("out", metavar="OUT.txt", type=OutputFile("text"))
+@click.option("--scan", type=click.IntRange(0, 10**6), required=True, help="Number of the scan.")
 @dataclass_options(FolderChoice, "folder")
 @dataclass_options(ViewPairOptions, "options")
 def dtu_pairs(

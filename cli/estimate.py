@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MatcherChoice
 from dgc_pose.cli.output import json_text, matches_arrays, pose_data, pose_text, write_npz
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
@@ -14,19 +15,28 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import staged
 from dgc_pose.options import option
 
-STDOUT = "-"
-
 
 @dataclass(frozen=True)
 class Outputs:
     """The files to write."""
 
-    json: str | None = option(None, "Write the pose as JSON; - for stdout.", metavar="PATH|-")
+    json: str | None = option(
+        None,
+        "Write the pose as JSON; - for stdout.",
+        metavar="PATH|-",
+        type=OutputFile("json", stdout=True),
+    )
     matches: str | None = option(
-        None, "Write the matches and which are inliers.", metavar="PATH.npz"
+        None,
+        "Write the matches and which are inliers.",
+        metavar="PATH.npz",
+        type=OutputFile("npz"),
     )
     plot: str | None = option(
-        None, "Draw inliers, epipolar lines and the warp.", metavar="PATH.png"
+        None,
+        "Draw inliers, epipolar lines and the warp.",
+        metavar="PATH.png",
+        type=OutputFile(None),
     )
 
 

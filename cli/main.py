@@ -1,22 +1,33 @@
 """The command `dgc-pose`: its sub-commands, and the one place that prints their errors.
 
 A sub-command's module is imported when it is called, so that `dgc-pose --help` is quick.
-Exit codes: 0 done, 2 unusable input, 3 no pose (set by the sub-command).
+Exit codes: 0 done, 1 an error of dgc-pose itself, 2 unusable input, 3 no pose (set by the
+sub-command), 128 and the signal's number if one stopped it.
 """
 
 from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NoReturn
 
 import click
 from click.shell_completion import CompletionItem
 
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.cli.guard import DEBUG, guarded
+from dgc_pose.cli.signals import Stopped, stopped_by_signals
+from dgc_pose.cli.warnings_as_lines import plain_warnings
+from dgc_pose.errors import DgcPoseError, reason
 
+FAULT = 1  # of dgc-pose itself
 UNUSABLE_INPUT = 2
+PIPE = 13  # SIGPIPE, which Windows has not
+LONGEST = 1000  # characters of a message
 INTERRUPTED = 130  # what shells report after SIGINT
 # Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
 # default 300,000: a machine with another busy process then spends nearly all its time spinning.
@@ -59,11 +70,19 @@ class LazyGroup(click.Group):
         name = cmd_name.replace("-", "_")
         command = getattr(importlib.import_module(f"dgc_pose.cli.{name}"), name)
         assert isinstance(command, click.Command)
-        return command
+        return guarded(command)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([*SUBCOMMANDS.items()])
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:  # click would print an empty line of its own
+            raise Stopped(signal.SIGINT) from None
+        except BrokenPipeError:  # click would exit with 1
+            raise Stopped(PIPE) from None
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """As click's own, which would import every sub-command for its help."""
@@ -76,26 +95,73 @@ class LazyGroup(click.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
+        given = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
+        debug = DEBUG in given
         try:
-            status = super().main(*args, **kwargs)
-        except click.Abort:
-            _fail("interrupted", INTERRUPTED)
-        except click.ClickException as error:
-            _fail(error.format_message(), UNUSABLE_INPUT)
-        except (OSError, DgcPoseError) as error:
-            _fail(_describe(error), UNUSABLE_INPUT)
+            with stopped_by_signals(), plain_warnings(shown=debug):
+                status = super().main(*args, **kwargs)
+                sys.stdout.flush()  # a full disk shows here, and not when the process ends
+        except BaseException as error:
+            if isinstance(error, SystemExit):
+                raise
+            if debug:
+                click.echo(traceback.format_exc(), err=True, nl=False)
+            message, status = _told(error, given)
+            if message is not None:
+                click.echo("error: " + _one_line(message), err=True)
         sys.exit(status)
 
 
-def _describe(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
+    """The message of an error, None for silence, and the exit code."""
+    match error:
+        case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
+            return "interrupted", INTERRUPTED
+        case click.NoSuchOption():
+            return _with_path_hint(error, given), UNUSABLE_INPUT
+        case click.ClickException():
+            return error.format_message(), UNUSABLE_INPUT
+        case DgcPoseError():
+            return str(error), UNUSABLE_INPUT
+        case BrokenPipeError() | Stopped(number=13):  # PIPE
+            # Whoever read the output has left; the end of the process would try to write again.
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return None, 128 + PIPE
+        case Stopped():
+            return f"stopped by {error.name}", 128 + error.number
+        case OSError():
+            return _describe(error), UNUSABLE_INPUT
+        case MemoryError():
+            return "there is not enough memory for this", UNUSABLE_INPUT
+    if "embedded null" in str(error):
+        return "a path cannot hold a zero byte", UNUSABLE_INPUT
+    if "can't allocate memory" in str(error) or "out of memory" in str(error):
+        return "there is not enough memory for this", UNUSABLE_INPUT
+    kind = type(error).__name__
+    return f"{kind}: {reason(error)} (an error of dgc-pose; --debug shows the trace)", FAULT
+
+
+def _with_path_hint(error: click.NoSuchOption, given: Sequence[str]) -> str:
+    """A photograph's name may begin with a dash, and then looks like an option."""
+    for text in given:
+        if text.startswith(error.option_name) and os.path.exists(text):
+            return f"{error.format_message()} The file of that name is ./{text}"
+    return error.format_message()
+
+
+def _describe(error: OSError) -> str:
+    if error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
+    if error.strerror:
+        return f"an output cannot be written: {error.strerror}"
     return str(error)
 
 
-def _fail(message: str, status: int) -> NoReturn:
-    click.echo("error: " + " ".join(message.split()), err=True)
-    sys.exit(status)
+def _one_line(message: str) -> str:
+    """Without line breaks, without what a terminal would act on, and not endless."""
+    text = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(message.split()))
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 40]} ... {text[-30:]}"
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:

@@ -19,6 +19,7 @@ from dgc_pose.benchmarks.map_report import (
 )
 from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, WorstPairs, map_outcomes
 from dgc_pose.benchmarks.methods import load_networks
+from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
@@ -45,15 +46,20 @@ class MapBenchOptions:
         "PCK curves of max(|dx|, |dy|), as by the paper's authors; else of the Euclidean error.",
     )
     worst: int = option(
-        4, "Pairs of largest AEPE to draw in --out, for each method.", metavar="N", min=1
+        4, "Pairs of largest AEPE to draw in --out, for each method.", metavar="N", min=1, max=1000
     )
     out: str | None = option(
         None,
         "Write pairs.csv, summary.json, pck.png, reliability.png and worst_*.png there.",
         metavar="DIR",
+        type=OutputFolder(*_TABLES),
     )
     json_path: str | None = option(
-        None, "Write all figures as JSON.", flag="--json", metavar="PATH"
+        None,
+        "Write all figures as JSON.",
+        flag="--json",
+        metavar="PATH",
+        type=OutputFile("json"),
     )
     device: DeviceName = option("auto", "Where the network runs.")
 

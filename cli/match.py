@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matches_arrays, write_npz
 from dgc_pose.errors import InputError
@@ -15,7 +16,13 @@ from dgc_pose.image import load_image
 @click.command()
 @click.argument("image1", metavar="IMG1", type=click.Path())
 @click.argument("image2", metavar="IMG2", type=click.Path())
-@click.option("--out", required=True, metavar="PATH.npz", help="Where to write the matches.")
+@click.option(
+    "--out",
+    required=True,
+    type=OutputFile("npz"),
+    metavar="PATH.npz",
+    help="Where to write the matches.",
+)
 @dataclass_options(MatcherChoice, "matcher")
 def match(image1: str, image2: str, out: str, matcher: MatcherChoice) -> None:
     """Match two photographs and write the dense map and the matches selected from it.

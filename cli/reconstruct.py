@@ -12,6 +12,7 @@ import click
 from dgc_pose.cli.batch import SourceChoice, WorkChoice, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import SharingChoice, described, images_bar
+from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -37,7 +38,7 @@ class MapperChoice:
 
 @click.command()
 @click.argument("source", metavar="FOLDER")
-@click.option("--out", type=click.Path(path_type=Path), required=True, metavar="DIR")
+@click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(SharingChoice, "sharing")
 @dataclass_options(MapperChoice, "mapping")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.files import only_writer
 from dgc_pose.options import check_options, option
 from dgc_pose.training.options import RunOptions
 
@@ -23,13 +26,13 @@ class TrainFiles:
     photos: Path = option(
         help="Folder of photographs, searched through; one in twenty is held back for validation."
     )
-    out: Path = option(help="Folder of the run's files.")
+    out: Path = option(help="Folder of the run's files.", type=OutputFolder(path_type=Path))
     resume: bool = option(False, "Continue the run in --out.")
     stop_after: float | None = option(
-        None, "Stop after so many minutes; --resume continues the run.", above=0
+        None, "Stop after so many minutes; --resume continues the run.", above=0, max=10**7
     )
     device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
-    threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1)
+    threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1, max=1024)
     rgbd: tuple[Path, ...] = option(
         (), "Folder of posed RGB-D frames (K.txt, poses.txt, images, depth); may be repeated."
     )
@@ -39,7 +42,7 @@ class TrainFiles:
     precision: Literal["auto", "float32", "bfloat16"] = option(
         "auto", "Precision of the convolutions; auto: bfloat16 if the processor supports it."
     )
-    limit: int | None = option(None, "Most photographs to use.", min=1)
+    limit: int | None = option(None, "Most photographs to use.", min=1, max=10**9)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -97,7 +100,8 @@ def train(files: TrainFiles, options: RunOptions) -> None:
             device=own_device,
             resume=files.resume,
         )
-        trainer.run(ProgressLine(options), files.stop_after)
+        with only_writer(files.out) if rank() == 0 else nullcontext():
+            trainer.run(ProgressLine(options), files.stop_after)
         if rank() > 0:
             return
     if trainer.complete:

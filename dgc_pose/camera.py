@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from dgc_pose import colmap_camera
+from dgc_pose.array_files import read_array
 from dgc_pose.arrays import as_numpy
 from dgc_pose.colmap_camera import Distortion
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, shortened
+from dgc_pose.inputs import read_text
 from dgc_pose.pixels import rescale
 
 # If the principal point is farther from the middle, as a share of the image's side, K may belong to
@@ -98,12 +100,13 @@ def parse_camera(text: str, name: str = "K") -> Camera:
     if is_file:
         return as_camera(_read_matrix(Path(text), name), name)
     words = re.split(r"\s*,\s*", text.strip())
-    if len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
-        return _parse_colmap(words, name)
     numbers = _floats(words)
+    if numbers is None and len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
+        return _parse_colmap(words, name)
     if numbers is None or len(numbers) != 4:
         raise InputError(
-            f"{name}: {text!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters nor a file"
+            f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
+            f"nor a file"
         )
     fx, fy, cx, cy = numbers
     return as_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], name)
@@ -186,21 +189,23 @@ def _listed(numbers: np.ndarray) -> str:
 
 
 def _read_matrix(path: Path, name: str) -> np.ndarray:
+    """The numbers of a file, (3, 3) if they are nine; commas and line breaks are as blanks."""
     try:
-        data = path.read_bytes() if path.stat().st_size <= _MAX_FILE_BYTES else b""
-        if not data.strip():
-            raise ValueError
         if path.suffix == ".npy":
-            return np.load(io.BytesIO(data), allow_pickle=False)
-        return np.loadtxt(io.StringIO(data.decode().replace(",", " ")), ndmin=2)
-    except (OSError, ValueError, EOFError) as error:
+            matrix = read_array(path)
+        else:
+            text = read_text(path, limit=_MAX_FILE_BYTES).replace(",", " ")
+            matrix = np.loadtxt(io.StringIO(text), ndmin=2) if text.strip() else np.empty((0, 0))
+        return matrix.reshape(3, 3) if matrix.size == 9 else matrix
+    except (InputError, OSError, ValueError) as error:
         raise InputError(f"{name}: {path} is not a file with a 3x3 matrix") from error
 
 
 def _parse_colmap(words: list[str], name: str) -> Camera:
     size, parameters = _floats(words[1:3]), _floats(words[3:])
     if size is None or parameters is None or any(not side.is_integer() for side in size):
-        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {','.join(words)!r}")
+        given = shortened(",".join(words))
+        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {given!r}")
     try:
         K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
         return Camera(K, (int(size[0]), int(size[1])), distortion)

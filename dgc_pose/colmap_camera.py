@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.inputs import require_regular
+from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
@@ -84,8 +86,10 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
     import pycolmap
 
     try:
-        camera = pycolmap.infer_camera_from_image(path)
-    except ValueError as error:
+        require_regular(path, ImageError)
+        with quiet():  # about odd EXIF data
+            camera = pycolmap.infer_camera_from_image(path)
+    except (ValueError, RuntimeError, OSError) as error:
         raise ImageError(f"{path} does not exist or is not an image that can be read") from error
     size = (int(camera.width), int(camera.height))
     return _matrix(camera), size, bool(camera.has_prior_focal_length)

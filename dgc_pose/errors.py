@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+_REASON = 160  # characters of a library's message that are told
+
 
 class DgcPoseError(Exception):
     """Base of every error that dgc-pose raises; its message is one line, for people."""
@@ -17,3 +19,18 @@ class ImageError(DgcPoseError):
 
 class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
+
+
+def reason(failure: BaseException) -> str:
+    """The first line of a library's message, shortened; the name of its class if it says little."""
+    lines = str(failure).strip().splitlines()
+    text = lines[0].strip() if lines else ""
+    if not any(character.isalpha() for character in text):
+        text = f"{type(failure).__name__} {text}".strip()
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """A text for a message: its middle is left out if it is long."""
+    half = _REASON // 2
+    return text if len(text) <= _REASON else f"{text[:half]} ... {text[5 - half :]}"

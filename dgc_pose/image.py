@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import io
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-import PIL.Image
 
 from dgc_pose.arrays import as_numpy, is_tensor
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.image_header import Header, read_header
+from dgc_pose.inputs import read_bytes, read_start
+from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
     import torch
 
-MAX_PIXELS = 400_000_000  # width times height; more is refused, if possible before decoding
+# Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
+MAX_PIXELS = 210_000_000
+MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # of the environment, for another bound
 MAX_BYTES = 2**31 - 1  # of a file; OpenCV counts an encoded image's bytes in a signed 32-bit number
-
-_EXIF_ORIENTATION = 0x0112
-# The formats whose header Pillow reads and whose pixels OpenCV decodes.
-_HEADER_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
+_HEADER_BYTES = 2**17  # read first for an image's size alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,94 +80,127 @@ def load_image(
 
 def _read_file(path: Path) -> Image:
     data = _read_bytes(path)
-    notes = _check_header(data, path)
+    notes = _orientation_notes(check_header(data, path), path)
+    # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
+    array = _decoded(data, path, cv2.IMREAD_UNCHANGED)
     try:
-        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        array = None
-    if array is None:
-        raise ImageError(f"{path} is corrupt, or not an image that can be read")
-    _check_pixel_count(array.shape[1], array.shape[0], path)
-    if array.ndim == 3 and array.shape[2] >= 3:
-        array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
-    try:
-        return Image(_to_rgb8(array, str(path)), str(path), notes)
+        if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
+            rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
+        else:
+            if array.ndim == 3 and array.shape[2] >= 3:
+                array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
+            rgb = _to_rgb8(array, str(path))
+        return Image(rgb, str(path), notes)
     except InputError as error:
         raise ImageError(str(error)) from error
+    except MemoryError:
+        raise ImageError(f"{path} needs more memory than there is") from None
 
 
-def _read_bytes(path: Path) -> bytes:
+def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
+    """A file's pixels as `cv2.imdecode` gives them with these flags, BGR.
+
+    For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
+    file is missing, corrupt, too large or no regular file.
+    """
+    path = Path(path)
+    data = _read_bytes(path)
+    check_header(data, path)
+    return _decoded(data, path, flags)
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """(width, height) of an image file by its header. Raises ImageError, with the path."""
+    path = Path(path)
     try:
-        if not path.exists():
-            raise ImageError(f"{path} does not exist")
-        if not path.is_file():
-            raise ImageError(f"{path} is not a file")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ImageError(f"{path} is too large: {size} bytes, at most {MAX_BYTES} are read")
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ImageError(f"{path} cannot be read: {reason}") from error
+        # Pixels may lie before the header, in a TIFF, and much else in a photograph.
+        header = read_header(_read_bytes(path, _HEADER_BYTES), complete=False)
+    except ImageError:
+        raise
+    except Exception:
+        return check_header(_read_bytes(path), path).size
+    check_pixel_count(*header.size, path)
+    return header.size
+
+
+def max_pixels() -> int:
+    """The most pixels (width times height) of an image that is decoded."""
+    text = os.environ.get(MAX_PIXELS_VARIABLE, "")
+    if not text:
+        return MAX_PIXELS
+    if not (text.isdecimal() and 0 < len(text) < 19 and int(text) > 0):
+        raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
+    return int(text)
+
+
+def check_pixel_count(width: int, height: int, path: Path) -> None:
+    """Raise ImageError, with the path and how to raise the bound, for too many pixels."""
+    if width * height > max_pixels():
+        raise ImageError(
+            f"{path} is too large: {width} x {height}, at most {max_pixels()} pixels are read "
+            f"(--max-pixels, or {MAX_PIXELS_VARIABLE} in the environment)"
+        )
+
+
+def _read_bytes(path: Path, start: int | None = None) -> bytes:
+    """All of a file, or the first `start` bytes."""
+    try:
+        if start is not None:
+            data = read_start(path, start, ImageError)
+        else:
+            data = read_bytes(path, MAX_BYTES, ImageError)
+    except FileNotFoundError:
+        raise ImageError(f"{path} does not exist") from None
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        raise ImageError(f"{path} needs more memory than there is") from None
     if not data:
         raise ImageError(f"{path} is empty")
     return data
 
 
-def _check_header(data: bytes, path: Path) -> tuple[str, ...]:
-    """Check size, checksums and orientation without decoding; returns warnings."""
-    header = _open_header(data)
-    if header is None:
-        return ()
-    _check_pixel_count(*header.size, path)
-    orientation = _orientation(header)
+def _decoded(data: bytes, path: Path, flags: int) -> np.ndarray:
     try:
-        header.verify()  # the checksums of a PNG; libpng would print to stderr
+        with quiet():
+            array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except MemoryError:
+        raise ImageError(f"{path} needs more memory than there is") from None
+    except cv2.error as error:
+        if error.code == cv2.Error.STS_NO_MEM:
+            raise ImageError(f"{path} needs more memory than there is") from None
+        array = None
+    if array is None:
+        raise ImageError(f"{path} is corrupt, or not an image that can be read")
+    check_pixel_count(array.shape[1], array.shape[0], path)
+    return array
+
+
+def check_header(data: bytes, path: Path) -> Header:
+    """What an encoded image says of itself, after a check of its size, before it is decoded.
+
+    Raises ImageError, with the path, if it has too many pixels, or no header that can be read.
+    """
+    try:
+        header = read_header(data)
     except Exception as error:  # each format's reader raises its own
-        raise ImageError(f"{path} is corrupt: {error}") from error
-    if orientation not in range(2, 9):
+        raise ImageError(f"{path} is corrupt, or not an image that can be read") from error
+    check_pixel_count(*header.size, path)
+    return header
+
+
+def _orientation_notes(header: Header, path: Path) -> tuple[str, ...]:
+    if header.orientation == 1:
         return ()
     if header.format == "TIFF":
         # OpenCV's TIFF reader rotates some of these and not others.
-        raise ImageError(f"{path} is a TIFF with orientation tag {orientation}: save it upright")
+        raise ImageError(
+            f"{path} is a TIFF with orientation tag {header.orientation}: save it upright"
+        )
     return (
-        f"{path}: EXIF orientation {orientation} is not applied, "
+        f"{path}: EXIF orientation {header.orientation} is not applied, "
         f"so K must refer to the pixels as stored",
     )
-
-
-def _open_header(data: bytes) -> PIL.Image.Image | None:
-    """An encoded image, not decoded; None if Pillow cannot read its header.
-
-    Not through PIL.Image.open, which refuses 179 million pixels and more: phones take such images.
-    """
-    PIL.Image.init()
-    for name in _HEADER_FORMATS:
-        factory, accept = PIL.Image.OPEN.get(name, (None, None))
-        if factory is None or accept is None or accept(data[:16]) is not True:
-            continue
-        try:
-            return factory(io.BytesIO(data), "")
-        except Exception:  # corrupt headers raise almost anything; decoding decides
-            return None
-    return None
-
-
-def _orientation(header: PIL.Image.Image) -> int:
-    if header.format != "TIFF" and "exif" not in header.info:
-        return 1  # getexif would decode all of a PNG without EXIF data
-    try:
-        return int(header.getexif().get(_EXIF_ORIENTATION, 1))
-    except Exception:  # a broken EXIF block raises almost anything; the pixels are intact
-        return 1
-
-
-def _check_pixel_count(width: int, height: int, path: Path) -> None:
-    if width * height > MAX_PIXELS:
-        raise ImageError(
-            f"{path} is too large: {width} x {height}, at most {MAX_PIXELS} pixels are read"
-        )
 
 
 def _channels_last(array: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.selection import MatchingOptions
 from dgc_pose.matching.sift import KeyPointCache, SiftMatcher, key_point_cache
 from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.options import check_type
 from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import NativeCache, native_cache
@@ -54,6 +55,15 @@ def load_matcher(
 
     Raises WeightsError if weights cannot be loaded, InputError if there is no such device.
     """
+    check_type(name, str | Path, "name")
+    check_type(device, str, "device")
+    for value, kind, argument in (
+        (matching, MatchingOptions, "matching"),
+        (refinement, RefinementOptions, "refinement"),
+        (caches, MatcherCaches, "caches"),
+    ):
+        if value is not None:
+            check_type(value, kind, argument)
     if name == SIFT:
         return SiftMatcher(cache=None if caches is None else caches.key_points)
     for flow in FLOWS:

@@ -16,6 +16,7 @@ from dgc_pose.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher
+from dgc_pose.options import check_type
 
 if TYPE_CHECKING:
     import torch
@@ -74,7 +75,7 @@ def trace_relative_pose(
     camera1 = camera_for(K1, first.size, "K1")
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     camera2 = camera_for(K, second.size, name)
-    matcher = matcher or load_matcher()
+    matcher = load_matcher() if matcher is None else matcher
     load_seconds = time.perf_counter() - start
     return match_and_estimate(first, second, camera1, camera2, matcher, options, load_seconds)
 
@@ -92,16 +93,13 @@ def match_and_estimate(
 
     load_seconds: what loading took, for `seconds` of the pose.
     """
+    options = EstimationOptions() if options is None else options
+    check_type(options, EstimationOptions, "options")
+    check_type(matcher, Matcher, "matcher")
     start = time.perf_counter()
     found = matcher.match(image1, image2)
     matched = time.perf_counter()
-    pose = estimate_pose(
-        found.matches,
-        camera1,
-        camera2,
-        options or EstimationOptions(),
-        map_matches=found.map_matches,
-    )
+    pose = estimate_pose(found.matches, camera1, camera2, options, map_matches=found.map_matches)
     seconds = {
         "load": load_seconds,
         "match": matched - start,
@@ -110,6 +108,4 @@ def match_and_estimate(
     sources = (image1, image2, camera1, camera2, pose)
     warnings = tuple(dict.fromkeys(text for source in sources for text in source.warnings))
     pose = replace(pose, warnings=warnings, seconds=seconds)
-    return Trace(
-        image1, image2, camera1, camera2, found.correspondence_map, found.matches, pose
-    )
+    return Trace(image1, image2, camera1, camera2, found.correspondence_map, found.matches, pose)

@@ -1,9 +1,9 @@
-"""Parallel work in threads."""
+"""Parallel work in threads, which an interrupt does not wait for."""
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import cv2
@@ -12,15 +12,49 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+def in_threads(
+    work: Callable[[Item], Result], items: Sequence[Item], at_most: int | None = None
+) -> list[Result]:
     """`[work(item) for item in items]`, in as many threads as OpenCV uses.
 
     For work that spends its time outside of Python and depends on its item alone, so that the
     answer is the same for any number of threads. `cv2.setNumThreads` sets the number for both; the
-    default is the number of processors.
+    default is the number of processors. at_most: threads; 1 for work that shares a state.
+
+    Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
+    the main thread, that comes through at once: work that has begun ends unheard, the rest is left.
     """
-    threads = min(cv2.getNumThreads(), len(items))
-    if threads <= 1:
+    count = min(cv2.getNumThreads(), len(items), at_most or len(items))
+    alone = threading.current_thread() is not threading.main_thread()
+    if count <= 1 and alone:  # only the main thread hears interrupts
         return [work(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, items))
+    results: dict[int, Result] = {}
+    errors: dict[int, BaseException] = {}
+    waiting = iter(range(len(items)))
+    lock, stopped = threading.Lock(), threading.Event()
+
+    def run() -> None:
+        while not stopped.is_set():
+            with lock:
+                number = next(waiting, None)
+            if number is None:
+                return
+            try:
+                results[number] = work(items[number])
+            except BaseException as error:
+                errors[number] = error
+                return
+
+    # Daemons: the process may end while a library's call, which nothing can stop, goes on.
+    threads = [threading.Thread(target=run, daemon=True) for _ in range(max(count, 1))]
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()  # the interpreter runs signal handlers while it waits
+    except BaseException:
+        stopped.set()
+        raise
+    if errors:
+        raise errors[min(errors)]
+    return [results[number] for number in range(len(items))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -38,8 +39,29 @@ def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
     waited = in_threads(lambda _: together.wait(), range(3))
     assert sorted(waited) == [0, 1, 2]
     cv2.setNumThreads(1)
-    own = threading.get_ident()
-    assert in_threads(lambda _: threading.get_ident(), range(3)) == [own] * 3
+    assert len(set(in_threads(lambda _: threading.get_ident(), range(3)))) == 1
+
+
+def test_shared_state_is_worked_on_by_one_thread_at_a_time() -> None:
+    cv2.setNumThreads(3)
+    assert len(set(in_threads(lambda _: threading.get_ident(), range(3), at_most=1))) == 1
+
+
+def test_an_interrupt_does_not_wait_for_the_work() -> None:
+    """As in a long call of a library, which hears nothing."""
+    cv2.setNumThreads(2)
+    begun, ended = threading.Event(), threading.Event()
+
+    def work(item: int) -> None:
+        if item == 0:
+            begun.set()
+            signal.raise_signal(signal.SIGINT)
+        ended.wait(60)
+
+    with pytest.raises(KeyboardInterrupt):
+        in_threads(work, range(2))
+    assert begun.is_set() and not ended.is_set()
+    ended.set()
 
 
 def test_an_error_of_the_work_is_raised() -> None:

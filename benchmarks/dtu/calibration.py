@@ -10,7 +10,9 @@ import numpy as np
 import scipy.linalg
 
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_text
 
+_BYTES = 2**16  # of a file with a few matrices
 ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leave
 
 
@@ -31,7 +33,11 @@ def read_projection(path: Path) -> View:
             matrix is no camera.
         OSError: if the file cannot be read.
     """
-    rows = [line.split() for line in _read_text(path).splitlines() if line.strip()]
+    rows = [
+        line.split()
+        for line in read_text(path, "a calibration", _BYTES).splitlines()
+        if line.strip()
+    ]
     if [len(row) for row in rows] != [4, 4, 4]:
         counts = " + ".join(str(len(row)) for row in rows) or "none"
         raise InputError(f"{path}: expected 3 rows of 4 numbers, found {counts}")
@@ -46,7 +52,7 @@ def read_cam(path: Path) -> View:
         InputError: with the path, if the file is malformed or its matrices are no camera.
         OSError: if the file cannot be read.
     """
-    words = _read_text(path).split()
+    words = read_text(path, "a calibration", _BYTES).split()
     if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
         raise InputError(
             f"{path}: expected the word extrinsic, 4 rows of 4 numbers, "
@@ -94,10 +100,3 @@ def _matrix(words: Sequence[str], shape: tuple[int, int], path: Path) -> np.ndar
         return np.array([float(word) for word in words]).reshape(shape)
     except ValueError:
         raise InputError(f"{path}: expected numbers, found something else") from None
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: expected numbers as text, found something else") from None

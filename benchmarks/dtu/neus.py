@@ -6,23 +6,20 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.array_files import read_arrays
 from dgc_pose.benchmarks.dtu.calibration import View, decompose
 from dgc_pose.benchmarks.dtu.scene import SceneReader, numbered_folders
 from dgc_pose.errors import InputError
 
 EXPECTED = "scan24/cameras.npz and scan24/image/000000.png"
 _FOLDER = r"(?:dtu_)?scan(\d+)"
-# What numpy raises for a file that is something else, or is damaged.
-_NO_NPZ = (ValueError, TypeError, AttributeError, EOFError, KeyError)
-_NO_ZIP = (zipfile.BadZipFile, zlib.error)
+_MOST_VIEWS = 64  # of a scene
 _CALIBRATIONS = ("cameras.npz", "cameras_sphere.npz")  # IDR's name, NeuS's
 
 
@@ -77,10 +74,10 @@ def _key(position: int) -> str:
     return f"world_mat_{position - 1}"
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
+def _read(path: Path) -> Mapping[str, np.ndarray]:
     """The projections of a file by their names."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files if name.startswith("world_mat_")}
-    except (*_NO_NPZ, *_NO_ZIP) as error:
+        found = read_arrays(path, [_key(position) for position in range(1, _MOST_VIEWS + 1)])
+    except InputError as error:
         raise InputError(f"{path}: expected an .npz with world_mat_0 and so on") from error
+    return found

@@ -27,6 +27,8 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
 )
 from dgc_pose.benchmarks.pair_list import FIELDS
 from dgc_pose.errors import InputError
+from dgc_pose.files import replaced
+from dgc_pose.inputs import read_text
 
 PAIRS = 3000  # of the paper
 COLUMNS = ("scene", "view1", "view2")
@@ -99,7 +101,10 @@ def read_pair_file(
 
 def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
     """Write pairs as CSV, with their rotation, overlap and baseline."""
-    with Path(path).open("w", newline="", encoding="utf-8") as stream:
+    with (
+        replaced(Path(path)) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as stream,
+    ):
         names = [field.name for field in fields(ViewPair)]
         writer = csv.DictWriter(stream, names, lineterminator="\n")
         writer.writeheader()
@@ -109,10 +114,7 @@ def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
 
 
 def _parse(path: Path) -> Iterator[_Line]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: a pair list is text, and this is not") from None
+    text = read_text(path, "a pair list")
     lines = [
         (number, line.strip())
         for number, line in enumerate(text.splitlines(), start=1)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -21,6 +23,7 @@ from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
 PAGE = "report.html"
 PICTURED = 300  # pairs with pictures in the page: more make a file that opens slowly
+_log = logging.getLogger(__name__)
 _TEMPLATES = Path(__file__).parent / "templates"
 _CAPTIONS = {
     "rotation.svg": "Rotation error: share of pairs not above it",
@@ -56,6 +59,9 @@ def write_report(
     for an image that cannot be read.
     """
     methods, errors = by_method(rows), columns(rows)
+    for left in out.glob(".report-*"):
+        shutil.rmtree(left, ignore_errors=True)
+        _log.warning("%s: removed, left by a run that was killed", left)
     with tempfile.TemporaryDirectory(dir=out, prefix=".report-") as name:
         folder = Path(name)
         for figure_name, figure in plot_histograms(errors, pairs.protocol).items():
@@ -78,9 +84,7 @@ def write_report(
     return written
 
 
-def pictured_pairs(
-    methods: Mapping[str, Sequence[DtuScore]], count: int
-) -> frozenset[ViewKey]:
+def pictured_pairs(methods: Mapping[str, Sequence[DtuScore]], count: int) -> frozenset[ViewKey]:
     """The pairs that the page has pictures of, at most `count`: the worst of each method, then from
     the start of the list."""
     worst = [worst_pairs(own) for own in methods.values()]

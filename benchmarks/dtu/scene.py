@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-import PIL.Image
-
 from dgc_pose.benchmarks.dtu.calibration import View
 from dgc_pose.camera import Camera, check_size
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
+from dgc_pose.image import image_size
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
 LIGHTS: tuple[Light, ...] = get_args(Light)
@@ -101,7 +100,7 @@ def read_scene(reader: SceneReader, number: int) -> Scene:
         if view is None:
             missing[position] = reader.calibration_name(number, position)
             continue
-        found = _image_size(image)
+        found = image_size(image)
         size = size or found
         if found != size:
             raise InputError(
@@ -134,11 +133,3 @@ def light_suffix(light: str) -> str:
 def _find_image(stem: Path) -> Path | None:
     paths = (stem.with_name(stem.name + suffix) for suffix in SUFFIXES)
     return next((path for path in paths if path.is_file()), None)
-
-
-def _image_size(path: Path) -> tuple[int, int]:
-    try:
-        with PIL.Image.open(path) as image:
-            return image.size
-    except (OSError, PIL.Image.DecompressionBombError):
-        raise ImageError(f"{path} is corrupt, or not an image that can be read") from None

@@ -16,7 +16,7 @@ from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 
 _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are the same
 
@@ -25,13 +25,13 @@ _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are t
 class ViewPairOptions:
     """Which pairs to draw. Raises InputError, naming the field, on a value out of range."""
 
-    pairs: int = option(64, "How many pairs to draw, over all scenes.", min=1)
+    pairs: int = option(64, "How many pairs to draw, over all scenes.", min=1, max=10**7)
     min_rotation: float = option(5.0, "Smallest relative rotation, degrees.", min=0, max=180)
     max_rotation: float = option(40.0, "Largest relative rotation, degrees.", min=0, max=180)
     min_overlap: float = option(
         0.4, "Least share of the space at DTU's depths that both views see.", min=0, max=1
     )
-    seed: int = option(0, "The same seed, the same list.")
+    seed: int = option(0, "The same seed, the same list.", min=0, max=MAX_SEED)
     bins: int = option(7, min=1)  # equal rotation bins, drawn from in turn
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 
 EstimatorName = Literal["poselib", "pycolmap", "opencv"]
 
@@ -65,8 +65,8 @@ class EstimationOptions:
 
     estimator: EstimatorName = option("poselib", "Library behind the robust estimation.")
     # Runs have different seeds; the model with most inliers is kept.
-    runs: int = option(5, "Runs of RANSAC, the best kept.", min=1)
-    iterations: int = option(1000, "Iterations of each run.", min=1)
+    runs: int = option(5, "Runs of RANSAC, the best kept.", min=1, max=10_000)
+    iterations: int = option(1000, "Iterations of each run.", min=1, max=2**31 - 1)
     # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC
     # grows with the matches that it scores. The models are compared and refined on all matches.
     max_sampled: int = option(3000, min=100)
@@ -77,9 +77,10 @@ class EstimationOptions:
         flag="--threshold",
         metavar="PX",
         above=0,
+        max=1000,
     )
     threshold_factor: float = option(2.0, above=0)  # of the matches' error_px, without threshold_px
-    seed: int = option(0, "The same seed, the same pose.", min=0)
+    seed: int = option(0, "The same seed, the same pose.", min=0, max=MAX_SEED)
     refine: bool = True  # on the inliers of the best model
     verdict: VerdictOptions = field(default_factory=VerdictOptions)
 

@@ -35,8 +35,7 @@ def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[
         )
 
     seeds = run_seeds(options)
-    thread_safe = options.estimator in _THREAD_SAFE
-    found = in_threads(run, seeds) if thread_safe else [run(seed) for seed in seeds]
+    found = in_threads(run, seeds, None if options.estimator in _THREAD_SAFE else 1)
     models = [Model.of_essential(problem, E) for matrices in found for E in matrices]
     return sorted(models, key=lambda model: -model.count)  # of equals the first run's
 

@@ -22,6 +22,7 @@ from dgc_pose.estimation.result import POSE_STATUSES, Alternative, RelativePose
 from dgc_pose.estimation.rivals import rivals
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.matches import Matches
+from dgc_pose.options import check_type
 
 _DEFAULTS = EstimationOptions()
 
@@ -41,6 +42,9 @@ def estimate_pose(
     the probability. The same seed gives the same answer to the bit. Raises InputError if `matches`
     is not Matches.
     """
+    check_type(options, EstimationOptions, "options")
+    check_type(camera1, Camera, "camera1")
+    check_type(camera2, Camera, "camera2")
     problem = TwoViewProblem.of(matches, camera1, camera2, options)
     inliers = np.zeros(len(matches), dtype=bool)
     no_model = partial(

@@ -16,16 +16,16 @@ W x H. Formats:
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.array_files import ARRAY_BYTES, read_array, read_arrays
+from dgc_pose.errors import ImageError, InputError, reason
+from dgc_pose.image import Image, read_pixels
+from dgc_pose.inputs import read_bytes
 from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
@@ -89,50 +89,54 @@ class FileMatcher(Matcher):
         """
         path = self.path(image1.name, image2.name)
         try:
-            arrays = _read(path)
-            if "flow" in arrays or "map" in arrays:
-                found = _map(arrays, image1, image2)
-                matches = textured(select_matches(found, self.options), image1, image2)
-                return MatchResult(matches, found)
-            return MatchResult(textured(_points(arrays, image1, image2), image1, image2), None)
+            with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
+                return self._match(path, image1, image2)
         except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"{path}: cannot be read ({reason})") from None
+            raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+
+    def _match(self, path: Path, image1: Image, image2: Image) -> MatchResult:
+        arrays = _read(path)
+        if "flow" in arrays or "map" in arrays:
+            found = _map(arrays, image1, image2)
+            matches = textured(select_matches(found, self.options), image1, image2)
+            return MatchResult(matches, found)
+        return MatchResult(textured(_points(arrays, image1, image2), image1, image2), None)
 
 
 def _read(path: Path) -> Mapping[str, np.ndarray]:
     """The arrays of a file by name, as the module's docstring has them."""
     if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as archive:
-            return {key: archive[key] for key in archive.files}
+        return read_arrays(path)
     if path.suffix == ".npy":
-        return {"flow": np.load(path, allow_pickle=False)}
+        return {"flow": read_array(path)}
     return {"flow": read_flo(path) if path.suffix == ".flo" else read_kitti(path)}
 
 
 def read_flo(path: Path) -> np.ndarray:
-    """Middlebury's flow (H, W, 2) float64, NaN if unknown. Raises InputError if malformed."""
-    with path.open("rb") as stream:
-        header = stream.read(12)
-    if len(header) < 12 or np.frombuffer(header[:4], "<f4")[0] != np.float32(_FLO_MAGIC):
-        raise InputError("not a .flo file: it does not begin with 202021.25")
-    width, height = (int(side) for side in np.frombuffer(header[4:], "<i4"))
-    size = path.stat().st_size
-    # OpenCV reads a truncated file without an error.
-    if width < 1 or height < 1 or size != 12 + 8 * width * height:
-        raise InputError(f"{size} bytes are not those of a flow of {width} x {height}")
-    flow: np.ndarray = cv2.readOpticalFlow(str(path)).astype(np.float64)
-    flow[(np.abs(flow) > _FLO_UNKNOWN).any(-1)] = np.nan
+    """Middlebury's flow (H, W, 2) float64, NaN if unknown. Raises InputError, with the path, if it
+    is malformed."""
+    data = read_bytes(path, ARRAY_BYTES // 2)
+    if len(data) < 12 or np.frombuffer(data[:4], "<f4")[0] != np.float32(_FLO_MAGIC):
+        raise InputError(f"{path}: not a .flo file: it does not begin with 202021.25")
+    width, height = (int(side) for side in np.frombuffer(data[4:12], "<i4"))
+    if width < 1 or height < 1 or len(data) != 12 + 8 * width * height:
+        raise InputError(f"{path}: {len(data)} bytes are not those of a flow of {width} x {height}")
+    flow = np.frombuffer(data, "<f4", offset=12).reshape(height, width, 2).astype(np.float64)
+    flow[~(np.abs(flow) <= _FLO_UNKNOWN).all(-1)] = np.nan
     return flow
 
 
 def read_kitti(path: Path) -> np.ndarray:
-    """KITTI's flow (H, W, 2) float64, NaN if unknown. Raises InputError if malformed."""
-    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if stored is None or stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
-        raise InputError("expected a PNG of three 16-bit channels, as KITTI stores flow")
+    """KITTI's flow (H, W, 2) float64, NaN if unknown. Raises InputError, with the path, if it is
+    malformed."""
+    try:
+        stored = read_pixels(path)
+    except ImageError as error:
+        raise InputError(str(error)) from None
+    if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
+        raise InputError(f"{path}: expected a PNG of three 16-bit channels, as KITTI stores flow")
     known, y, x = np.moveaxis(stored.astype(np.float64), -1, 0)  # OpenCV gives BGR for RGB
     flow = (np.stack([x, y], -1) - 2**15) / 64
     flow[known == 0] = np.nan

@@ -24,17 +24,24 @@ class MatchingOptions:
     # Cells a side of the level that the map is taken from.
     finest: FinestLevel = option(240, "Cells a side of the dense map: the coarser, the faster.")
     matchability: float = option(
-        0.7, "Least matchability of a match, 0 to 1.", metavar="T", min=0, max=1
+        0.7,
+        "Least matchability of a match of the map, 0 to 1; matches of --refine features, and so of "
+        "auto, are found without it.",
+        metavar="T",
+        min=0,
+        max=1,
     )
     cycle_px: float | None = option(  # pixels of image 2
         None,
-        "Compute the reverse map too, and drop matches of a larger cycle error.",
+        "Compute the reverse map too, and drop matches of the map of a larger cycle error; matches "
+        "of --refine features, and so of auto, are found without it.",
         flag="--cycle",
         metavar="PX",
         above=0,
+        max=10**6,
     )
     max_matches: int = option(
-        2000, "Keep an even subsample of at most N matches.", metavar="N", min=1
+        2000, "Keep an even subsample of at most N matches.", metavar="N", min=1, max=2**31
     )
     # Share of all cells that must pass; a smaller patch matches by chance.
     min_share: float = option(0.01, min=0, max=1)

@@ -48,7 +48,7 @@ class Texture:
         height, width = self.mask.shape
         finite = np.isfinite(points).all(1)
         cells = rescale(np.where(finite[:, None], points, -1.0), self.size, (width, height))
-        column, row = np.rint(cells).astype(np.int64).T
+        column, row = np.rint(cells.clip(-2, LONG_SIDE + 1)).astype(np.int64).T
         inside = finite & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         return inside & self.mask[row.clip(0, height - 1), column.clip(0, width - 1)]
 

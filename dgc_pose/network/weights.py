@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import pickle
+import zipfile
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.files import replaced
+from dgc_pose.inputs import read_as, require_regular
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS, preset
 from dgc_pose.network.net import DGCNet
 
@@ -44,6 +45,7 @@ def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cp
     name, state = _read(path)
     net = DGCNet(preset(name))
     _check(path, name, state, net.state_dict())
+    _check_values(path, state)
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
     return net.eval().requires_grad_(False).to(device)
 
@@ -73,12 +75,26 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     """The content of a torch.save file of tensors and plain values. Raises WeightsError, with the
     path, for any other file."""
     try:
-        return torch.load(path, map_location=device, weights_only=True)
-    except pickle.UnpicklingError as error:
-        # torch's own message advises to load the file as code: unsafe.
-        raise WeightsError(f"{path}: not a checkpoint of tensors and plain values") from error
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError) as error:
-        raise WeightsError(f"{path}: not a checkpoint that can be read ({_line(error)})") from error
+        require_regular(path, WeightsError)
+        with read_as("a checkpoint", path, WeightsError):
+            _check_archive(path)
+            try:
+                return torch.load(path, map_location=device, weights_only=True)
+            except pickle.UnpicklingError as error:
+                # torch's own message advises to load the file as code: unsafe.
+                what = "not a checkpoint of tensors and plain values"
+                raise WeightsError(f"{path}: {what}") from error
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _check_archive(path: Path) -> None:
+    """Raise WeightsError if the archive of a checkpoint is packed: torch stores its tensors as they
+    are, and a packed one could need any amount of memory."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
+                raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
 
 
 def _find(weights: str | Path) -> Path:
@@ -91,7 +107,7 @@ def _find(weights: str | Path) -> Path:
             f"give a file"
         )
     path = Path(weights)
-    if not path.is_file():
+    if "\0" in name or not path.exists():
         raise WeightsError(f"{path}: no such weights file, and none shipped of that name")
     return path
 
@@ -104,11 +120,12 @@ def _read(path: Path) -> tuple[str, dict[str, Tensor]]:
 
 def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
     try:
-        with safe_open(path, "pt") as file:
+        require_regular(path, WeightsError)
+        with read_as("a safetensors file", path, WeightsError), safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
             state = {key: file.get_tensor(key) for key in file.keys()}
-    except (SafetensorError, OSError, json.JSONDecodeError) as error:
-        raise WeightsError(f"{path}: not a safetensors file ({_line(error)})") from error
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
     name = metadata.get("preset", "")
     try:
         preset(name)
@@ -122,7 +139,9 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
 def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
     content = load_checkpoint(path)
     state = content.get("state_dict", content) if isinstance(content, dict) else None
-    if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
+    if not isinstance(state, dict) or not all(
+        isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
+    ):
         raise WeightsError(f"{path}: holds no state_dict")
     state = {key.removeprefix("module."): value for key, value in state.items()}
     state = {key: value for key, value in state.items() if not key.endswith(_COUNTER)}
@@ -148,5 +167,10 @@ def _check(path: Path, name: str, state: dict[str, Tensor], wanted: dict[str, Te
             )
 
 
-def _line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+def _check_values(path: Path, state: dict[str, Tensor]) -> None:
+    """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
+    for key, value in state.items():
+        if value.layout != torch.strided or not value.is_floating_point():
+            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
+        if not value.float().isfinite().all():
+            raise WeightsError(f"{path}: {key} has values that are not finite")

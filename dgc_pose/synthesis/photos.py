@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +14,12 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dgc_pose.errors import ImageError
+from dgc_pose.image import read_pixels
 from dgc_pose.synthesis.render import TextureBank
 
 SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input
 _SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
+_log = logging.getLogger(__name__)
 _HELD_BACK = 20  # one photograph in so many is held back for validation
 
 
@@ -87,11 +90,16 @@ def _is_held_back(path: Path) -> bool:
 
 def _decode(paths: list[Path], side: int, lacking: str) -> Photos:
     squares: list[Tensor] = []
+    damaged: list[ImageError] = []  # one in thousands is no reason to stop
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
-        pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
-        if pixels is None:
-            continue  # one damaged photograph in thousands is no reason to stop
+        try:
+            pixels = read_pixels(path, cv2.IMREAD_COLOR)
+        except ImageError as error:
+            damaged.append(error)
+            continue
         squares.append(resized_planes(pixels, (side, side)).flip(0))  # from BGR
+    if damaged:
+        _log.warning("%d of %d photographs are left out: %s", len(damaged), len(paths), damaged[0])
     if not squares:
         raise ImageError(lacking)
     return Photos.of(torch.stack(squares))

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
-import PIL.Image
 
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.image import image_size, read_pixels
+from dgc_pose.inputs import read_text
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _DEPTH_STEP = 1e-3  # metres
@@ -32,14 +32,8 @@ class PosedFrame:
 
     def read_depth(self) -> np.ndarray:
         """(h, w) float32, metres, 0 if unknown. Raises ImageError with the path."""
-        if not self.depth.is_file():
-            raise ImageError(f"{self.depth} does not exist")
-        data = np.fromfile(self.depth, np.uint8)
-        try:
-            stored = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-        except cv2.error:
-            stored = None
-        if stored is None or stored.ndim != 2:
+        stored = read_pixels(self.depth)
+        if stored.ndim != 2:
             raise ImageError(f"{self.depth} is corrupt, or not a depth image of one channel")
         return stored.astype(np.float32) * np.float32(_DEPTH_STEP)
 
@@ -62,7 +56,7 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
     frames = []
     for line, (image, depth, pose) in enumerate(zip(images, depths, poses, strict=True), start=1):
         _check_rigid(pose, f"{root / 'poses.txt'}:{line}")
-        if _stored_size(image) != _stored_size(depth):
+        if image_size(image) != image_size(depth):
             raise InputError(f"{depth} is not of the size of {image.name}")
         frames.append(PosedFrame(image, depth, K, np.linalg.inv(pose)))
     return frames
@@ -71,10 +65,12 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
 def _read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """A text file's numbers in that shape, float64. Raises InputError with the path."""
     try:
-        values = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+        values = np.array(read_text(path).split(), dtype=np.float64)
         matrix = values.reshape(shape)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
+    except InputError:
+        raise
     except ValueError:
         what = f"rows of {shape[1]}" if shape[0] < 0 else f"{shape[0]}x{shape[1]}"
         raise InputError(f"{path}: expected {what} numbers") from None
@@ -96,15 +92,6 @@ def _check_rigid(pose: np.ndarray, where: str | Path) -> None:
     is_rotation = np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0
     if not is_rotation or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
         raise InputError(f"{where}: a pose must be a rotation and a translation, [R t; 0 0 0 1]")
-
-
-def _stored_size(path: Path) -> tuple[int, int]:
-    """(width, height) of an image by its header. Raises ImageError with the path."""
-    try:
-        with PIL.Image.open(path) as image:
-            return image.size
-    except OSError:
-        raise ImageError(f"{path} is missing, corrupt or not an image") from None
 
 
 def _files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:

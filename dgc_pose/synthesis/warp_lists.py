@@ -16,6 +16,7 @@ edges.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from torch import Tensor
 
 from dgc_pose.errors import InputError
 from dgc_pose.image import load_image
+from dgc_pose.inputs import read_as, read_text
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline
@@ -64,15 +66,13 @@ class WarpList:
     def read(cls, path: str | Path) -> WarpList:
         """Raises InputError, with the path and the line, for a malformed list; OSError."""
         path = Path(path)
-        with path.open(newline="", encoding="utf-8") as stream:
-            reader = csv.reader(stream)
-            try:
-                header = next(reader, [])
-                if [name.strip() for name in header[:2]] != ["fname", "aff/tps/homo"]:
-                    raise InputError(f"{path}:1: expected the columns fname,aff/tps/homo,t1,...")
-                rows = tuple(_parse(row, f"{path}:{reader.line_num}") for row in reader if row)
-            except (csv.Error, UnicodeDecodeError) as error:
-                raise InputError(f"{path}: not a list of warps ({error})") from None
+        text = io.StringIO(read_text(path, "a list of warps"), newline="")
+        with read_as("a list of warps", path):
+            reader = csv.reader(text)
+            header = next(reader, [])
+            if [name.strip() for name in header[:2]] != ["fname", "aff/tps/homo"]:
+                raise InputError(f"{path}:1: expected the columns fname,aff/tps/homo,t1,...")
+            rows = tuple(_parse(row, f"{path}:{reader.line_num}") for row in reader if row)
         if not rows:
             raise InputError(f"{path}: the list has no rows")
         return cls(path, rows)

@@ -9,7 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from dgc_pose.errors import WeightsError
+from dgc_pose.errors import WeightsError, reason
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
@@ -52,8 +52,10 @@ def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> Non
     state = load_checkpoint(Path(weights), images.device)
     try:
         load_backbone(net.pyramid, state, images)
-    except (KeyError, RuntimeError, TypeError) as error:
-        raise WeightsError(f"{weights}: not weights of EfficientNet-Lite0 ({error})") from error
+    except (KeyError, RuntimeError, TypeError, AttributeError, ValueError) as error:
+        raise WeightsError(
+            f"{weights}: not weights of EfficientNet-Lite0 ({reason(error)})"
+        ) from error
 
 
 @torch.no_grad()

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from dgc_pose.training.processes import joint_sum
 
+_LONGEST_ROW = 4096  # bytes
+
 Row = dict[str, Any]
 Mark = float | torch.cuda.Event
 
@@ -57,6 +59,7 @@ def append(path: Path, row: Row) -> None:
     """Add a row to a CSV file; a new file gets the row's columns."""
     columns, is_new = list(row), not path.exists()
     if not is_new:
+        _drop_half_row(path)
         with path.open(newline="") as file:
             columns = next(csv.reader(file), columns)
     with path.open("a", newline="") as file:
@@ -64,6 +67,16 @@ def append(path: Path, row: Row) -> None:
         if is_new:
             writer.writeheader()
         writer.writerow(row)
+
+
+def _drop_half_row(path: Path) -> None:
+    """Cut off the end of a table that a kill left without its line break."""
+    with path.open("rb+") as file:
+        end = file.seek(0, 2)
+        file.seek(max(0, end - _LONGEST_ROW))
+        start, rows = file.tell(), file.read()
+        if rows and not rows.endswith(b"\n"):
+            file.truncate(start + rows.rfind(b"\n") + 1)
 
 
 def _seconds_between(first: Mark, second: Mark) -> float:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import preset
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.training.schedule import Schedule
 
@@ -22,9 +22,11 @@ class RunOptions:
     preset: str = option("dgcm-lite", "Network: dgc, dgcm, dgcm-lite or dgcm-lite0.")
     # The schedule is complete after so many minutes of training, or after so many steps: then a
     # run repeats exactly, whatever else the machine does. One of the two.
-    minutes: float | None = option(None, "Length of the training schedule, minutes.", above=0)
+    minutes: float | None = option(
+        None, "Length of the training schedule, minutes.", above=0, max=10**7
+    )
     steps: int | None = option(
-        None, "Length of the schedule in steps; such a run repeats exactly.", min=1
+        None, "Length of the schedule in steps; such a run repeats exactly.", min=1, max=10**9
     )
     ablations: tuple[str, ...] = option(
         (),
@@ -32,7 +34,7 @@ class RunOptions:
         "coarsest-alone or one-size; may be given several times.",
         flag="--ablation",
     )
-    seed: int = option(0, "Seed of all random draws.")
+    seed: int = option(0, "Seed of all random draws.", min=0, max=MAX_SEED)
     schedule: Schedule = option(
         Schedule(),
         "Shares of the time for encoder, decoders and polish, in percent; or for encoder, its "
@@ -58,7 +60,10 @@ class RunOptions:
         "without encoder stages.",
     )
     rate: float = option(
-        1.0, "Factor of the learning rates; with --init, choose less, such as 0.1.", above=0
+        1.0,
+        "Factor of the learning rates; with --init, choose less, such as 0.1.",
+        above=0,
+        max=1000,
     )
     unfreeze: Unfrozen | None = option(
         None, "Train the encoder, or its coarsest levels, together with the decoders."
@@ -66,12 +71,12 @@ class RunOptions:
     teacher: str | None = option(
         None, "Weights of a network with a mask to learn from besides the truth (distillation)."
     )
-    teacher_weight: float = option(0.5, "Weight of the teacher's map in the loss.", min=0)
+    teacher_weight: float = option(0.5, "Weight of the teacher's map in the loss.", min=0, max=1000)
     batch: int | None = option(
-        None, "Pairs a step, over all processes; default: the stage's own.", min=1
+        None, "Pairs a step, over all processes; default: the stage's own.", min=1, max=2**16
     )
     validation_count: int = option(
-        64, "Pairs of held-back photographs.", flag="--validation-pairs", min=1
+        64, "Pairs of held-back photographs.", flag="--validation-pairs", min=1, max=2**20
     )
     validate_minutes: float = 5.0  # between validations
     save_minutes: float = 1.0  # between checkpoints

@@ -36,6 +36,7 @@ from dgc_pose.training.teacher import Teacher
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
+_STATE = {"preset": str, "elapsed": float, "step": int, "stage": str}  # of a checkpoint, its types
 _FITTING_BATCHES = 24  # of 4 pairs, for the least squares of `fit_decoders`
 _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
 
@@ -70,6 +71,8 @@ class Trainer:
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
             raise InputError(f"{path} exists already: --resume continues it")
+        if self.weights_path.exists() and not path.exists():
+            raise InputError(f"{self.weights_path} exists already, and is of no run in this folder")
         self.device = torch.device(device)
         for stage in STAGES:
             if self._batch(stage) % process_count():
@@ -222,14 +225,21 @@ class Trainer:
 
     def _load(self, path: Path) -> None:
         state = load_checkpoint(path, self.device)
+        if (
+            not isinstance(state, dict)
+            or not _STATE.items() <= {name: type(state.get(name)) for name in _STATE}.items()
+        ):
+            raise WeightsError(f"{path}: not the checkpoint of a run")
         if state["preset"] != self.options.network:
             raise WeightsError(
                 f"{path}: a run of preset {state['preset']}, not {self.options.network}"
             )
+        if not (0 <= state["elapsed"] < math.inf and state["step"] >= 0):
+            raise WeightsError(f"{path}: not the checkpoint of a run")
         try:
             self._stage = self._enter(state["stage"])
             self._stage.load_state_dict(state)
-        except (RuntimeError, ValueError) as error:
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise WeightsError(
                 f"{path}: its weights do not fit the present {self.options.network}"
             ) from error

@@ -42,7 +42,7 @@ class Schedule:
 
     def __post_init__(self) -> None:
         shares = tuple(getattr(self, name) for name in STAGES)
-        if min(shares) < 0 or abs(sum(shares) - 1) > 1e-6:
+        if not (min(shares) >= 0 and abs(sum(shares) - 1) <= 1e-6):
             raise InputError(f"the stages' shares must be positive and sum to 1, not {shares}")
 
     @classmethod

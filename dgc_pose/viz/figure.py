@@ -10,6 +10,9 @@ from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
 
+# What matplotlib draws without other programs.
+_FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
+
 
 def new_figure(
     width: float, height: float, *, layout: Literal["constrained"] | None = "constrained"
@@ -21,14 +24,22 @@ def new_figure(
 
 
 def picture_format(path: str | Path) -> str:
-    """The format of a file name's ending. Raises InputError if matplotlib cannot write it."""
+    """The format of a file name's ending. Raises InputError if no picture is written in it."""
     suffix = Path(path).suffix.lower().lstrip(".")
-    known = FigureCanvasAgg.get_supported_filetypes()
-    if suffix not in known:
-        raise InputError(f"{path}: a plot is written as .png, .svg or .pdf")
+    if suffix not in _FORMATS:
+        *others, last = (f".{name}" for name in _FORMATS)
+        raise InputError(f"{path}: a plot is written as {', '.join(others)} or {last}")
     return suffix
 
 
 def save_figure(figure: Figure, path: str | Path, *, picture_format: str = "png") -> None:
-    """Write the figure in the given format, whatever the ending of the path."""
+    """Write the figure in the given format, whatever the ending of the path.
+
+    Titles and legends are shown as they are: names of files may hold what would be a formula.
+    """
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        for text in (axes.title, *axes.texts, *(legend.get_texts() if legend else ())):
+            text.set_parse_math(False)
+            text.set_text(text.get_text().encode("utf-8", "replace").decode())
     figure.savefig(path, format=picture_format, dpi=100)

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import logging
 import os
 import re
+import signal
 import subprocess
 import sys
+import warnings
 from importlib.metadata import version
 
 import click
@@ -23,13 +26,13 @@ def run(*arguments):
 def raising(monkeypatch):
     """Makes `dgc-pose demo` raise."""
 
-    def use(error):
+    def use(error, *arguments):
         @click.command()
         def demo():
             raise error
 
         monkeypatch.setattr("dgc_pose.cli.demo.demo", demo)
-        return run("demo")
+        return run("demo", *arguments)
 
     return use
 
@@ -137,9 +140,56 @@ def test_errors_of_input_are_one_line_and_exit_2(raising, error, line):
 
 def test_an_interrupt_is_no_traceback(raising):
     result = raising(KeyboardInterrupt())
-    assert result.exit_code == 130
-    assert "Traceback" not in result.stderr
+    assert (result.exit_code, result.stderr) == (130, "error: interrupted\n")
 
 
-def test_other_errors_are_not_hidden(raising):
-    assert isinstance(raising(ZeroDivisionError()).exception, ZeroDivisionError)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_to_stop_is_one_line_and_the_shells_code(raising, number):
+    class Raised(Exception):
+        def __init__(self):
+            signal.raise_signal(number)
+
+    result = raising(Raised)
+    expected = f"error: stopped by {signal.Signals(number).name}\n"
+    assert (result.exit_code, result.stderr) == (128 + number, expected)
+    assert signal.getsignal(number) == signal.SIG_DFL
+
+
+@pytest.mark.parametrize(
+    ("error", "words"), [(ZeroDivisionError("by 0"), "ZeroDivisionError: by 0"), (KeyError(3), "3")]
+)
+def test_an_error_of_our_own_is_one_line_and_exit_1(raising, error, words):
+    result = raising(error)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert words in result.stderr and "--debug shows the trace" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_debug_shows_the_trace(raising):
+    result = raising(ZeroDivisionError("by 0"), "--debug")
+    assert result.exit_code == 1
+    assert "Traceback" in result.stderr and "raise error" in result.stderr
+    assert "Traceback" not in raising(ZeroDivisionError("by 0")).stderr
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("[..] can't allocate memory: 9")])
+def test_too_little_memory_is_one_line_and_exit_2(raising, error):
+    result = raising(error)
+    assert (result.exit_code, result.stderr) == (2, "error: there is not enough memory for this\n")
+
+
+def test_a_message_is_short_and_plain(raising):
+    result = raising(DgcPoseError("\x1b[31m" + "x" * 5000 + "\udcff"))
+    assert result.stderr.count("\n") == 1 and len(result.stderr) < 1100
+    assert "\x1b" not in result.stderr
+
+
+def test_warnings_are_lines_of_their_own(monkeypatch):
+    @click.command()
+    def demo():
+        warnings.warn("of a library", stacklevel=1)
+        logging.getLogger("matplotlib.font_manager").warning("of a font")
+        logging.getLogger("dgc_pose.files").warning("left:\n%s", "x")
+
+    monkeypatch.setattr("dgc_pose.cli.demo.demo", demo)
+    assert run("demo").stderr == "warning: left: x\n"

@@ -61,7 +61,7 @@ def test_an_ablation_gives_its_name_to_the_weights(
         (["--validation-pairs", "1", "--backbone", "no.pth"], "has no EfficientNet-Lite0"),
         (["--validation-pairs", "1", "--preset", "dgcm-lite0", "--backbone", "no.pth"], "no.pth"),
         (["--rate", "0"], "rate must be positive"),
-        (["--batch", "0"], "batch must be at least 1"),
+        (["--batch", "0"], "batch must lie in [1, 65536]"),
         (["--stop-after", "-1"], "must be positive"),
         (["--preset", "vgg"], "vgg"),
         (["--minutes", "0"], "minutes"),

@@ -153,10 +153,10 @@ def _bad_archive(**arrays: np.ndarray):
     [
         (".flo", lambda path: path.write_bytes(b"PIEH" + b"\0" * 4), "202021.25"),
         (".flo", lambda path: _write_flo(path, _flow()) or _cut(path), "bytes are not those"),
-        (".npy", lambda path: path.write_bytes(b"\x93NUMPY"), "cannot be read"),
+        (".npy", lambda path: path.write_bytes(b"\x93NUMPY"), "not an .npy"),
         (".npy", lambda path: np.save(path, np.zeros((4, 5, 3))), r"\(H, W, 2\)"),
         (".npy", lambda path: np.save(path, np.array([["a", "b"]])), "must be numbers"),
-        (".npz", lambda path: path.write_bytes(b"PK\x03\x04 no archive"), "cannot be read"),
+        (".npz", lambda path: path.write_bytes(b"PK\x03\x04 no archive"), "not an .npz"),
         (".npz", _bad_archive(other=np.zeros(3)), "found other"),
         (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), matchability=np.ones((5, 4))), r"\(5, 4\)"),
         (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), certainty=np.full((4, 5), 2.0)), "0 to 1"),

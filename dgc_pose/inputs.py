@@ -1,0 +1,132 @@
+"""The one door through which files are read: regular files of a bounded size, whatever they hold.
+
+Files come from anywhere. A reader of numpy, Pillow or torch raises almost anything for a damaged
+one, so each kind of file is read within `read_as`, which names the file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from dgc_pose.errors import DgcPoseError, InputError, reason
+
+TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
+
+
+def read_bytes(
+    path: str | Path, limit: int = 2**31 - 1, error: type[DgcPoseError] = InputError
+) -> bytes:
+    """The content of a regular file, links followed.
+
+    Raises `error`, with the path, for a pipe, a device, a folder, and for more than `limit` bytes;
+    OSError, with the path, if it cannot be read.
+    """
+    with _opened(path, error) as descriptor:
+        size = os.fstat(descriptor).st_size
+        if size > limit:
+            raise error(f"{path} is too large: {size} bytes, at most {limit} are read")
+        data = _read(descriptor, limit + 1, path)
+    if len(data) > limit:  # the kernel's files claim to be empty
+        raise error(f"{path} is too large: at most {limit} bytes are read")
+    return data
+
+
+def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputError) -> bytes:
+    """The first `count` bytes of a regular file, or all of a smaller one. Raises as
+    `read_bytes` does."""
+    with _opened(path, error) as descriptor:
+        return _read(descriptor, count, path)
+
+
+@contextmanager
+def _opened(path: str | Path, error: type[DgcPoseError]) -> Iterator[int]:
+    """The descriptor of a regular file."""
+    try:
+        # Without O_NONBLOCK the opening of a pipe waits for its writer, and the reading of some
+        # regular files of the kernel waits for their content.
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    except ValueError:  # a zero byte in the name
+        raise error(f"{str(path)!r} is no name of a file") from None
+    try:
+        _require_kind(os.fstat(descriptor).st_mode, path, error)
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _read(descriptor: int, count: int, path: str | Path) -> bytes:
+    parts = []
+    try:
+        while count and (part := os.read(descriptor, min(2**24, count))):
+            parts.append(part)
+            count -= len(part)
+    except OSError as failure:
+        raise OSError(failure.errno, failure.strerror, str(path)) from None
+    return b"".join(parts)
+
+
+def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> None:
+    """Raise `error`, with the path, unless this is a regular file that is not empty: for libraries
+    that open files themselves. OSError if it is missing."""
+    try:
+        status = os.stat(path)
+    except ValueError:
+        raise error(f"{str(path)!r} is no name of a file") from None
+    _require_kind(status.st_mode, path, error)
+    if not status.st_size:
+        raise error(f"{path} is empty")
+
+
+@contextmanager
+def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError) -> Iterator[None]:
+    """Turn whatever a reader raises into `error`: "PATH is not `what` that can be read (why)".
+
+    Our own errors and an OSError that names its file pass.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of readers, about what they repair
+            yield
+    except DgcPoseError:
+        raise
+    except MemoryError:
+        raise error(f"{path} needs more memory than there is") from None
+    except Exception as failure:
+        if isinstance(failure, OSError) and failure.filename is not None:
+            raise
+        raise error(f"{path} is not {what} that can be read ({reason(failure)})") from failure
+
+
+def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -> str:
+    """A text in UTF-8, without a byte order mark.
+
+    Raises InputError, with the path, if it is no such text or no regular file; OSError if it cannot
+    be read.
+    """
+    data = read_bytes(path, limit)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: {what} is text, and this is not") from None
+
+
+def read_json(path: str | Path, what: str) -> Any:
+    """The content of a JSON file. Raises as `read_text` does, and InputError for no JSON."""
+    text = read_text(path, what)
+    with read_as(what, path):
+        return json.loads(text)
+
+
+def _require_kind(mode: int, path: str | Path, error: type[DgcPoseError]) -> None:
+    if stat.S_ISREG(mode):
+        return
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+    kind = kinds.get(stat.S_IFMT(mode), "a device")
+    raise error(f"{path} is {kind}, and only regular files are read")

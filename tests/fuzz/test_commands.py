@@ -1,0 +1,221 @@
+"""What every command refuses, and what it never destroys."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import dense_scene
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from fuzz.commands import Bench, cases, without_network
+
+from dgc_pose.cli.guard import OutputFile, OutputFolder
+from dgc_pose.cli.main import SUBCOMMANDS, main
+
+SHARE = 12  # one case in so many; `python -m fuzz.commands` runs them all
+ESTIMATE = ("estimate", "one.png", "two.png", "--refine", "none", "--runs", "1")
+K = ("--K", dense_scene.K_TEXT)
+BENCH = ("bench-pairs", "pairs.txt", "--methods", "sift", "--limit", "1", "--runs", "1")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Two pictures, a list and K.txt in the working folder; the network is a map."""
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pictures(tmp_path)
+    dense_scene.write_pair_list(tmp_path, pairs=1)
+    Path("K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
+    for module in ("dgc_pose.matchers", "dgc_pose.benchmarks.methods"):
+        monkeypatch.setattr(f"{module}.load_dense_matcher", _map_matcher)
+    yield tmp_path
+
+
+def _map_matcher(weights, *, device, options, cache):
+    return dense_scene.MapMatcher(dense_scene.true_map(), options)
+
+
+def run(*arguments: str) -> Result:
+    return CliRunner().invoke(main, list(arguments))
+
+
+def assert_refused(result: Result, *words: str) -> None:
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    for word in words:
+        assert word in result.stderr
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def test_bad_values_are_refused_in_one_line_and_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bench = Bench(tmp_path)
+    found = cases()
+    assert len(found) > 2000
+    faults = {case: fault for case in found[5::SHARE] if (fault := bench.run(case))}
+    assert faults == {}
+
+
+def test_every_number_option_has_a_range() -> None:
+    """Of the dataclasses' options too: they refuse what lies outside when they are made."""
+    for case in cases():
+        if case[-1] in ("9" * 30, "-inf"):
+            assert_refused(run(*case))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (*ESTIMATE, *K, "--matches", "one.png"),
+        (*ESTIMATE, *K, "--json", "two.png"),
+        (*ESTIMATE, *K, "--plot", "one.png"),
+        (*ESTIMATE, *K, "--json", "./link"),
+        (*ESTIMATE, "--K", "K.txt", "--json", "K.txt"),
+        (*ESTIMATE, *K, "--weights", "w.pth", "--json", "w.pth"),
+        ("match", "one.png", "two.png", "--out", "one.png"),
+        ("match", "one.png", "two.png", "--out", "link"),
+        ("match", "one.png", "two.png", "--weights", "w.pth", "--out", "w.pth"),
+        (*BENCH, "--json", "pairs.txt"),
+        (*BENCH, "--methods", "w.pth:runs=1", "--json", "w.pth"),
+        (*BENCH, "--json", "hard.json"),
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)], ids=["", "overwrite"])
+def test_no_output_replaces_an_input(folder: Path, arguments: tuple, overwrite: tuple) -> None:
+    Path("link").symlink_to("one.png")
+    os.link("pairs.txt", "hard.json")
+    Path("w.pth").write_bytes(b"weights")
+    before = hashes(folder)
+    assert_refused(run(*arguments, *overwrite), "would be lost")
+    assert hashes(folder) == before
+
+
+def test_no_output_replaces_an_image_of_the_list(folder: Path) -> None:
+    before = hashes(folder)
+    assert_refused(run(*BENCH, "--json", "one.png", "--overwrite"), "one.png", "would be lost")
+    assert hashes(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "content"),
+    [
+        ("--json", "letter.txt", b"Dear friend,\n"),
+        ("--json", "photo.jpg", b"\xff\xd8\xff\xe0"),
+        ("--matches", "pose.json", b'{"R": 1}'),
+        ("--matches", "table.csv", b"a,b\n"),
+        ("--plot", "plot.png", b"\xff\xd8\xff\xe0"),
+        ("--plot", "plot.svg", b"%PDF-1.4"),
+    ],
+)
+def test_a_file_of_another_kind_is_kept(folder: Path, option: str, name: str, content: bytes):
+    Path(name).write_bytes(content)
+    before = hashes(folder)
+    assert_refused(run(*ESTIMATE, *K, option, name), name, "--overwrite replaces it")
+    assert hashes(folder) == before
+    if option == "--json":
+        assert run(*ESTIMATE, *K, option, name, "--overwrite").exit_code == 0
+        assert "R" in json.loads(Path(name).read_text())
+        assert run(*ESTIMATE, *K, option, name).exit_code == 0  # it is JSON now
+
+
+def test_results_are_kept_without_overwrite(folder: Path) -> None:
+    assert run(*BENCH, "--out", "run").exit_code == 0
+    before = hashes(folder)
+    assert_refused(run(*BENCH, "--out", "run"), "--resume goes on", "--overwrite replaces")
+    assert hashes(folder) == before
+    other = (*BENCH, "--seed", "5", "--out", "run")
+    assert_refused(run(*other, "--resume"), "that run had methods")
+    assert hashes(folder) == before
+    assert run(*other, "--overwrite").exit_code == 0
+    assert hashes(folder) != before
+
+
+def test_a_second_writer_is_refused(folder: Path) -> None:
+    from dgc_pose.files import only_writer
+
+    Path("run").mkdir()
+    with only_writer(Path("run")):
+        assert_refused(run(*BENCH, "--out", "run"), "another run is writing there")
+    assert run(*BENCH, "--out", "run", "--resume").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((*ESTIMATE, "--K", "nan,nan,1,1"), "not finite"),
+        ((*ESTIMATE, *K, "--threshold", "1e308"), "at most 1000"),
+        ((*ESTIMATE, *K, "--matches", "-"), "a file called - is ./-"),
+        ((*ESTIMATE, *K, "--plot", "p.pgf"), ".png, .jpg"),
+        ((*ESTIMATE, *K, "--json", "o.json/"), "must be a file"),
+        (("estimate", "-b.png", "two.png", *K), "./-b.png"),
+        (("train", "--photos", ".", "--out", "new", "--split", "nan,50,50"), "sum to 1"),
+        (("train", "--photos", ".", "--out", "new", "--seed", "-1", "--steps", "1"), "seed"),
+        (("train", "--photos", ".", "--out", "", "--steps", "1"), "needs a name"),
+        ((*BENCH, "--out", ""), "needs a name"),
+        ((*BENCH, "--photos", "."), "one of them"),
+    ],
+    ids=lambda value: " ".join(value[-3:]) if isinstance(value, tuple) else "",
+)
+def test_words(folder: Path, arguments: tuple, words: str) -> None:
+    shutil.copy("one.png", "-b.png")
+    before = hashes(folder)
+    assert_refused(run(*arguments), words)
+    assert hashes(folder) == before
+
+
+@pytest.mark.parametrize(
+    "text", ["300 0 159.5 0 300 119.5 0 0 1", "\ufeff300 0 159.5\n0 300 119.5\n0 0 1\n"]
+)
+def test_k_on_one_line_and_behind_a_mark_is_read(folder: Path, text: str) -> None:
+    Path("K.txt").write_text(text, encoding="utf-8")
+    assert run(*ESTIMATE, "--K", "K.txt").exit_code == 0
+
+
+def test_max_pixels_bounds_what_is_decoded(folder: Path) -> None:
+    assert_refused(run(*ESTIMATE, *K, "--max-pixels", "76799"), "320 x 240", "--max-pixels")
+    assert run(*ESTIMATE, *K, "--max-pixels", "76800").exit_code == 0
+    assert "DGC_POSE_MAX_PIXELS" not in os.environ
+
+
+def test_a_method_may_be_called_as_a_formula(folder: Path) -> None:
+    """Its name is in the figure's legend, where matplotlib reads formulas."""
+    shutil.copytree(folder, folder / "$x_")
+    arguments = ["sift:runs=1" if one == "sift" else one for one in BENCH]
+    assert run(*arguments, "--out", "$\\frac{$").exit_code == 0
+    from dgc_pose.viz import plot_errors, save_figure
+
+    errors = {"$\\frac{$": np.arange(5.0), "$x^{\udcff$": np.arange(5.0)}
+    save_figure(plot_errors(errors, errors), folder / "errors.png")
+
+
+def test_every_output_of_every_command_is_declared() -> None:
+    """The guard knows the outputs by their types alone."""
+    names = {"out", "json", "plot", "matches", "json_path", "plot_path"}
+    for name in SUBCOMMANDS:
+        command = main.get_command(click.Context(main), name)
+        assert command is not None
+        for parameter in command.params:
+            last = (parameter.name or "").rpartition("__")[2]
+            if last in names and not getattr(parameter, "is_flag", False) and name != "bench-dtu":
+                assert isinstance(parameter.type, OutputFile | OutputFolder), (name, parameter)
+
+
+def test_the_stand_in_of_the_network_is_restored() -> None:
+    """`without_network` is for a process of its own: no test may call it."""
+    import dgc_pose.matchers
+
+    assert dgc_pose.matchers.load_dense_matcher.__module__ == "dgc_pose.matching.dense"
+    assert callable(without_network)

@@ -1,0 +1,122 @@
+"""Processes that are stopped, killed, or run out of room: what they leave, and what they say.
+
+The command is a light one that opens its output, writes half of it, and waits to be told more.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = """
+import sys, time, types
+import click
+from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.main import main
+from dgc_pose.files import staged
+
+@click.command()
+@click.option("--json", "out", type=OutputFile("json"))
+@click.option("--size", type=int, default=4)
+def demo(out, size):
+    with staged(out) as stage:
+        stage(out).write_text("{" + "x" * size)
+        if size == 4:
+            print("ready", flush=True)
+        if sys.stdin.readline():
+            stage(out).write_text('{"whole": 1}')
+    click.echo("done")
+
+module = types.ModuleType("dgc_pose.cli.demo")
+module.demo = demo
+sys.modules["dgc_pose.cli.demo"] = module
+main()
+"""
+
+
+def start(folder: Path, *arguments: str, **settings: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", COMMAND, "demo", "--json", "out.json", *arguments]
+    pipes = {"stdin": -1, "stdout": -1, "stderr": -1, **settings}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen(command, cwd=folder, text=True, env=environment, **pipes)  # type: ignore
+
+
+def ready(process: subprocess.Popen[str]) -> subprocess.Popen[str]:
+    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    return process
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_stopped_command_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "out.json").write_text("{}")
+    process = ready(start(tmp_path))
+    assert len(os.listdir(tmp_path)) == 2
+    process.send_signal(number)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert told.startswith("error: ") and told.count("\n") == 1
+    assert os.listdir(tmp_path) == ["out.json"]
+    assert (tmp_path / "out.json").read_text() == "{}"
+
+
+def test_what_a_killed_command_left_is_told_and_cleared(tmp_path: Path) -> None:
+    process = ready(start(tmp_path))
+    process.kill()
+    process.communicate()
+    (left,) = os.listdir(tmp_path)
+    assert left.endswith(".partial")
+    _, told = ready(start(tmp_path)).communicate("on\n", timeout=60)
+    assert told.count("\n") == 1 and told.startswith("warning: ") and left in told
+    assert os.listdir(tmp_path) == ["out.json"]
+
+
+def test_two_writers_do_not_harm_each_other(tmp_path: Path) -> None:
+    first = ready(start(tmp_path))
+    second = ready(start(tmp_path))
+    assert len(os.listdir(tmp_path)) == 2
+    for process in (second, first):
+        _, told = process.communicate("on\n", timeout=60)
+        assert (process.returncode, told) == (0, "")
+        assert (tmp_path / "out.json").read_text() == '{"whole": 1}'
+    assert os.listdir(tmp_path) == ["out.json"]
+
+
+def test_a_full_disk_is_one_line_with_the_output(tmp_path: Path) -> None:
+    def full() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+
+    process = start(tmp_path, "--size", "100000", preexec_fn=full)
+    printed, told = process.communicate("on\n", timeout=60)
+    assert (process.returncode, printed) == (2, "")
+    assert told == "error: out.json: File too large\n"
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_stdout_is_one_line(tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        process = start(tmp_path, "--size", "5", stdout=full)
+        _, told = process.communicate("on\n", timeout=60)
+    assert process.returncode == 2
+    assert told == "error: an output cannot be written: No space left on device\n"
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    process = start(tmp_path, "--size", "5", stdout=write)
+    os.close(write)
+    _, told = process.communicate("on\n", timeout=60)
+    assert (process.returncode, told) == (128 + signal.SIGPIPE, "")
+
+
+def test_a_folder_that_takes_no_file_is_one_line(tmp_path: Path) -> None:
+    process = start(tmp_path, "--json", "/proc/out.json")
+    printed, told = process.communicate("on\n", timeout=60)
+    assert (process.returncode, printed) == (2, "")
+    assert told.startswith("error: /proc/out.json: ") and told.count("\n") == 1
