@@ -27,6 +27,7 @@ from dgc_pose.geometry.triangulation import depths
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
 _WORTH_REFINING = 0.3  # of the model's inliers, in front of both cameras
 _LEAST_LEFT = 20  # matches left over that are searched
+_FARTHEST = 1e6  # depth in baselines: beyond, there is no parallax to mirror
 _LEAST_PLANAR = 0.5  # share of inliers that one homography explains
 
 
@@ -68,7 +69,7 @@ def mirrored(problem: TwoViewProblem, model: Model) -> Model | None:
     """
     inliers = problem.subset(model.inliers_in_front)
     depth, _ = depths(inliers.points1, inliers.points2, model.R, model.t)
-    known = np.isfinite(depth)
+    known = (depth > 0) & (depth < _FARTHEST)
     if not known.any():
         return None
     middle = homogeneous(np.median(inliers.points1[known], axis=0)[None])[0]

@@ -109,6 +109,14 @@ def test_the_mirrored_pose_of_exact_affine_motion_is_its_reversal() -> None:
     assert found.inliers.mean() > 0.95
 
 
+@pytest.mark.parametrize("kind", ["rotation_only", "identical"])
+def test_exact_motion_without_parallax_has_no_mirrored_pose(kind) -> None:
+    problem = two_view_scene(kind, sigma_px=0.0, count=100, outliers=0.0).problem()
+    model = Model.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
+    found = mirrored(problem, model)
+    assert found is None or (np.isfinite(found.R).all() and np.isfinite(found.t).all())
+
+
 def test_two_points_have_no_mirrored_pose() -> None:
     problem = normalised_problem(np.zeros((2, 2)), np.ones((2, 2)))
     assert mirrored(problem, Model.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))) is None
