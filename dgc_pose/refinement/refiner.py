@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
+<<<<<<< HEAD
+from dgc_pose.refinement.align import Aligned, align, spread
+from dgc_pose.refinement.consistency import LocalMatches, consistent
+=======
+from dgc_pose.matching.texture import textured
 from dgc_pose.refinement.align import align, spread
 from dgc_pose.refinement.consistency import consistent
+>>>>>>> main
 from dgc_pose.refinement.options import AlignmentOptions
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
@@ -71,7 +79,10 @@ class Refiner(Matcher):
             yield source.find(image1, image2, given.correspondence_map, given.matches)
 
     def _steps(self, image1: Image, image2: Image, found: Matches) -> Matches | None:
-        """Matches that agree with their neighbours, aligned; None if too few agree."""
+        """Matches that agree with their neighbours, aligned; None if too few agree.
+
+        A match needs structure where it ends: alignment moves it to a corner.
+        """
         options = self.options
         local = consistent(found, options.neighbours)
         if len(local.index) < options.min_matches:
@@ -86,7 +97,8 @@ class Refiner(Matcher):
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
-            if good.sum() >= options.min_matches:
+<<<<<<< HEAD
+            if good.sum() >= options.min_aligned:
                 return Matches(
                     aligned.points1[good],
                     aligned.points2[good],
@@ -94,6 +106,7 @@ class Refiner(Matcher):
                     ALIGNED_ERROR_PX * aligned.pixel,
                     found.key_points,
                 )
+            return _completed(found, local, aligned, good)
         confidence = found.confidence[local.index]
         kept = spread(local.points2, confidence, image2.size, options.max_matches)
         return Matches(
@@ -103,3 +116,44 @@ class Refiner(Matcher):
             found.error_px,
             found.key_points,
         )
+
+
+def _completed(found: Matches, local: LocalMatches, aligned: Aligned, good: np.ndarray) -> Matches:
+    """The matches that were to be aligned: those that were, and the others as they were found.
+
+    Patches of views far apart often differ too much. What is left of them is more accurate, but too
+    little to tell a pose from chance; both together have the error of those found.
+    """
+    rows = np.searchsorted(local.index, aligned.index)
+    return Matches(
+        np.where(good[:, None], aligned.points1, found.points1[aligned.index]),
+        np.where(good[:, None], aligned.points2, local.points2[rows]),
+        np.where(good, aligned.zncc.clip(0, 1), found.confidence[aligned.index]),
+        found.error_px,
+        found.key_points,
+    )
+=======
+            refined = Matches(
+                aligned.points1[good],
+                aligned.points2[good],
+                aligned.zncc[good].clip(0, 1),
+                ALIGNED_ERROR_PX * aligned.pixel,
+                found.key_points,
+            )
+            refined = textured(refined, image1, image2)
+            if len(refined) >= options.min_matches:
+                return refined
+        unmoved = Matches(
+            found.points1[local.index],
+            local.points2,
+            found.confidence[local.index],
+            found.error_px,
+            found.key_points,
+        )
+        unmoved = textured(unmoved, image1, image2)
+        if len(unmoved) < options.min_matches:
+            return None
+        return unmoved.subset(
+            spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
+        )
+>>>>>>> main
