@@ -13,11 +13,8 @@ from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.search import likely_views
 from dgc_pose.matching.selection import MatchingOptions, select_matches
-<<<<<<< HEAD
-from dgc_pose.matching.view import View
-=======
 from dgc_pose.matching.texture import textured
->>>>>>> main
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.pixels import cell_centres, rescale, within
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures

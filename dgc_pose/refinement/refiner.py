@@ -9,14 +9,9 @@ import numpy as np
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-<<<<<<< HEAD
+from dgc_pose.matching.texture import textured
 from dgc_pose.refinement.align import Aligned, align, spread
 from dgc_pose.refinement.consistency import LocalMatches, consistent
-=======
-from dgc_pose.matching.texture import textured
-from dgc_pose.refinement.align import align, spread
-from dgc_pose.refinement.consistency import consistent
->>>>>>> main
 from dgc_pose.refinement.options import AlignmentOptions
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
@@ -97,24 +92,30 @@ class Refiner(Matcher):
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
-<<<<<<< HEAD
-            if good.sum() >= options.min_aligned:
-                return Matches(
-                    aligned.points1[good],
-                    aligned.points2[good],
-                    aligned.zncc[good].clip(0, 1),
-                    ALIGNED_ERROR_PX * aligned.pixel,
-                    found.key_points,
-                )
-            return _completed(found, local, aligned, good)
-        confidence = found.confidence[local.index]
-        kept = spread(local.points2, confidence, image2.size, options.max_matches)
-        return Matches(
-            found.points1[local.index[kept]],
-            local.points2[kept],
-            confidence[kept],
+            refined = Matches(
+                aligned.points1[good],
+                aligned.points2[good],
+                aligned.zncc[good].clip(0, 1),
+                ALIGNED_ERROR_PX * aligned.pixel,
+                found.key_points,
+            )
+            refined = textured(refined, image1, image2)
+            if len(refined) >= options.min_aligned:
+                return refined
+            completed = textured(_completed(found, local, aligned, good), image1, image2)
+            return completed if len(completed) >= options.min_matches else None
+        unmoved = Matches(
+            found.points1[local.index],
+            local.points2,
+            found.confidence[local.index],
             found.error_px,
             found.key_points,
+        )
+        unmoved = textured(unmoved, image1, image2)
+        if len(unmoved) < options.min_matches:
+            return None
+        return unmoved.subset(
+            spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
         )
 
 
@@ -132,28 +133,3 @@ def _completed(found: Matches, local: LocalMatches, aligned: Aligned, good: np.n
         found.error_px,
         found.key_points,
     )
-=======
-            refined = Matches(
-                aligned.points1[good],
-                aligned.points2[good],
-                aligned.zncc[good].clip(0, 1),
-                ALIGNED_ERROR_PX * aligned.pixel,
-                found.key_points,
-            )
-            refined = textured(refined, image1, image2)
-            if len(refined) >= options.min_matches:
-                return refined
-        unmoved = Matches(
-            found.points1[local.index],
-            local.points2,
-            found.confidence[local.index],
-            found.error_px,
-            found.key_points,
-        )
-        unmoved = textured(unmoved, image1, image2)
-        if len(unmoved) < options.min_matches:
-            return None
-        return unmoved.subset(
-            spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
-        )
->>>>>>> main
