@@ -19,7 +19,7 @@ from fuzz.commands import Bench, cases, without_network
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main
 
-SHARE = 12  # one case in so many; `python -m fuzz.commands` runs them all
+SHARE = 25  # one case in so many; `python -m fuzz.commands` runs them all
 ESTIMATE = ("estimate", "one.png", "two.png", "--refine", "none", "--runs", "1")
 K = ("--K", dense_scene.K_TEXT)
 BENCH = ("bench-pairs", "pairs.txt", "--methods", "sift", "--limit", "1", "--runs", "1")
