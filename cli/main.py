@@ -38,6 +38,7 @@ SPIN_COUNT = "10000"
 SUBCOMMANDS = {
     "estimate": "Estimate the relative pose of two photographs.",
     "match": "Match two photographs, no K needed.",
+    "serve": "Estimate poses on a page in the browser.",
     "demo": "Estimate the pose of the bundled pair.",
     "batch": "Match many pairs: a folder, a list, a database.",
     "reconstruct": "From a folder of photographs to a COLMAP model.",

@@ -86,15 +86,16 @@ def as_camera(value: Camera | Any, name: str = "K") -> Camera:
     return Camera(_checked_matrix(value, name))
 
 
-def parse_camera(text: str, name: str = "K") -> Camera:
+def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
     """A camera from a text, as on the command line.
 
     One of: 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; the path of a text or
     .npy file with a 3x3 matrix; a COLMAP camera 'MODEL,width,height,parameters...' with COLMAP's
-    principal point, half a pixel more than ours. Raises InputError of one line, naming `name`.
+    principal point, half a pixel more than ours. files: whether the text may be a path; False for a
+    text of a stranger. Raises InputError of one line, naming `name`.
     """
     try:
-        is_file = Path(text).is_file()
+        is_file = files and Path(text).is_file()
     except (OSError, ValueError):  # such as a text too long for a path
         is_file = False
     if is_file:

@@ -12,6 +12,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,13 +37,20 @@ class Page:
         self._commands, self._answers = commands, answers
         self._number = 0
         self._session: str | None = None
+        self.own: tuple[str, ...] = ("data:", "file:", "about:", "blob:")  # what may be requested
         self.errors: list[str] = []  # of the page, and requests that it made of the network
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self._call(f"{domain}.enable")
-        size = {"width": _SIZE[0], "height": _SIZE[1]}
+        self.resize(*_SIZE)
+        still = {"name": "prefers-reduced-motion", "value": "reduce"}
+        self._call("Emulation.setEmulatedMedia", features=[still])
+
+    def resize(self, width: int, height: int) -> None:
+        """Another size of the window, in pixels."""
+        size = {"width": width, "height": height}
         self._call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=False)
 
     def open(self, url: str) -> None:
@@ -67,8 +75,22 @@ class Page:
         self._mouse("mousePressed", x, y, button="left", clickCount=1)
         self._mouse("mouseReleased", x, y, button="left", clickCount=1)
 
-    def hover(self, selector: str) -> None:
-        self._mouse("mouseMoved", *self.middle(selector, (0.5, 0.5)))
+    def hover(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
+        """Move the mouse to a place of an element, in shares of its width and height."""
+        self._mouse("mouseMoved", *self.middle(selector, at))
+
+    def choose(self, selector: str, *files: Path) -> None:
+        """Choose files in an input, as by its dialogue."""
+        found = self._call("Runtime.evaluate", expression=f"document.querySelector({selector!r})")
+        paths = [str(file) for file in files]
+        self._call("DOM.setFileInputFiles", files=paths, objectId=found["result"]["objectId"])
+
+    def wait(self, expression: str, seconds: float = 60) -> None:
+        """Until a JavaScript expression is true. Raises AssertionError after so many seconds."""
+        deadline = time.monotonic() + seconds
+        while not self.evaluate(expression):
+            assert time.monotonic() < deadline, f"still not: {expression}"
+            time.sleep(0.05)
 
     def press(self, key: str) -> None:
         """A key of those that are named, such as ArrowDown or Enter."""
@@ -114,7 +136,7 @@ class Page:
             self.errors.append(parameters["entry"]["text"])
         elif method == "Network.requestWillBeSent":
             url = parameters["request"]["url"]
-            if not url.startswith(("data:", "file:", "about:")):
+            if not url.startswith(self.own):
                 self.errors.append(f"a request for {url}")
 
     def _read(self) -> dict[str, Any]:

@@ -1,0 +1,130 @@
+"""`dgc-pose serve`: a page on this machine that estimates poses."""
+
+from __future__ import annotations
+
+import secrets
+import signal
+import socket
+import tempfile
+import threading
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dgc_pose.benchmarks.pair_list import bundled_pair
+from dgc_pose.camera import Camera
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import MatcherChoice
+from dgc_pose.cli.output import pose_data
+from dgc_pose.errors import InputError
+from dgc_pose.matching import DEFAULT_WEIGHTS
+from dgc_pose.options import check_options, option
+from dgc_pose.serve.options import ServeOptions
+
+if TYPE_CHECKING:
+    import uvicorn
+
+    from dgc_pose.serve.app import Server
+
+HOST = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where the page is."""
+
+    port: int = option(0, "Port on 127.0.0.1; 0 for any that is free.", min=0, max=65535)
+    browser: bool = option(True, "Open the page in the browser.")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@click.command()
+@dataclass_options(MatcherChoice, "matcher", only=("weights", "device"))
+@dataclass_options(Address, "address")
+@dataclass_options(ServeOptions, "limits")
+def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int:
+    """Show a page on this machine that estimates poses.
+
+    Drop two photographs, or take the bundled pair. The page shows the matches, the epipolar lines
+    under the pointer, the map, and the command and the Python that give the same pose. Nothing
+    leaves the machine: the server answers only to its own address, and only with the token that it
+    prints. Ends on Ctrl-C.
+    """
+    try:
+        import uvicorn
+
+        from dgc_pose.serve.app import Example, Server
+    except ImportError as error:
+        raise InputError(f"{error.name} is not installed: pip install 'dgc-pose[serve]'") from None
+    from dgc_pose.serve.factory import EstimatorFactory
+    from dgc_pose.serve.guard import own_hosts
+
+    pair = bundled_pair()
+    example = Example((pair.path1, pair.path2), (_k_text(pair.camera1), _k_text(pair.camera2)))
+    weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
+    factory = EstimatorFactory(matcher.load, pose_data, weights)
+    token = secrets.token_urlsafe(24)
+    with socket.socket() as bound, tempfile.TemporaryDirectory(prefix="dgc-pose-") as folder:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((HOST, address.port))
+            bound.listen()  # before the address is printed
+        except OSError as error:
+            raise InputError(f"port {address.port} of {HOST}: {error.strerror}") from None
+        port = bound.getsockname()[1]
+        server = Server(
+            factory, example, Path(folder), token=token, hosts=own_hosts(port), options=limits
+        )
+        config = uvicorn.Config(
+            server.app,
+            log_level="warning",
+            access_log=False,  # it would hold the token
+            server_header=False,
+            limit_concurrency=32,
+            timeout_graceful_shutdown=2,
+        )
+        url = f"http://{HOST}:{port}/?token={token}"
+        return _run(uvicorn.Server(config), server, bound, url, address.browser)
+
+
+def _run(web: uvicorn.Server, server: Server, bound: socket.socket, url: str, browser: bool) -> int:
+    """Serve until Ctrl-C, or until the matcher cannot be loaded."""
+    from dgc_pose.serve.worker import Refused, WorkError
+
+    failed: list[Refused] = []
+
+    def load() -> None:
+        try:
+            server.estimator.call("ready", seconds=60)
+        except Refused as error:
+            failed.append(error)
+            web.should_exit = True
+        except WorkError:
+            pass  # the server has ended; or a request will tell
+
+    # uvicorn ends the server on SIGTERM, and then raises it again for us: leave as after Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    server.start()
+    click.echo(f"{url}\nCtrl-C ends the server")
+    threading.Thread(target=load, daemon=True).start()
+    if browser:
+        webbrowser.open(url)
+    try:
+        web.run(sockets=[bound])
+    except KeyboardInterrupt:
+        pass  # as intended
+    finally:
+        server.close()
+    if failed:
+        raise failed[0]
+    return 0
+
+
+def _k_text(camera: Camera) -> str:
+    K = camera.K
+    return ",".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))

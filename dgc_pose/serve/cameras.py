@@ -1,0 +1,112 @@
+"""The cameras that a client asks for, none of which is a file."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from dgc_pose.camera import Camera, camera_for, guess_camera, parse_camera
+from dgc_pose.errors import InputError
+from dgc_pose.serve.store import StoredImage
+
+Kind = Literal["k", "fov", "auto"]
+_MAX_TEXT = 300  # characters of a K
+
+
+@dataclass(frozen=True)
+class CameraRequest:
+    """What the client said of both cameras. Raises InputError for anything else."""
+
+    kind: Kind
+    k1: str = ""  # of image 1, or of both: fx,fy,cx,cy or MODEL,width,height,parameters
+    k2: str = ""  # of image 2; empty for k1
+    fov_deg: float = 60.0  # horizontal field of view of both images
+
+    @classmethod
+    def of(cls, data: object) -> CameraRequest:
+        """The request in the JSON of a client."""
+        if not isinstance(data, Mapping) or data.get("kind") not in ("k", "fov", "auto"):
+            raise InputError("camera must have a kind: k, fov or auto")
+        k1, k2 = (_text(data.get(name, "")) for name in ("k1", "k2"))
+        fov = data.get("fov", cls.fov_deg)
+        if isinstance(fov, bool) or not isinstance(fov, (int, float)) or not 1 <= fov <= 170:
+            raise InputError("the field of view must lie between 1 and 170 degrees")
+        return cls(data["kind"], k1, k2, float(fov))
+
+    def resolve(self, image1: StoredImage, image2: StoredImage) -> tuple[Camera, Camera]:
+        """The cameras of both images, checked. Raises InputError for the client."""
+        return self._camera(image1, self.k1, "K"), self._camera(image2, self.k2 or self.k1, "K2")
+
+    def _camera(self, image: StoredImage, text: str, name: str) -> Camera:
+        if self.kind == "auto":
+            return guess_camera(image.path)
+        if self.kind == "fov":
+            return Camera(fov_matrix(self.fov_deg, image.size), image.size)
+        if not text.strip():
+            raise InputError("give K: fx,fy,cx,cy in pixels, or a COLMAP camera")
+        return camera_for(parse_camera(text, name, files=False), image.size, name)
+
+    def flags(self, cameras: tuple[Camera, Camera]) -> list[str]:
+        """The same as words of the command."""
+        if self.kind == "auto":
+            return ["--guess-focal"]
+        one, two = self._texts(cameras)
+        return ["--K", one] if one == two else ["--K1", one, "--K2", two]
+
+    def python(self, cameras: tuple[Camera, Camera], names: tuple[str, str]) -> tuple[str, str]:
+        """The same as expressions in Python."""
+        if self.kind == "auto":
+            return f"guess_camera({names[0]!r})", f"guess_camera({names[1]!r})"
+        one, two = self._texts(cameras)
+        return f"parse_camera({one!r})", f"parse_camera({two!r})"
+
+    def _texts(self, cameras: tuple[Camera, Camera]) -> tuple[str, str]:
+        if self.kind == "k":
+            return self.k1.strip(), (self.k2 or self.k1).strip()
+        one, two = (",".join(repr(float(value)) for value in _numbers(c.K)) for c in cameras)
+        return one, two
+
+
+def fov_matrix(fov_deg: float, size: tuple[int, int]) -> np.ndarray:
+    """K (3, 3) of a horizontal field of view from edge to edge, the principal point the middle."""
+    width, height = size
+    focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
+    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+
+
+def command(names: tuple[str, str], flags: list[str], weights: list[str]) -> str:
+    """The command that gives the same pose."""
+    return shlex.join(["dgc-pose", "estimate", *names, *flags, *weights])
+
+
+def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:
+    """The Python that gives the same pose."""
+    guess = cameras[0].startswith("guess_camera")
+    first = "from dgc_pose.camera import guess_camera\n" if guess else ""
+    imported = (
+        "load_matcher, trace_relative_pose"
+        if guess
+        else ("load_matcher, parse_camera, trace_relative_pose")
+    )
+    return (
+        f"from dgc_pose import {imported}\n{first}\n"
+        f"trace = trace_relative_pose(\n"
+        f"    {names[0]!r},\n    {names[1]!r},\n    {cameras[0]},\n    {cameras[1]},\n"
+        f"    matcher=load_matcher({matcher}),\n)\n"
+        f"print(trace.pose.status, trace.pose.R, trace.pose.t)\n"
+    )
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str) or len(value) > _MAX_TEXT:
+        raise InputError(f"K must be a text of at most {_MAX_TEXT} characters")
+    return value
+
+
+def _numbers(K: Any) -> tuple[float, float, float, float]:
+    return K[0, 0], K[1, 1], K[0, 2], K[1, 2]

@@ -1,0 +1,79 @@
+"""Who may ask: pages of this server alone, in a browser that was given the token.
+
+Three ways in are closed. Another site whose name leads to 127.0.0.1 (DNS rebinding) sends its own
+name as Host. A page of another origin sends its Origin, and cannot set the header of the token
+without a permission that is never given. A program of another user does not know the token.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+TOKEN_HEADER = "x-dgc-pose-token"
+LOCAL = ("127.0.0.1", "localhost", "[::1]")
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "cache-control": "no-store",
+}
+
+
+class Guard:
+    """Refuses with 403, before anything is read, what does not come from our own page."""
+
+    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str]) -> None:
+        """hosts: the values of the header Host that are ours, such as 127.0.0.1:8000."""
+        self._app, self._token, self._hosts = app, token, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            return await self._app(scope, receive, send)
+        if scope["type"] != "http":  # there are no web sockets here
+            return await send({"type": "websocket.close", "code": 1008})
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(HEADERS)
+            await send(message)
+
+        reason = self._refusal(Headers(scope=scope), scope)
+        if reason is None:
+            await self._app(scope, receive, send_with_headers)
+        else:
+            await PlainTextResponse(reason, 403)(scope, receive, send_with_headers)
+
+    def _refusal(self, headers: Mapping[str, str], scope: Scope) -> str | None:
+        if headers.get("host", "").lower() not in self._hosts:
+            return "this server answers to its own name only"
+        origin = headers.get("origin")
+        if origin is not None and origin.removeprefix("http://") not in self._hosts:
+            return "this server answers to its own pages only"
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return "this server answers to its own pages only"
+        if scope["path"].startswith("/static/"):
+            return None  # the same for everyone
+        if scope["path"] == "/":
+            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        else:
+            given = headers.get(TOKEN_HEADER, "")
+        if not secrets.compare_digest(given.encode(), self._token.encode()):
+            return "open the address that `dgc-pose serve` printed: it holds a token"
+        return None
+
+
+def own_hosts(port: int) -> frozenset[str]:
+    """The values of the header Host of a server on this port of this machine."""
+    names = {f"{name}:{port}" for name in LOCAL}
+    return frozenset(names | (set(LOCAL) if port == 80 else set()))

@@ -1,0 +1,274 @@
+// The page: photographs in, a pose out. What is drawn is in view.js.
+import { View, drawHistogram, drawMap, picture } from "./view.js";
+
+const at = (id) => document.getElementById(id);
+const token = document.querySelector("meta[name=token]").content;
+const images = [null, null]; // as the server described them
+let result = null;
+let pictures = null; // of both images, and of the map
+let running = 0; // of the newest request; older answers are ignored
+const view = new View(at("view"), at("pointed"));
+
+async function ask(path, body, type) {
+  const headers = { "x-dgc-pose-token": token, "content-type": type };
+  const answer = await fetch(path, { method: "POST", headers, body }).catch(() => null);
+  if (answer === null) throw new Error("the server does not answer: is dgc-pose serve still running?");
+  if (answer.ok) return answer;
+  const text = await answer.text();
+  let told = text;
+  try { told = JSON.parse(text).error; } catch { /* plain text */ }
+  throw new Error(told);
+}
+
+function fail(error) {
+  at("error").textContent = error.message;
+  at("error").hidden = false;
+  at("progress").textContent = "";
+}
+
+function begin(text) {
+  at("error").hidden = true;
+  at("progress").textContent = text;
+}
+
+function show(index, image) {
+  images[index] = image;
+  at(`picture${index + 1}`).src = image.picture;
+  at(`picture${index + 1}`).alt = image.name;
+  at(`picture${index + 1}`).hidden = false;
+  const [width, height] = image.size;
+  const notes = image.warnings.map((text) => ` — ${text}`).join("");
+  at(`caption${index + 1}`).textContent = `${image.name}, ${width} x ${height}${notes}`;
+  at("estimate").disabled = images.includes(null);
+}
+
+async function send(index, file) {
+  begin(`sending ${file.name}`);
+  try {
+    const path = `/images?name=${encodeURIComponent(file.name)}`;
+    show(index, await (await ask(path, file, "application/octet-stream")).json());
+    at("progress").textContent = "";
+    return true;
+  } catch (error) {
+    fail(new Error(`${file.name}: ${error.message}`));
+    return false;
+  }
+}
+
+async function sendAll(index, files) {
+  const sent = await Promise.all([...files].slice(0, 2).map((file, n) => send((index + n) % 2, file)));
+  if (sent.length && sent.every(Boolean) && !images.includes(null)) estimate();
+}
+
+function camera() {
+  const kind = document.querySelector("input[name=kind]:checked").value;
+  return { kind, fov: Number(at("fov").value), k1: at("k1").value, k2: at("k2").value };
+}
+
+async function estimate() {
+  const own = ++running;
+  begin("loading the network");
+  at("estimate").disabled = true;
+  try {
+    const request = { image1: images[0].id, image2: images[1].id, camera: camera() };
+    const answer = await ask("/poses", JSON.stringify(request), "application/json");
+    const shown = [images[0].picture, images[1].picture];
+    for await (const line of lines(answer.body)) {
+      if (own !== running) return;
+      if (line.error) throw new Error(line.error);
+      if (line.progress) at("progress").textContent = line.progress;
+      if (line.result) await present(line.result, shown);
+    }
+  } catch (error) {
+    if (own === running) fail(error);
+  } finally {
+    if (own === running) at("estimate").disabled = images.includes(null);
+  }
+}
+
+async function* lines(stream) {
+  const reader = stream.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    const parts = (rest + value).split("\n");
+    rest = parts.pop();
+    for (const part of parts) yield JSON.parse(part);
+  }
+}
+
+async function present(found, shown) {
+  result = found;
+  const map = found.map;
+  pictures = await Promise.all([...shown, map?.warp, map?.matchability].map(picture));
+  at("result").hidden = false;
+  verdict(found);
+  at("command").textContent = found.command;
+  at("python").textContent = found.python;
+  at("map-part").hidden = map === null;
+  at("count").max = Math.max(10, found.matches.points.length);
+  view.show(found, pictures[0], pictures[1]);
+  redraw();
+  const seconds = Object.values(found.pose.seconds).reduce((sum, one) => sum + one, 0);
+  at("progress").textContent = `done in ${seconds.toFixed(2)} s`;
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  at("result").scrollIntoView({ behavior: still ? "instant" : "smooth", block: "start" });
+}
+
+function verdict({ pose, reason }) {
+  at("verdict").textContent = pose.success ? `A pose (${pose.status})` : `No pose (${pose.status}): ${reason}`;
+  const rows = (pose.R ?? []).map((row, n) => [
+    ["R", ...row.map((value) => value.toFixed(6))],
+    ["t", pose.t ? pose.t[n].toFixed(6) : "unknown"],
+  ].flat());
+  at("matrix").hidden = rows.length === 0;
+  at("matrix").tBodies[0].replaceChildren(...rows.map((row) => {
+    const line = document.createElement("tr");
+    for (const text of row) {
+      const cell = line.insertCell();
+      cell.textContent = text;
+      cell.className = text === "R" || text === "t" ? "name" : "";
+    }
+    return line;
+  }));
+  const facts = numbers(pose).flatMap(([name, text]) => {
+    const [term, value] = ["dt", "dd"].map((kind) => document.createElement(kind));
+    term.textContent = name;
+    value.textContent = text;
+    return [term, value];
+  });
+  at("numbers").replaceChildren(...facts);
+  at("warnings").replaceChildren(...pose.warnings.filter((text) => text !== reason).map((text) => {
+    const item = document.createElement("li");
+    item.textContent = text;
+    return item;
+  }));
+}
+
+function numbers(pose) {
+  const found = [];
+  if (pose.R) {
+    const trace = pose.R[0][0] + pose.R[1][1] + pose.R[2][2];
+    const angle = Math.acos(Math.min(1, Math.max(-1, (trace - 1) / 2))) * 180 / Math.PI;
+    found.push(["rotation angle", `${angle.toFixed(2)}°`]);
+  }
+  if (pose.probability != null) found.push(["probability", `${(100 * pose.probability).toFixed(0)} %`]);
+  if (pose.rotation_error_90_deg != null) {
+    const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
+    found.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten`]);
+  }
+  const share = pose.inlier_ratio == null ? "" : ` (${(100 * pose.inlier_ratio).toFixed(1)} %)`;
+  found.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`]);
+  if (pose.median_triangulation_angle_deg != null) {
+    found.push(["triangulation angle", `${pose.median_triangulation_angle_deg.toFixed(2)}°, the median`]);
+  }
+  return found;
+}
+
+function redraw() {
+  if (result === null) return;
+  const most = view.setLimit(Number(at("limit").value) / 100);
+  at("scale").hidden = view.scale === null;
+  at("scale-text").textContent = view.scale === null ? "" : `${view.scale.toFixed(2)} px`;
+  at("limit-text").textContent = most === null ? "unknown" : `${most.toFixed(2)} px`;
+  at("count-text").textContent = at("count").value;
+  view.options = {
+    count: Number(at("count").value),
+    lines: at("show-lines").checked,
+    outliers: at("show-outliers").checked,
+    epipolar: at("show-epipolar").checked,
+  };
+  view.draw();
+  const shown = at("show-matchability").checked;
+  drawMap(at("map"), pictures[1], pictures[2], shown ? pictures[3] : null, Number(at("blend").value) / 100);
+  const side = at("histogram").getBoundingClientRect().top === at("map").getBoundingClientRect().top;
+  drawHistogram(at("histogram"), result.matches, side ? at("map").clientHeight : 0);
+}
+
+function save(name, blob) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+}
+
+function saveJson() {
+  const { pose, names, sizes, K, matches, command } = result;
+  const text = JSON.stringify({ ...pose, images: names, sizes, K, matches, command }, null, 2);
+  save("pose.json", new Blob([text + "\n"], { type: "application/json" }));
+}
+
+function savePng() {
+  const drawn = [at("view"), at("map"), at("histogram")];
+  const [top, ...below] = result.map === null ? [drawn[0]] : drawn;
+  const canvas = document.createElement("canvas");
+  const unit = devicePixelRatio;
+  canvas.width = top.width;
+  canvas.height = top.height + Math.max(0, ...below.map((one) => one.height)) + 60 * unit;
+  const paint = canvas.getContext("2d");
+  paint.fillStyle = "white";
+  paint.fillRect(0, 0, canvas.width, canvas.height);
+  paint.fillStyle = "#1d2733";
+  paint.font = `${15 * unit}px system-ui, sans-serif`;
+  const facts = numbers(result.pose).map(([name, text]) => `${name} ${text}`).join("; ");
+  paint.fillText(result.names.join("  and  "), 4 * unit, 18 * unit, canvas.width);
+  paint.fillText(`${at("verdict").textContent}; ${facts}`, 4 * unit, 40 * unit, canvas.width - 8 * unit);
+  paint.drawImage(top, 0, 50 * unit);
+  let left = 0;
+  for (const one of below) {
+    paint.drawImage(one, left, top.height + 60 * unit);
+    left += one.width + 12 * unit;
+  }
+  canvas.toBlob((blob) => save("pose.png", blob), "image/png");
+}
+
+for (const index of [0, 1]) {
+  const zone = at(`drop${index + 1}`);
+  const input = at(`file${index + 1}`);
+  input.addEventListener("change", () => sendAll(index, input.files).then(() => { input.value = ""; }));
+  zone.addEventListener("dragover", (event) => { event.preventDefault(); zone.classList.add("over"); });
+  zone.addEventListener("dragleave", () => zone.classList.remove("over"));
+  zone.addEventListener("drop", (event) => {
+    event.preventDefault();
+    zone.classList.remove("over");
+    sendAll(index, event.dataTransfer.files);
+  });
+}
+// A file dropped beside the zones would replace the page.
+for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault());
+
+at("estimate").addEventListener("click", estimate);
+at("example").addEventListener("click", async () => {
+  begin("reading the bundled pair");
+  try {
+    const found = await (await ask("/example", "", "application/json")).json();
+    found.images.forEach((image, index) => show(index, image));
+    document.querySelector("input[name=kind][value=k]").checked = true;
+    [at("k1").value, at("k2").value] = found.k;
+    await estimate();
+  } catch (error) {
+    fail(error);
+  }
+});
+for (const id of ["k1", "k2", "fov"]) {
+  const kind = id === "fov" ? "fov" : "k";
+  at(id).addEventListener("input", () => { document.querySelector(`input[value=${kind}]`).checked = true; });
+  at(id).addEventListener("keydown", (event) => {
+    if (event.key === "Enter" && !at("estimate").disabled) estimate();
+  });
+}
+for (const id of ["count", "limit", "blend", "show-lines", "show-outliers", "show-epipolar", "show-matchability"]) {
+  at(id).addEventListener("input", redraw);
+}
+for (const button of document.querySelectorAll("[data-copy]")) {
+  button.addEventListener("click", async () => {
+    await navigator.clipboard.writeText(at(button.dataset.copy).textContent);
+    button.textContent = "Copied";
+    setTimeout(() => { button.textContent = "Copy"; }, 1500);
+  });
+}
+at("save-json").addEventListener("click", saveJson);
+at("save-png").addEventListener("click", savePng);
+addEventListener("resize", redraw);

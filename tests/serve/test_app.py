@@ -1,0 +1,354 @@
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shlex
+import struct
+import zlib
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+import serve_parts
+from PIL import Image
+from starlette.testclient import TestClient
+
+import dgc_pose
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from dgc_pose.serve.app import Example, Server
+from dgc_pose.serve.guard import TOKEN_HEADER, own_hosts
+from dgc_pose.serve.options import ServeOptions
+
+TOKEN = "a-token"
+PORT = 8000
+OPTIONS = ServeOptions(max_megabytes=0.5, max_megapixels=1, decode_seconds=5, images=8)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("images")
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    return dense_scene.write_pictures(tmp_path_factory.mktemp("pictures"))
+
+
+@pytest.fixture(scope="module")
+def server(folder, pictures):
+    example = Example(pictures, (dense_scene.K_TEXT, dense_scene.K_TEXT))
+    hosts = own_hosts(PORT)
+    server = Server(
+        serve_parts.ESTIMATOR, example, folder, token=TOKEN, hosts=hosts, options=OPTIONS
+    )
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def client(server):
+    headers = {TOKEN_HEADER: TOKEN}
+    with TestClient(server.app, f"http://127.0.0.1:{PORT}", headers=headers) as client:
+        yield client
+
+
+def encoded(ending, pixels=None, *settings):
+    shown = dense_scene.pictures()[0] if pixels is None else pixels
+    done, data = cv2.imencode(ending, shown[..., ::-1], list(settings))
+    assert done
+    return data.tobytes()
+
+
+def send(client, data, name="a.png"):
+    return client.post("/images", params={"name": name}, content=data)
+
+
+def send_pair(client, pictures):
+    return [send(client, open(path, "rb").read(), path).json()["id"] for path in pictures]
+
+
+def poses(client, first, second, camera):
+    body = {"image1": first, "image2": second, "camera": camera}
+    answer = client.post("/poses", json=body)
+    if answer.status_code != 200:
+        return answer.json()
+    lines = [json.loads(line) for line in answer.text.splitlines()]
+    assert all(list(line) == ["progress"] for line in lines[:-1])
+    return lines[-1]
+
+
+# Who may ask
+
+
+@pytest.mark.parametrize(
+    ("headers", "words"),
+    [
+        ({"host": "evil.example:8000"}, "its own name"),
+        ({"host": "127.0.0.1:9999"}, "its own name"),
+        ({"origin": "http://evil.example"}, "its own pages"),
+        ({"origin": "null"}, "its own pages"),
+        ({"origin": "https://127.0.0.1:8000"}, "its own pages"),
+        ({"sec-fetch-site": "cross-site"}, "its own pages"),
+        ({"sec-fetch-site": "same-site"}, "its own pages"),
+        ({TOKEN_HEADER: ""}, "token"),
+        ({TOKEN_HEADER: "a-tokeN"}, "token"),
+        ({TOKEN_HEADER: "ü"}, "token"),
+    ],
+)
+@pytest.mark.parametrize("path", ["/images", "/example", "/poses"])
+def test_others_are_refused(client, folder, path, headers, words):
+    before = sorted(folder.iterdir())
+    answer = client.post(path, content=encoded(".png"), headers=headers_of(headers))
+    assert answer.status_code == 403 and words in answer.text
+    assert sorted(folder.iterdir()) == before
+
+
+def headers_of(headers):
+    return {name: value.encode("utf-8") for name, value in headers.items()}
+
+
+@pytest.mark.parametrize("origin", ["http://127.0.0.1:8000", "http://localhost:8000"])
+def test_the_own_page_is_answered(client, origin):
+    headers = {"origin": origin, "host": origin.removeprefix("http://")}
+    assert client.post("/images", content=encoded(".png"), headers=headers).status_code == 200
+
+
+def test_the_page_needs_the_token_in_its_address_and_holds_it(client):
+    assert client.get("/").status_code == 403
+    assert client.get("/?token=other").status_code == 403
+    page = client.get(f"/?token={TOKEN}")
+    assert page.status_code == 200 and f'content="{TOKEN}"' in page.text
+    policy = page.headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "unsafe" not in policy
+    assert page.headers["x-content-type-options"] == "nosniff"
+    # Nothing comes from elsewhere.
+    for name in ("page.js", "view.js", "page.css", "icon.svg"):
+        file = client.get(f"/static/{name}")
+        assert file.status_code == 200
+        text = file.text.replace("http://www.w3.org/2000/svg", "")  # a name, not an address
+        assert "http://" not in text and "https://" not in text
+    assert "http" not in page.text
+
+
+@pytest.mark.parametrize(
+    "path", ["page.html", "../app.py", "..%2fapp.py", "%2e%2e/app.py", "/etc/passwd", "x\x00"]
+)
+def test_only_the_files_of_the_page_are_given_out(client, path):
+    answer = client.get(f"/static/{path.replace(chr(0), '%00')}")
+    assert answer.status_code in (403, 404)
+    assert "import" not in answer.text
+
+
+# Images
+
+
+@pytest.mark.parametrize("ending", [".png", ".jpg", ".tif", ".webp", ".bmp"])
+def test_an_image_comes_back_as_the_browser_shows_it(client, ending):
+    answer = send(client, encoded(ending), "näme.x")
+    assert answer.status_code == 200
+    found = answer.json()
+    assert found["size"] == [320, 240] and found["name"] == "näme.x" and found["warnings"] == []
+    kind, data = found["picture"].split(",")
+    assert kind == "data:image/jpeg;base64"
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+    assert np.abs(shown.astype(int) - dense_scene.pictures()[0]).mean() < 8
+
+
+def test_the_pixels_are_as_stored_whatever_the_orientation_says(client):
+    stream = io.BytesIO()
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(dense_scene.pictures()[0]).save(stream, "JPEG", exif=exif)
+    found = send(client, stream.getvalue(), "turned.jpg").json()
+    assert found["size"] == [320, 240]
+    assert len(found["warnings"]) == 1 and "orientation" in found["warnings"][0]
+
+
+def test_only_the_last_images_are_kept(client, folder):
+    first = send(client, encoded(".png")).json()["id"]
+    others = [send(client, encoded(".png")).json()["id"] for _ in range(OPTIONS.images)]
+    assert len(list(folder.iterdir())) == OPTIONS.images
+    found = poses(client, first, others[-1], {"kind": "auto"})
+    assert "no longer there" in found["error"]
+
+
+def test_a_name_is_text_alone(client, folder):
+    for name in ("../../evil.png", "/etc/passwd", "a\x00b\n" + 500 * "c", ""):
+        found = send(client, encoded(".png"), name).json()
+        assert found["name"].isprintable() and 0 < len(found["name"]) <= 200
+    assert all(len(path.name) == 32 and path.parent == folder for path in folder.iterdir())
+
+
+def bomb(width, height):
+    """A PNG whose header promises many pixels."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(10_000))), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in parts
+    )
+
+
+def hostile_files():
+    """200 files that are no good images, or might be."""
+    rng = np.random.default_rng(0)
+    small = dense_scene.pictures()[0][::4, ::4]
+    good = [encoded(ending, small) for ending in (".png", ".jpg", ".tif", ".webp", ".bmp", ".jp2")]
+    yield from (b"", b"\x00", b"GIF89a", b"<svg onload=alert(1)>", b"PK\x03\x04" + bytes(100))
+    yield from (bomb(60_000, 60_000), bomb(2**31 - 1, 1), bomb(1, 2**31 - 1), bomb(1200, 1200))
+    yield from (b"P6 99999 99999 255\n" + bytes(50), b"P5 1 1 70000\n\x00", b"/etc/passwd")
+    for data in good:
+        for share in (0.02, 0.3, 0.7, 0.99):
+            yield data[: int(share * len(data))]
+        for place in range(7):
+            damaged = bytearray(data)
+            for at in rng.integers(0, min(len(data), 60 if place < 4 else 10**9), 6):
+                damaged[at] = int(rng.integers(0, 256))
+            yield bytes(damaged)
+        yield data + rng.bytes(100)
+        yield good[0][:30] + data
+    while True:
+        yield rng.bytes(int(rng.integers(1, 3000)))
+
+
+def test_200_hostile_uploads_leave_the_server_as_it_was(client, folder):
+    refused = 0
+    for _, data in zip(range(200), hostile_files(), strict=False):
+        answer = send(client, data)
+        assert answer.status_code in (200, 422), answer.text
+        if answer.status_code != 200:
+            refused += 1
+            error = answer.json()["error"]
+            assert error and "\n" not in error and str(folder) not in error
+    assert refused > 120
+    assert len(list(folder.iterdir())) <= OPTIONS.images
+    assert send(client, encoded(".png")).status_code == 200
+
+
+def test_too_large_a_file_is_refused_before_it_is_read(client, folder):
+    before = sorted(folder.iterdir())
+    large = bytes(600_000)
+    assert send(client, large).status_code == 413
+    # Without a length, as it comes.
+    answer = client.post("/images", content=iter([large[:400_000], large[:400_000]]))
+    assert answer.status_code == 413 and "0.5 MB" in answer.json()["error"]
+    assert client.post("/images", headers={"content-length": "x"}).status_code == 413
+    assert sorted(folder.iterdir()) == before
+
+
+# Poses
+
+
+def test_a_pair_gives_its_pose_and_what_the_page_draws(client, pictures):
+    first, second = send_pair(client, pictures)
+    found = poses(client, first, second, {"kind": "k", "k1": dense_scene.K_TEXT})["result"]
+    assert found["pose"]["success"] is True
+    assert rotation_error_deg(np.array(found["pose"]["R"]), dense_scene.R) < 0.1
+    assert translation_error_deg(np.array(found["pose"]["t"]), dense_scene.T) < 0.5
+    assert found["sizes"] == [[320, 240], [320, 240]]
+    np.testing.assert_allclose(found["K"], [dense_scene.K] * 2)
+    matches, F = found["matches"], np.array(found["F"])
+    points, inlier = np.array(matches["points"]), np.array(matches["inlier"])
+    assert len(points) <= 3000 and inlier.sum() > 100
+    assert (np.diff(inlier.astype(int)) <= 0).all()  # inliers come first
+    # The first few are spread over image 2.
+    assert (np.ptp(points[:100, 2:], axis=0) > 0.6 * np.array(dense_scene.SIZE)).all()
+    one, two = (np.column_stack([part, np.ones(len(points))]) for part in np.split(points, 2, 1))
+    lines2, lines1 = one @ F.T, two @ F
+    value = np.abs((two * lines2).sum(1))
+    expected = sum(value / np.hypot(*lines[:, :2].T) for lines in (lines1, lines2)) / 2
+    np.testing.assert_allclose(matches["residual"], expected, atol=0.02)  # points are rounded
+    for name in ("warp", "matchability"):
+        data = base64.b64decode(found["map"][name].removeprefix("data:image/webp;base64,"))
+        assert Image.open(io.BytesIO(data)).size == (320, 240)
+
+
+def test_the_warp_shows_image_2_where_it_is_opaque(client, pictures):
+    first, second = send_pair(client, pictures)
+    found = poses(client, first, second, {"kind": "k", "k1": dense_scene.K_TEXT})["result"]
+    data = base64.b64decode(found["map"]["warp"].split(",")[1])
+    warp = np.asarray(Image.open(io.BytesIO(data)).convert("RGBA")).astype(float)
+    opaque = cv2.erode((warp[..., 3] > 200).astype(np.uint8), np.ones((9, 9))) > 0
+    assert opaque.mean() > 0.3
+    difference = np.abs(warp[..., :3] - dense_scene.pictures()[1])[opaque].mean()
+    assert difference < 12
+    assert np.abs(dense_scene.pictures()[0].astype(float) - warp[..., :3])[opaque].mean() > 20
+
+
+@pytest.mark.parametrize(
+    ("camera", "flags"),
+    [
+        ({"kind": "k", "k1": dense_scene.K_TEXT}, ["--K", dense_scene.K_TEXT]),
+        (
+            {"kind": "k", "k1": dense_scene.K_TEXT, "k2": "PINHOLE,320,240,300,300,160,120"},
+            ["--K1", dense_scene.K_TEXT, "--K2", "PINHOLE,320,240,300,300,160,120"],
+        ),
+        ({"kind": "fov", "fov": 56.1}, None),
+        ({"kind": "auto"}, ["--guess-focal"]),
+    ],
+)
+def test_the_command_and_the_python_give_the_same(client, pictures, monkeypatch, camera, flags):
+    first, second = send_pair(client, pictures)
+    found = poses(client, first, second, camera)["result"]
+    words = shlex.split(found["command"])
+    assert words[:4] == ["dgc-pose", "estimate", *pictures]
+    if flags is None:
+        focal = 160 / np.tan(np.radians(56.1) / 2)
+        assert [float(v) for v in words[5].split(",")] == pytest.approx(
+            [focal, focal, 159.5, 119.5]
+        )
+    else:
+        assert words[4:] == flags
+    monkeypatch.setattr(dgc_pose, "load_matcher", serve_parts.map_matcher, raising=False)
+    names: dict = {}
+    exec(found["python"], names)
+    R = names["trace"].pose.R
+    assert (None if R is None else R.tolist()) == found["pose"]["R"]
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [
+        (None, "kind"),
+        ({"kind": "file"}, "kind"),
+        ({"kind": "k", "k1": ""}, "give K"),
+        ({"kind": "k", "k1": "300,300"}, "fx,fy,cx,cy"),
+        ({"kind": "k", "k1": 5}, "text"),
+        ({"kind": "k", "k1": 400 * "1"}, "300 characters"),
+        ({"kind": "k", "k1": "300,300,900,119.5"}, "outside the image"),
+        ({"kind": "fov", "fov": 0}, "field of view"),
+        ({"kind": "fov", "fov": "60"}, "field of view"),
+        ({"kind": "fov", "fov": True}, "field of view"),
+    ],
+)
+def test_a_bad_camera_is_told_in_one_line(client, pictures, camera, words):
+    first, second = send_pair(client, pictures)
+    error = poses(client, first, second, camera)["error"]
+    assert words in error and "\n" not in error
+
+
+def test_no_path_of_a_client_is_opened(client, pictures, tmp_path):
+    """A K on the command line may be a file; that of a client may not."""
+    secret = tmp_path / "secret.txt"
+    np.savetxt(secret, dense_scene.K)
+    first, second = send_pair(client, pictures)
+    error = poses(client, first, second, {"kind": "k", "k1": str(secret)})["error"]
+    assert "fx,fy,cx,cy" in error
+    for identifier in (pictures[0], "../one.png", None, 5, ["a"], {"a": 1}):
+        assert "no longer there" in poses(client, identifier, second, {"kind": "auto"})["error"]
+
+
+@pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"null", 5000 * b"[", b"{" + 20_000 * b" "])
+def test_a_request_that_is_no_object_is_refused(client, body):
+    answer = client.post("/poses", content=body)
+    assert answer.status_code == 400 and "request" in answer.json()["error"]
+
+
+def test_the_example_is_the_pair_that_was_given(client, pictures):
+    found = client.post("/example").json()
+    assert [image["name"] for image in found["images"]] == list(pictures)
+    first, second = (image["id"] for image in found["images"])
+    result = poses(client, first, second, {"kind": "k", "k1": found["k"][0]})["result"]
+    assert result["pose"]["success"] is True

@@ -1,0 +1,160 @@
+"""The page in a browser, as a user would use it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import cv2
+import pytest
+from chromium import chromium_page, find_chromium
+
+from dgc_pose.benchmarks.pair_list import bundled_pair
+
+DONE = "document.querySelector('#progress').textContent.startsWith('done')"
+PIXELS = """(() => {
+  const canvas = document.querySelector('%s');
+  const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  return data.reduce((sum, value, n) => (sum + value * (n %% 251)) %% 1000003, 0);
+})()"""
+
+
+@pytest.fixture(scope="module")
+def url():
+    """A server's address. SIFT, whose pose of the bundled pair takes a second."""
+    command = [sys.executable, "-m", "dgc_pose", "serve", "--no-browser", "--weights", "sift"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield process.stdout.readline().strip()
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
+
+
+@pytest.fixture(scope="module")
+def browser(url):
+    executable = find_chromium()
+    if executable is None:
+        pytest.skip("no Chromium on this machine: install it, or name one in $CHROMIUM")
+    with chromium_page(executable) as page:
+        page.own += (url.split("?")[0], "blob:")
+        yield page
+
+
+@pytest.fixture
+def page(url, browser):
+    browser.errors.clear()
+    browser.open("about:blank")
+    browser.open(url)
+    yield browser
+    assert browser.errors == []
+
+
+@pytest.fixture
+def example(page):
+    """The page with the bundled pair's pose."""
+    page.click("#example")
+    page.wait(DONE)
+    return page
+
+
+def text(page, selector):
+    return page.evaluate(f"document.querySelector({selector!r}).innerText")
+
+
+def drawn(page, selector):
+    """A number that changes with what a canvas shows."""
+    return page.evaluate(PIXELS % selector)
+
+
+def redrawn(page, selector, before):
+    """The same, when it is another than before."""
+    page.wait(f"{PIXELS % selector} !== {before}")
+    return drawn(page, selector)
+
+
+def test_the_bundled_pair_gets_its_pose(example):
+    assert text(example, "#verdict") == "A pose (ok)"
+    assert "inliers" in text(example, "#numbers") and "expected error" in text(example, "#numbers")
+    pair = bundled_pair()
+    first = [float(v) for v in text(example, "#matrix").split("\n")[-3].split()[1:4]]
+    assert first == pytest.approx(pair.R[0], abs=0.01)
+    assert str(pair.path1) in text(example, "#command")
+    assert "--weights sift" in text(example, "#command")
+    # A matcher of key points has no map.
+    assert example.evaluate("document.querySelector('#map-part').hidden")
+
+
+def test_the_pointer_brings_epipolar_lines(example):
+    empty = drawn(example, "#view")
+    example.hover("#view", (0.25, 0.5))
+    pointed = redrawn(example, "#view", empty)
+    assert "image 1, pixel" in text(example, "#pointed") or "match" in text(example, "#pointed")
+    example.hover("#view", (0.75, 0.5))
+    redrawn(example, "#view", pointed)
+    example.click("#show-epipolar")
+    example.click("#show-lines")
+    without = drawn(example, "#view")
+    example.hover("#view", (0.25, 0.5))
+    example.wait("document.querySelector('#pointed').textContent.startsWith('image 1')")
+    assert drawn(example, "#view") == without  # neither lines nor matches were asked for
+
+
+def test_the_tools_change_what_is_drawn(example):
+    before = drawn(example, "#view")
+    for selector, value in (("#count", "20"), ("#limit", "5")):
+        example.evaluate(
+            f"(() => {{ const e = document.querySelector('{selector}'); e.value = {value};"
+            "e.dispatchEvent(new Event('input')); })()"
+        )
+        before = redrawn(example, "#view", before)
+    assert "px" in text(example, "#limit-text") and text(example, "#count-text") == "20"
+    example.click("#show-outliers")
+    redrawn(example, "#view", before)
+
+
+def test_photographs_that_are_chosen_are_estimated_at_once(page, tmp_path):
+    pair = bundled_pair()
+    page.choose("#file1", pair.path1, pair.path2)  # both at once
+    page.wait(DONE)
+    assert text(page, "#caption2").startswith("image2.jpg, 720 x 640")
+    assert "--guess-focal" in text(page, "#command")
+    assert "guess" in text(page, "#warnings")
+
+
+def test_what_is_wrong_is_told(page, tmp_path):
+    bad = tmp_path / "bad <b>.png"
+    bad.write_bytes(b"not an image")
+    page.choose("#file1", bad)
+    page.wait("!document.querySelector('#error').hidden")
+    page.errors.clear()  # the browser notes the refusal
+    assert text(page, "#error").startswith("bad <b>.png: the file is corrupt")
+    good = tmp_path / "good.png"
+    cv2.imwrite(str(good), cv2.imread(str(bundled_pair().path1))[::4, ::4])
+    page.choose("#file1", good)
+    page.wait("document.querySelector('#error').hidden")
+    page.choose("#file2", good)
+    page.wait(DONE)  # the same image twice: no pose, and the reason
+    assert text(page, "#verdict").startswith("No pose (")
+
+
+def test_a_result_is_saved_as_json_and_png(example):
+    example.evaluate(
+        "(() => { window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob);"
+        " return 'data:,'; }; HTMLAnchorElement.prototype.click = function () {"
+        " this.download && saved.push(this.download); }; })()"
+    )
+    example.click("#save-json")
+    example.click("#save-png")
+    example.wait("saved.length === 4")
+    assert example.evaluate("saved.filter((one) => typeof one === 'string')") == [
+        "pose.json",
+        "pose.png",
+    ]
+    data = json.loads(example.evaluate("saved[0].text()"))
+    assert data["status"] == "ok" and len(data["matches"]["points"]) > 100
+    kind, size = example.evaluate(
+        "createImageBitmap(saved[2]).then((b) => [saved[2].type, b.width])"
+    )
+    assert kind == "image/png" and size > 800

@@ -1,0 +1,17 @@
+"""A server's estimator without a network, for tests."""
+
+from __future__ import annotations
+
+import dense_scene
+
+from dgc_pose.cli.output import pose_data
+from dgc_pose.matching import Matcher
+from dgc_pose.serve.factory import EstimatorFactory
+
+
+def map_matcher() -> Matcher:
+    """Gives the true map of the dense scene."""
+    return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
+
+
+ESTIMATOR = EstimatorFactory(map_matcher, pose_data, None)
