@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from dgc_pose.errors import InputError
 from dgc_pose.evaluation.map_comparison import Comparison, compare
 from dgc_pose.evaluation.map_scores import PairScores, score_map
+from dgc_pose.network.device import choose_device
 from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import load_network
 from dgc_pose.synthesis.map_pairs import MapPairs
 
 
@@ -40,6 +43,21 @@ class MapOutcome:
     comparison: Comparison
     image1: np.ndarray  # (240, 240, 3) uint8
     image2: np.ndarray  # (240, 240, 3) uint8
+
+
+def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
+    """The bare networks of weights, by name or path, frozen and in evaluation mode.
+
+    Raises InputError for no names or one that is given twice, WeightsError if weights cannot be
+    loaded.
+    """
+    if not names:
+        raise InputError("no methods named")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"the method {name} is named twice")
+    chosen = choose_device(device)
+    return {name: load_network(name, chosen) for name in names}
 
 
 def map_outcomes(

@@ -25,13 +25,12 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.dense import DenseMatcher, load_dense_matcher
 from dgc_pose.matching.files import FileMatcher
-from dgc_pose.network.device import choose_device
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network, shipped
+from dgc_pose.network.stored import shipped
 from dgc_pose.options import field_types
 from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.source import MapMatches
+from dgc_pose.runtime.load import RuntimeName
 
 EVERYWHERE = "/all"
 NO_REFINEMENT = "none"
@@ -147,6 +146,7 @@ def load_engines(
     methods: Sequence[Method],
     *,
     device: str,
+    runtime: RuntimeName = "auto",
     stored: Mapping[str, Path] | None = None,
     stem: Stem | None = None,
     keep_features: bool = False,
@@ -176,28 +176,15 @@ def load_engines(
             if name in networks:
                 dense = DenseMatcher(networks[name].engine, options, cache)
             else:
-                dense = load_dense_matcher(name, device=device, options=options, cache=cache)
+                dense = load_dense_matcher(
+                    name, device=device, runtime=runtime, options=options, cache=cache
+                )
                 networks[name] = dense
             refiners = {one: refined(dense, one, native) for one in wanted}
             passes[name, options] = Engine(dense, refiners)
             continue
         passes[name, options] = Engine(matcher, {one: _refiner(matcher, one) for one in wanted})
     return Engines(passes, {name: kept for name, kept in caches.items() if name in networks})
-
-
-def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
-    """The bare networks of weights, by name or path, frozen and in evaluation mode.
-
-    Raises InputError for no names or one that is given twice, WeightsError if weights cannot be
-    loaded.
-    """
-    if not names:
-        raise InputError("no methods named")
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"the method {name} is named twice")
-    chosen = choose_device(device)
-    return {name: load_network(name, chosen) for name in names}
 
 
 def _refiner(matcher: Matcher, options: RefinementOptions) -> Refiner:

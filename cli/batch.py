@@ -119,7 +119,9 @@ def work_through(
             read_calibration(inputs.k, inputs.guess_focal),
             choice,
             out,
-            matcher=MatcherSettings(matcher.weights, matcher.device, matcher.matching, refinement),
+            matcher=MatcherSettings(
+                matcher.weights, matcher.device, matcher.matching, refinement, matcher.runtime
+            ),
             estimation=estimation,
             options=batch_options(work),
             start_workers=start_workers,

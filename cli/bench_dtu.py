@@ -39,7 +39,7 @@ from dgc_pose.files import write_text
 from dgc_pose.matchers import SIFT
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FLOWS
-from dgc_pose.network.weights import shipped
+from dgc_pose.network.stored import shipped
 from dgc_pose.options import option
 
 
@@ -125,7 +125,14 @@ def bench_dtu(
 
     for directory in stored.values():
         FileMatcher(directory, stem).require(stems)
-    engines = load_engines(chosen, device=run.device, stored=stored, stem=stem, keep_features=True)
+    engines = load_engines(
+        chosen,
+        device=run.device,
+        runtime=run.runtime,
+        stored=stored,
+        stem=stem,
+        keep_features=True,
+    )
     evaluation = Evaluation(pairs, chosen, engines, run.options)
     for line in _opening(dataset, experiment.pairs, len(views)):
         click.echo(line)

@@ -43,7 +43,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
     show_default=True,
     help="Synthetic scenes of each study.",
 )
-@dataclass_options(RunChoice, "run", only=("device",))
+@dataclass_options(RunChoice, "run", only=("device", "runtime"))
 def bench_estimators(
     pair_list: str | None,
     root: str | None,
@@ -65,7 +65,8 @@ def bench_estimators(
     pairs = listed_pairs(pair_list, root, limit)
     options = EstimationOptions()
     chosen = parse_methods(split_names(methods), MethodOptions(estimation=options))
-    evaluation = Evaluation(pairs, chosen, load_engines(chosen, device=run.device))
+    engines = load_engines(chosen, device=run.device, runtime=run.runtime)
+    evaluation = Evaluation(pairs, chosen, engines)
     found: dict[str, list[Compared]] = {method.name: [] for method in chosen}
     for pair in pairs.read():
         for job in evaluation.match([pair])[0]:

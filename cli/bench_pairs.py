@@ -42,7 +42,7 @@ from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
 from dgc_pose.matchers import SIFT
-from dgc_pose.network.weights import shipped
+from dgc_pose.network.stored import shipped
 from dgc_pose.options import MAX_SEED, check_options, option
 from dgc_pose.viz import plot_errors, save_figure
 
@@ -122,7 +122,7 @@ def bench_pairs(
     chosen = parse_methods(split_names(methods), defaults.options)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(json_path, inputs=images) as stage:
-        engines = load_engines(chosen, device=run.device)
+        engines = load_engines(chosen, device=run.device, runtime=run.runtime)
         evaluation = Evaluation(pairs, chosen, engines, run.options)
         store = open_store(evaluation, out, run)
         work(evaluation, store)

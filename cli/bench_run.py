@@ -18,12 +18,12 @@ from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
 from dgc_pose.cli.dataclass_options import NamedPath
 from dgc_pose.cli.guard import OutputFolder, overwrites
-from dgc_pose.cli.options import DeviceName, RefineChoice
+from dgc_pose.cli.options import RUNTIME_HELP, DeviceName, RefineChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import MatchingOptions
-from dgc_pose.network.device import choose_device
 from dgc_pose.options import check_options, option
+from dgc_pose.runtime.load import RuntimeName, device_type
 
 GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
@@ -55,6 +55,7 @@ class RunChoice:
     )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
     device: DeviceName = option("auto", "Where the network runs.")
+    runtime: RuntimeName = option("auto", RUNTIME_HELP)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -62,7 +63,7 @@ class RunChoice:
     @property
     def device_type(self) -> str:
         """ "cpu" or "cuda". Raises InputError if there is no such device."""
-        return choose_device(self.device).type
+        return device_type(self.device)
 
     @property
     def options(self) -> RunOptions:

@@ -86,7 +86,7 @@ def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunCho
     Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
     """
     methods = parse_methods([method], MethodOptions(refinement=RefinementOptions()))
-    engines = load_engines(methods, device=run.device)
+    engines = load_engines(methods, device=run.device, runtime=run.runtime)
     groups = choice.groups()
     count = sum(len(group.names) for group in groups)
     hard = misleading(choice.photos, choice.misleading, choice.seed)

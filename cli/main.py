@@ -196,5 +196,7 @@ def main(ctx: click.Context) -> None:
     # Read when torch is imported, which no sub-command has done yet.
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
+    # Read when NumPy is imported. Its products are small, and run side by side in our own threads.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

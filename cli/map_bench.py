@@ -17,14 +17,13 @@ from dgc_pose.benchmarks.map_report import (
     summaries,
     write_pairs,
 )
-from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, WorstPairs, map_outcomes
-from dgc_pose.benchmarks.methods import load_networks
+from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, WorstPairs, load_networks, map_outcomes
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.files import staged
-from dgc_pose.network.weights import shipped
+from dgc_pose.network.stored import shipped
 from dgc_pose.options import check_options, option
 from dgc_pose.viz import save_figure
 from dgc_pose.viz.map_figure import MapPicture, plot_maps

@@ -12,11 +12,16 @@ from dgc_pose.image import Image
 from dgc_pose.matching import DEFAULT_WEIGHTS, MatchingOptions
 from dgc_pose.options import option
 from dgc_pose.refinement import AlignmentOptions, FlowOptions, RefinementOptions, SourceName
+from dgc_pose.runtime.load import RuntimeName
 
 if TYPE_CHECKING:
     from dgc_pose.matching import Matcher
 
 DeviceName = Literal["auto", "cpu", "cuda"]
+RUNTIME_HELP = (
+    "What runs the network: ONNX Runtime, on the CPU, or torch; auto: ONNX Runtime for shipped "
+    "weights on the CPU, torch for all others."
+)
 
 
 def split_names(text: str) -> list[str]:
@@ -91,16 +96,18 @@ class MatcherChoice:
         "Shipped weights by name, or a path to .safetensors or to an authors' .pth.",
     )
     device: DeviceName = option("auto", "Where the network runs.")
+    runtime: RuntimeName = option("auto", RUNTIME_HELP)
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     refine: RefineChoice = field(default_factory=RefineChoice)
 
     def load(self) -> Matcher:
         """Raises WeightsError if weights cannot be loaded, InputError without such a device."""
-        from dgc_pose.matchers import load_matcher  # imports torch
+        from dgc_pose.matchers import load_matcher
 
         return load_matcher(
             self.weights,
             device=self.device,
+            runtime=self.runtime,
             matching=self.matching,
             refinement=self.refine.options(self.matching),
         )

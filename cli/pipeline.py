@@ -34,7 +34,7 @@ def run_pipeline(
     image1, image2 = load_image(path1), load_image(path2)
     camera1, camera2 = resolve(image1, image2)
     read_seconds = time.perf_counter() - start
-    from dgc_pose.pose import match_and_estimate  # torch; unusable input is refused without it
+    from dgc_pose.pose import match_and_estimate  # heavy; unusable input is refused without it
 
     start = time.perf_counter()
     loaded = matcher.load()

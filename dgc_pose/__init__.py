@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
     from dgc_pose.refinement import RefinementOptions, Refiner
 
-# The public names of each module. Imported on first use, because torch takes seconds to import.
+# The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
     "camera": ("Camera", "parse_camera"),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),

@@ -18,6 +18,7 @@ from dgc_pose.refinement.native import NativeCache, native_cache
 from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.refinement.refiner import Refiner
 from dgc_pose.refinement.source import MapMatches, MatchSource
+from dgc_pose.runtime.load import RuntimeName
 
 SIFT = "sift"
 _DEFAULT = RefinementOptions()
@@ -41,6 +42,7 @@ def load_matcher(
     name: str | Path = DEFAULT_WEIGHTS,
     *,
     device: str = "auto",
+    runtime: RuntimeName = "auto",
     matching: MatchingOptions | None = None,
     refinement: RefinementOptions | None = _DEFAULT,
     caches: MatcherCaches | None = None,
@@ -48,7 +50,8 @@ def load_matcher(
     """A matcher by its name; by default what `dgc-pose estimate` uses.
 
     name: shipped weights ("dgcm-lite"), a path to weights (see `load_network`), "sift", or an
-    optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". matching:
+    optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". runtime:
+    what runs it, see `load_engine`. matching:
     how matches are selected from a dense map. refinement: of a network's matches; None for the
     matches of its map. SIFT and the flows are never refined here; a `Refiner` around them does it.
     caches: to keep what is computed of an image from pair to pair; None to keep nothing.
@@ -70,7 +73,9 @@ def load_matcher(
         if name == flow:
             return FlowMatcher(flow, matching)
     features, native = (None, None) if caches is None else (caches.features, caches.native)
-    dense = load_dense_matcher(name, device=device, options=matching, cache=features)
+    dense = load_dense_matcher(
+        name, device=device, runtime=runtime, options=matching, cache=features
+    )
     return dense if refinement is None else refined(dense, refinement, native)
 
 

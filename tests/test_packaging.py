@@ -100,6 +100,34 @@ def test_constraints_pin_every_dependency_within_its_range(
         assert requirement.specifier.contains(pins[requirement.name]), requirement
 
 
+def test_the_light_set_is_all_but_torch_with_the_same_pins(
+    options: configparser.SectionProxy,
+) -> None:
+    """With what those packages need in turn: it is installed with --no-deps."""
+    from importlib.metadata import requires
+
+    from packaging.requirements import Requirement
+
+    def pins(file: str) -> dict[str, str]:
+        lines = (ROOT / file).read_text().splitlines()
+        named = [line.split("==") for line in lines if line and not line.startswith("#")]
+        return {name.lower().replace("_", "-"): version for name, version in named}
+
+    light, constraints = pins("requirements-light.txt"), pins("constraints.txt")
+    assert "torch" not in light
+    assert {name: constraints[name] for name in light} == light
+    lines = [line for line in options["install_requires"].splitlines() if line.strip()]
+    waiting = [Requirement(line) for line in lines if not line.startswith(("#", "torch"))]
+    needed = set()
+    while waiting:
+        name = waiting.pop().name.lower().replace("_", "-")
+        if name not in needed:
+            needed.add(name)
+            found = map(Requirement, requires(name) or [])
+            waiting += [r for r in found if r.marker is None or r.marker.evaluate({"extra": ""})]
+    assert needed <= set(light)
+
+
 def run_elsewhere(code: str) -> str:
     """What the code prints in a fresh interpreter whose path lacks the repository's folder."""
     command = [sys.executable, "-I", "-c", code]

@@ -21,6 +21,7 @@ from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.selection import MatchingOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.refinement.options import RefinementOptions
+from dgc_pose.runtime.load import RuntimeName
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder, and for refinement.
 FEATURE_BYTES = 32 * 2**20
@@ -34,12 +35,14 @@ class MatcherSettings:
     device: str = "auto"
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     refinement: RefinementOptions | None = field(default_factory=RefinementOptions)
+    runtime: RuntimeName = "auto"
 
     def load(self, caches: MatcherCaches | None = None) -> Matcher:
         """Raises what `load_matcher` raises."""
         return load_matcher(
             self.weights,
             device=self.device,
+            runtime=self.runtime,
             matching=self.matching,
             refinement=self.refinement,
             caches=caches,

@@ -15,6 +15,7 @@ from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.pixels import cell_centres, rescale
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
+from dgc_pose.runtime.load import RuntimeName, load_engine
 from dgc_pose.sampling import bilinear
 
 # The encoder's features by image and quarter turns of it; keyed by the object, not by its pixels.
@@ -141,16 +142,14 @@ def load_dense_matcher(
     device: str = "auto",
     options: MatchingOptions | None = None,
     cache: FeatureCache | None = None,
+    runtime: RuntimeName = "auto",
 ) -> DenseMatcher:
     """The network alone, without refinement: shipped weights by name, or those of a file (see
     `load_network`).
 
     Raises WeightsError if the weights cannot be loaded, InputError if there is no such device.
     """
-    from dgc_pose.network.device import choose_device  # imports torch
-    from dgc_pose.runtime.torch_engine import load_torch_engine
-
-    return DenseMatcher(load_torch_engine(weights, choose_device(device)), options, cache)
+    return DenseMatcher(load_engine(weights, device=device, runtime=runtime), options, cache)
 
 
 def _upright_map(

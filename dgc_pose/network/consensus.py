@@ -8,10 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# Chosen on training photographs; factors from one half to two change little.
-_REACH = 1.4  # source cells, sigma of a neighbour's match about the match plus the cells' offset
-_WEIGHT = 0.4  # of the messages: neighbours are not independent of each other
-_FLOOR = 0.01  # smallest message: the neighbour may lie on another surface
+from dgc_pose.network.constants import FLOOR, REACH, WEIGHT
 
 
 def consensus(scores: Tensor, passes: int, grid: tuple[int, int] | None = None) -> Tensor:
@@ -27,9 +24,9 @@ def consensus(scores: Tensor, passes: int, grid: tuple[int, int] | None = None) 
     blur = _blur(rows, columns, scores)
     belief = scores.log_softmax(1)
     for _ in range(passes):
-        messages = torch.matmul(blur, belief.exp().flatten(2)).add(_FLOOR).log()
+        messages = torch.matmul(blur, belief.exp().flatten(2)).add(FLOOR).log()
         support = _sum_of_neighbours(messages.view(batch, columns, rows, height, width))
-        belief = (scores + _WEIGHT * support.view_as(scores)).log_softmax(1)
+        belief = (scores + WEIGHT * support.view_as(scores)).log_softmax(1)
     return belief
 
 
@@ -40,7 +37,7 @@ def _sum_of_neighbours(messages: Tensor) -> Tensor:
     outside the target.
     """
     columns, rows, height, width = messages.shape[1:]
-    messages = F.pad(messages, (0, 0, 0, 0, 1, 1, 1, 1), value=math.log(_FLOOR))
+    messages = F.pad(messages, (0, 0, 0, 0, 1, 1, 1, 1), value=math.log(FLOOR))
     messages = F.pad(messages, (1, 1, 1, 1))
     neighbours = [
         messages[:, dx : dx + columns, dy : dy + rows, dy : dy + height, dx : dx + width]
@@ -54,5 +51,5 @@ def _sum_of_neighbours(messages: Tensor) -> Tensor:
 def _blur(height: int, width: int, like: Tensor) -> Tensor:
     """A Gaussian over the cells of a grid, column-major on both axes: (h * w, h * w)."""
     axes = (torch.arange(n, dtype=like.dtype, device=like.device) for n in (width, height))
-    along_x, along_y = (torch.exp(-((a[:, None] - a) ** 2) / (2 * _REACH**2)) for a in axes)
-    return torch.kron(along_x, along_y) / (2 * math.pi * _REACH**2)
+    along_x, along_y = (torch.exp(-((a[:, None] - a) ** 2) / (2 * REACH**2)) for a in axes)
+    return torch.kron(along_x, along_y) / (2 * math.pi * REACH**2)

@@ -8,12 +8,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-_EPSILON = 1e-6
+from dgc_pose.network.constants import EPSILON, PEAK_WINDOW
 
 
 def l2_normalise(features: Tensor) -> Tensor:
     """Unit length over the channels of (B, C, H, W): f / sqrt(sum f^2 + 1e-6)."""
-    return features / torch.sqrt(features.square().sum(1, keepdim=True) + _EPSILON)
+    return features / torch.sqrt(features.square().sum(1, keepdim=True) + EPSILON)
 
 
 def global_correlation(source: Tensor, target: Tensor) -> Tensor:
@@ -91,7 +91,7 @@ def match_scores(evidence: Tensor) -> Tensor:
 
 
 def peaks(
-    scores: Tensor, grid: tuple[int, int] | None = None, window: int = 2
+    scores: Tensor, grid: tuple[int, int] | None = None, window: int = PEAK_WINDOW
 ) -> tuple[Tensor, Tensor]:
     """The soft-argmax of each target cell's scores within a window, and its probability.
 

@@ -18,6 +18,7 @@ from dgc_pose.network.config import (
     NetworkConfig,
 )
 from dgc_pose.network.consensus import consensus
+from dgc_pose.network.constants import PEAK
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
     cell_correlations,
@@ -33,8 +34,6 @@ from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
 INITIAL_SCALE = 20.0
-# Bounds of the peak's probability, from which the coarsest mask logit starts.
-_PEAK = (0.01, 0.99)
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ class DGCNet(nn.Module):
                 cells.movedim(1, -1), grid[::-1], config.align_corners
             ).movedim(-1, 1)
             if config.matchability == "decoder":
-                start[:, 2] = probability.clamp(*_PEAK).logit()
+                start[:, 2] = probability.clamp(*PEAK).logit()
         if config.decoders[COARSEST].local_radius is not None:
             return self.refine(COARSEST, self.warp(source, start), target, start, grid=grid)
         if config.normalise_correlation:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-MEAN = (0.485, 0.456, 0.406)
-DEVIATION = (0.229, 0.224, 0.225)
+from dgc_pose.network.constants import DEVIATION, MEAN
 
 
 def normalise(images: Tensor) -> Tensor:

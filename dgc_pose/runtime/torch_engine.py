@@ -19,7 +19,7 @@ from dgc_pose.network.device import multiplies_bfloat16
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
-from dgc_pose.network.weights import fingerprint, load_network
+from dgc_pose.network.weights import load_network, network_fingerprint
 from dgc_pose.pixels import Size
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 
@@ -53,7 +53,7 @@ class TorchEngine:
 
     @cached_property
     def fingerprint(self) -> str:
-        return self._weights or fingerprint(self.net)
+        return self._weights or network_fingerprint(self.net)
 
     @torch.inference_mode()
     def encode(self, pixels: np.ndarray) -> TorchFeatures:
@@ -118,7 +118,7 @@ class TorchEngine:
 def load_torch_engine(weights: str | Path, device: torch.device) -> TorchEngine:
     """An engine of weights by name or path (see `load_network`), made faster for inference."""
     net = load_network(weights, device)
-    return TorchEngine(for_inference(net), fingerprint(net))
+    return TorchEngine(for_inference(net), network_fingerprint(net))
 
 
 def network_input(pixels: np.ndarray, size: tuple[int, int], device: torch.device) -> Tensor:

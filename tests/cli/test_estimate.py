@@ -46,7 +46,7 @@ def network(monkeypatch):
     """Replaces the network by a map; returns the function that chooses the map."""
 
     def use(found):
-        def load_dense_matcher(weights, *, device, options, cache):
+        def load_dense_matcher(weights, *, device, runtime, options, cache):
             return dense_scene.MapMatcher(found, options)
 
         monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)

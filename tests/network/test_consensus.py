@@ -28,10 +28,10 @@ def _loops(scores: np.ndarray, passes: int) -> np.ndarray:
             for ys, xs in cells:
                 total = 0.0
                 for y, x in cells:
-                    square = ((y - ys) ** 2 + (x - xs) ** 2) / module._REACH**2
-                    density = math.exp(-square / 2) / (2 * math.pi * module._REACH**2)
+                    square = ((y - ys) ** 2 + (x - xs) ** 2) / module.REACH**2
+                    density = math.exp(-square / 2) / (2 * math.pi * module.REACH**2)
                     total += density * math.exp(belief[x, y, yt, xt])
-                messages[xs, ys, yt, xt] = math.log(total + module._FLOOR)
+                messages[xs, ys, yt, xt] = math.log(total + module.FLOOR)
         updated = scores.copy()
         for yt, xt in cells:
             for ys, xs in cells:
@@ -39,10 +39,10 @@ def _loops(scores: np.ndarray, passes: int) -> np.ndarray:
                     for dx in (-1, 0, 1):
                         if (dy, dx) == (0, 0) or (yt + dy, xt + dx) not in cells:
                             continue
-                        message = math.log(module._FLOOR)
+                        message = math.log(module.FLOOR)
                         if (ys + dy, xs + dx) in cells:
                             message = messages[xs + dx, ys + dy, yt + dy, xt + dx]
-                        updated[xs, ys, yt, xt] += module._WEIGHT * message
+                        updated[xs, ys, yt, xt] += module.WEIGHT * message
         belief = normalised(updated)
     return belief
 

@@ -12,7 +12,8 @@ from dgc_pose.image import load_image
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
-from dgc_pose.network.weights import load_network, shipped
+from dgc_pose.network.stored import shipped
+from dgc_pose.network.weights import load_network
 from dgc_pose.runtime.torch_engine import network_input
 
 

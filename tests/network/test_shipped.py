@@ -11,7 +11,8 @@ import torch
 from safetensors import safe_open
 
 from dgc_pose.network.config import PRESETS
-from dgc_pose.network.weights import DEFAULT, load_network, shipped
+from dgc_pose.network.stored import shipped
+from dgc_pose.network.weights import DEFAULT, load_network
 
 
 def test_the_default_is_shipped() -> None:

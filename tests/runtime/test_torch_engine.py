@@ -11,7 +11,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
-from dgc_pose.network.weights import fingerprint, save_weights
+from dgc_pose.network.weights import network_fingerprint, save_weights
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 
 
@@ -90,5 +90,5 @@ def test_the_fingerprint_is_that_of_the_weights_before_they_are_folded(tmp_path)
     net = DGCNet(preset("dgcm-lite")).half().float()
     save_weights(net, tmp_path / "w.safetensors")
     engine = load_torch_engine(tmp_path / "w.safetensors", torch.device("cpu"))
-    assert engine.fingerprint == fingerprint(net) == TorchEngine(net).fingerprint
-    assert engine.fingerprint != fingerprint(for_inference(net))
+    assert engine.fingerprint == network_fingerprint(net) == TorchEngine(net).fingerprint
+    assert engine.fingerprint != network_fingerprint(for_inference(net))

@@ -1,0 +1,123 @@
+"""Weights as stored, without torch: shipped ones by name, and safetensors files of ours."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from safetensors import safe_open
+
+from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.inputs import read_as, require_regular
+from dgc_pose.network.config import PRESETS, preset
+
+SUFFIX = ".safetensors"
+COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and unused here
+_BATCH_NORM_EPSILON = 1e-5
+Shape = tuple[int, ...]
+
+
+def shipped() -> list[str]:
+    """Names of the weights inside the package."""
+    folder = resources.files("dgc_pose") / "weights"
+    if not folder.is_dir():
+        return []
+    return sorted(p.name[: -len(SUFFIX)] for p in folder.iterdir() if p.name.endswith(SUFFIX))
+
+
+def find_weights(weights: str | Path) -> Path:
+    """The file of shipped weights by name, or of a path. Raises WeightsError if there is none."""
+    name = str(weights)
+    if name in shipped():
+        return Path(str(resources.files("dgc_pose") / "weights" / (name + SUFFIX)))
+    if name in PRESETS:
+        raise WeightsError(
+            f"no weights are shipped for {name} (there are: {', '.join(shipped()) or 'none'}); "
+            f"give a file"
+        )
+    path = Path(weights)
+    if "\0" in name or not path.exists():
+        raise WeightsError(f"{path}: no such weights file, and none shipped of that name")
+    return path
+
+
+def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, dict[str, Any]]:
+    """The preset's name and the tensors or arrays of a file of ours.
+
+    Raises WeightsError, naming the file, if it is none.
+    """
+    try:
+        require_regular(path, WeightsError)
+        with read_as("a safetensors file", path, WeightsError), safe_open(path, framework) as file:
+            metadata = file.metadata() or {}
+            state = {key: file.get_tensor(key) for key in file.keys()}
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
+    name = metadata.get("preset", "")
+    try:
+        preset(name)
+    except InputError:
+        raise WeightsError(
+            f"{path}: its header names no preset of ours ({name or 'nothing'})"
+        ) from None
+    return name, state
+
+
+def check_state(
+    path: Path, name: str, found: Mapping[str, Shape], wanted: Mapping[str, Shape]
+) -> None:
+    """Raise WeightsError if keys or shapes of weights differ, naming the first ones."""
+    expected = {key: shape for key, shape in wanted.items() if not key.endswith(COUNTER)}
+    missing = [key for key in expected if key not in found]
+    unexpected = [key for key in found if key not in expected]
+    reshaped = [
+        f"{key} {tuple(found[key])} instead of {tuple(shape)}"
+        for key, shape in expected.items()
+        if key in found and tuple(found[key]) != tuple(shape)
+    ]
+    for what, keys in (("lacks", missing), ("has", unexpected), ("has", reshaped)):
+        if keys:
+            more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
+            raise WeightsError(
+                f"{path}: not weights of {name}: it {what} {', '.join(keys[:3])}{more}"
+            )
+
+
+def check_values(path: Path, state: Mapping[str, np.ndarray]) -> None:
+    """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
+    for key, value in state.items():
+        if value.dtype.kind != "f":
+            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
+        if not np.isfinite(value).all():
+            raise WeightsError(f"{path}: {key} has values that are not finite")
+
+
+def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:
+    """16 hexadecimal digits that identify weights, in single precision, before they are folded."""
+    digest = hashlib.sha256()
+    for key, value in sorted(state):
+        if not key.endswith(COUNTER):
+            digest.update(key.encode() + value.astype(np.float32).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def folded(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Weights in single precision, each batch norm folded into the convolution before it."""
+    weights = {key: value.astype(np.float32) for key, value in state.items()}
+    for key in [key for key in weights if key.endswith(".running_mean")]:
+        norm, _ = key.rsplit(".", 1)
+        parent, index = norm.rsplit(".", 1)
+        convolution = f"{parent}.{int(index) - 1}"
+        mean, variance, scale, shift = (
+            weights.pop(f"{norm}.{part}")
+            for part in ("running_mean", "running_var", "weight", "bias")
+        )
+        factor = scale / np.sqrt(variance + np.float32(_BATCH_NORM_EPSILON))
+        weights[f"{convolution}.weight"] *= factor[:, None, None, None]
+        bias = weights[f"{convolution}.bias"]
+        weights[f"{convolution}.bias"] = (bias - mean) * factor + shift
+    return weights

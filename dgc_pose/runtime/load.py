@@ -1,0 +1,77 @@
+"""Which engine runs given weights: ONNX Runtime where it can, otherwise torch."""
+
+from __future__ import annotations
+
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+from dgc_pose.errors import InputError
+from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.network.stored import SUFFIX, find_weights, shipped
+from dgc_pose.runtime.engine import Engine
+from dgc_pose.runtime.graphs import PRESETS
+
+RuntimeName = Literal["auto", "onnx", "torch"]
+_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of a graphics card, on Linux and in WSL
+
+
+def load_engine(
+    weights: str | Path = DEFAULT_WEIGHTS, *, device: str = "auto", runtime: RuntimeName = "auto"
+) -> Engine:
+    """An engine of shipped weights by name, or of those of a file (see `network.weights`).
+
+    device: "auto", "cpu" or "cuda". runtime: "onnx", ONNX Runtime, which runs weights of the
+    presets with graphs on the CPU and never imports torch; "torch", which runs all; "auto", ONNX
+    Runtime for shipped weights on the CPU and torch for everything else. Without torch, "auto" is
+    ONNX Runtime.
+
+    Raises WeightsError if the weights cannot be loaded, InputError if there is no such device, or
+    if the runtime is not installed or cannot do what is asked for.
+    """
+    path = find_weights(weights)
+    if runtime == "onnx" and device not in ("auto", "cpu"):
+        raise InputError(f"ONNX Runtime is used on the CPU, not on {device}: choose torch for that")
+    if runtime == "onnx" or (runtime == "auto" and _prefers_onnx(str(weights), path, device)):
+        from dgc_pose.runtime.onnx_engine import load_onnx_engine
+
+        return load_onnx_engine(path)
+    if not torch_is_installed():
+        raise InputError(f"{path.name} on {device} needs torch, which is not installed")
+    from dgc_pose.network.device import choose_device
+    from dgc_pose.runtime.torch_engine import load_torch_engine
+
+    return load_torch_engine(path, choose_device(device))
+
+
+def torch_is_installed() -> bool:
+    """Whether torch can be imported; it is not imported for that."""
+    return find_spec("torch") is not None
+
+
+def _prefers_onnx(name: str, path: Path, device: str) -> bool:
+    if path.suffix != SUFFIX or device not in ("auto", "cpu"):
+        return False
+    if not torch_is_installed():
+        return True
+    return name in PRESETS and name in shipped() and device_type(device) == "cpu"
+
+
+def device_type(name: str) -> str:
+    """Where the device of that name is, "cpu" or "cuda"; "auto" is a GPU if torch can use one.
+
+    Imports torch only if it is asked for a GPU, or there is a GPU's driver. Raises InputError for
+    an unknown name or a missing device.
+    """
+    if name == "cpu" or (name == "auto" and not (torch_is_installed() and _may_have_gpu())):
+        return "cpu"
+    if not torch_is_installed():
+        raise InputError(f"device {name}: torch is not installed")
+    from dgc_pose.network.device import choose_device
+
+    return choose_device(name).type
+
+
+def _may_have_gpu() -> bool:
+    return shutil.which("nvidia-smi") is not None or any(Path(one).exists() for one in _DRIVERS)

@@ -1,0 +1,221 @@
+"""The network run by ONNX Runtime and NumPy, on the CPU, without torch."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+
+from dgc_pose.errors import InputError
+from dgc_pose.image import resize
+from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, STRIDE, preset
+from dgc_pose.network.constants import PEAK
+from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
+from dgc_pose.pixels import Size
+from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
+from dgc_pose.runtime.graphs import (
+    GRAPHS,
+    LEVELS,
+    NATIVE,
+    PRESETS,
+    RESAMPLE,
+    UPSAMPLE,
+    WARP,
+    WEIGHTS,
+    decoder_graph,
+)
+from dgc_pose.runtime.local_correlation import local_correlation
+from dgc_pose.runtime.session import Session
+from dgc_pose.runtime.start import (
+    cell_correlation,
+    consensus,
+    l2_normalised,
+    match_evidence,
+    match_scores,
+    peaks,
+)
+
+_SCALES = "correlation_scales"  # the one weight that no graph has
+_LEVELS = len(LEVEL_SIZES)
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxFeatures:
+    """`MapFeatures`: levels 0 to 4, then those of the second scale, each (1, C, H, W) float32."""
+
+    levels: list[np.ndarray]
+    size: Size  # (width, height) of the resized image
+
+    @property
+    def nbytes(self) -> int:
+        return sum(level.nbytes for level in self.levels)
+
+
+class OnnxEngine:
+    """Weights of a preset that has graphs, as an `Engine`.
+
+    weights: as stored, by name. Sessions are made on first use, anew in a forked process, whose
+    threads are gone.
+    """
+
+    def __init__(self, name: str, weights: Mapping[str, np.ndarray]) -> None:
+        self.config = preset(name)
+        self._stored = weights
+        self._weights = folded(weights)
+        self._names = _weights_of(name)["graphs"]
+        self._sessions: dict[tuple[int, str], Session] = {}
+
+    @cached_property
+    def fingerprint(self) -> str:
+        return fingerprint(self._stored.items())
+
+    def encode(self, pixels: np.ndarray) -> OnnxFeatures:
+        size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
+        image = resize(pixels, size).astype(np.float32)
+        levels = self._levels(image)
+        if self.config.second_size is not None:
+            smaller = self._levels(_shrunk(image, self.config.second_size / INPUT_SIZE))
+            resample = self._session(RESAMPLE)
+            levels += [resample(smaller[i], levels[i])[0] for i in self._correlated_levels]
+        return OnnxFeatures(levels, size)
+
+    def coarsest(self, features: OnnxFeatures) -> np.ndarray:
+        level = features.levels[COARSEST][0].transpose(1, 2, 0)
+        length = np.linalg.norm(level, axis=-1, keepdims=True)
+        unit: np.ndarray = level / np.maximum(length, np.float32(1e-12))
+        return unit
+
+    def decode(
+        self, source: Sequence[OnnxFeatures], target: Sequence[OnnxFeatures], finest: int
+    ) -> list[DecodedMap]:
+        return [self._decode(*pair, finest) for pair in zip(source, target, strict=True)]
+
+    def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
+        image = resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)).astype(np.float32)
+        fine, middle, coarse = self._session(NATIVE)(image)
+        return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
+
+    def _levels(self, image: np.ndarray) -> list[np.ndarray]:
+        """Levels 0 to 4 of an image (16 h, 16 w, 3) of 0 to 255, float32."""
+        return self._session(LEVELS)(image)
+
+    @property
+    def _correlated_levels(self) -> range:
+        return range(COARSEST, COARSEST - self.config.correlated_levels, -1)
+
+    def _decode(self, source: OnnxFeatures, target: OnnxFeatures, finest: int) -> DecodedMap:
+        state = self._start(source, target)
+        for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
+            previous = state if level == COARSEST else self._session(UPSAMPLE)(state)[0]
+            parts = self._decoder_inputs(level, source, target, previous)
+            rows, columns = source.levels[level].shape[2:]
+            # Corrections are in cells of the source; the mask logit has no unit.
+            cell = np.array([2 / columns, 2 / rows, 1], np.float32)[: self.config.map_channels]
+            decoder = self._session(decoder_graph(level))
+            (state,) = decoder(*parts, previous, cell[:, None, None][None])
+        return self._decoded(state[0], source.size)
+
+    def _start(self, source: OnnxFeatures, target: OnnxFeatures) -> np.ndarray:
+        """The map at the coarsest level from the correlation's peak (1, 2 or 3, h, w)."""
+        config = self.config
+        scales1, scales2 = (self._correlated(features) for features in (source, target))
+        (height1, width1), (height2, width2) = grids = tuple(
+            features.levels[COARSEST].shape[2:] for features in (source, target)
+        )
+        pairs = [(scales1[0], scales2[0])]
+        pairs += [(one, scales2[0]) for one in scales1[1:]]
+        pairs += [(scales1[0], one) for one in scales2[1:]]
+        evidence = match_evidence(*pairs[0], self._weights[_SCALES])
+        for pair in pairs[1:]:
+            np.maximum(evidence, match_evidence(*pair, self._weights[_SCALES]), out=evidence)
+        scores = match_scores(evidence)
+        if config.consensus_passes > 0:
+            scores = consensus(scores, config.consensus_passes, *grids)
+        cells, probability = peaks(scores, (height1, width1))
+        points = (2 * cells + 1) / np.array([[width1], [height1]]) - 1
+        probability = probability.clip(*PEAK)
+        logits = np.log(probability / (1 - probability))
+        state = np.concatenate([points, logits[None]])
+        shape = (1, config.map_channels, height2, width2)
+        return state[: config.map_channels].reshape(shape).astype(np.float32)
+
+    def _correlated(self, features: OnnxFeatures) -> list[list[np.ndarray]]:
+        """The correlated levels, the coarsest first: at full scale, and at the second scale."""
+        scales = [[features.levels[level] for level in self._correlated_levels]]
+        if self.config.second_size is not None:
+            scales.append(features.levels[_LEVELS:])
+        return [[l2_normalised(level[0]) for level in levels] for levels in scales]
+
+    def _decoder_inputs(
+        self, level: int, source: OnnxFeatures, target: OnnxFeatures, previous: np.ndarray
+    ) -> list[np.ndarray]:
+        """What a level's decoder is given besides the previous state."""
+        own, other = source.levels[level], target.levels[level]
+        radius = self.config.decoders[level].local_radius
+        if radius is None:
+            units = l2_normalised(own[0]), l2_normalised(other[0])
+            scores = cell_correlation(*units, 1).reshape(-1, *other.shape[2:])
+            return [l2_normalised(scores.clip(0, None))[None]]
+        (warped,) = self._session(WARP)(own, previous)
+        units = l2_normalised(warped[0]), l2_normalised(other[0])
+        return [warped, other, local_correlation(*units, radius)[None]]
+
+    def _decoded(self, state: np.ndarray, size: Size) -> DecodedMap:
+        """The map of a state (2 or 3, H, W) whose outer edges are -1 and 1."""
+        normalised = np.nan_to_num(state[:2].transpose(1, 2, 0), nan=-2.0)
+        points = ((normalised + 1) * np.array(size, np.float32) - 1) / 2
+        matchability = np.ones(state.shape[1:], np.float32)
+        if self.config.matchability is not None:
+            matchability = 1 / (1 + np.exp(-state[2]))
+        return DecodedMap(points, matchability, size)
+
+    def _session(self, graph: str) -> Session:
+        key = os.getpid(), graph
+        if key not in self._sessions:
+            own = {name: self._weights[name] for name in self._names[graph]}
+            self._sessions[key] = Session(GRAPHS / self.config.name / graph, own)
+        return self._sessions[key]
+
+
+def load_onnx_engine(path: Path) -> OnnxEngine:
+    """An engine of a safetensors file of ours.
+
+    Raises WeightsError if it is none or holds other weights than its preset's, InputError if there
+    are no graphs of the preset.
+    """
+    name, weights = read_safetensors(path, "np")
+    if name not in PRESETS:
+        raise InputError(
+            f"{path}: there are no ONNX graphs of {name}, only of {', '.join(PRESETS)}; "
+            f"run it by torch"
+        )
+    shapes = {key: value.shape for key, value in weights.items()}
+    check_state(path, name, shapes, _weights_of(name)["stored"])
+    check_values(path, weights)
+    return OnnxEngine(name, weights)
+
+
+def _weights_of(name: str) -> dict[str, Any]:
+    """What graphs.py says of WEIGHTS, of a preset."""
+    found: dict[str, Any] = json.loads((GRAPHS / name / WEIGHTS).read_text(encoding="utf-8"))
+    return found
+
+
+def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
+    """An image (H, W, 3), float32, at a smaller scale, its sides multiples of 16.
+
+    By means weighted with a triangle, as torch's bilinear interpolation with antialiasing.
+    """
+    height, width = (STRIDE * max(1, round(side * ratio / STRIDE)) for side in image.shape[:2])
+    planes = [
+        PIL.Image.fromarray(plane).resize((width, height), PIL.Image.Resampling.BILINEAR)
+        for plane in np.ascontiguousarray(image.transpose(2, 0, 1))
+    ]
+    return np.stack([np.asarray(plane) for plane in planes], -1)

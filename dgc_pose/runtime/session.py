@@ -1,0 +1,57 @@
+"""One ONNX graph with its weights, run by ONNX Runtime on the CPU."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+
+from dgc_pose.errors import WeightsError
+
+_QUIET = 3  # log errors alone
+_MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
+
+
+class Session:
+    """A graph, called with arrays in the order of its inputs.
+
+    weights: by the names of the graph's initializers, no others. The number of threads is that of
+    `session_threads` when the session is made. Safe to call from several threads at once. Raises
+    WeightsError if weights are missing or do not fit.
+    """
+
+    def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = session_threads()
+        options.inter_op_num_threads = 1
+        options.log_severity_level = _QUIET
+        # Threads that wait for work must not take the processor from other processes.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        # The values must outlive the session.
+        self._values = [onnxruntime.OrtValue.ortvalue_from_numpy(one) for one in weights.values()]
+        options.add_external_initializers(list(weights), self._values)
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # onnxruntime's errors have no common base of their own
+            raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
+        self._inputs = [one.name for one in self._session.get_inputs()]
+
+    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        """The outputs."""
+        found: list[np.ndarray] = self._session.run(
+            None, dict(zip(self._inputs, arrays, strict=True))
+        )
+        return found
+
+
+def session_threads() -> int:
+    """As many threads as OpenCV uses (see `dgc_pose.threads`), and as OMP_NUM_THREADS allows."""
+    allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
+    return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

@@ -1,0 +1,161 @@
+"""ONNX Runtime gives what torch gives, without importing it, in every process and thread."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import load_file, save_file
+
+from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.image import load_image, resize
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.stored import find_weights, folded
+from dgc_pose.network.weights import save_weights
+from dgc_pose.runtime.graphs import GRAPHS, PRESETS, WEIGHTS
+from dgc_pose.runtime.onnx_engine import OnnxEngine, load_onnx_engine
+from dgc_pose.runtime.session import session_threads
+from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+
+Engines = tuple[OnnxEngine, TorchEngine]
+
+
+@pytest.fixture(scope="module", params=PRESETS)
+def engines(request: pytest.FixtureRequest) -> Engines:
+    path = find_weights(request.param)
+    return load_onnx_engine(path), load_torch_engine(path, torch.device("cpu"))
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[np.ndarray]:
+    folder = resources.files("dgc_pose") / "data" / "demo"
+    return [load_image(str(folder / f"image{number}.jpg")).pixels for number in (1, 2)]
+
+
+def _crops(pictures: list[np.ndarray], shape: str) -> list[np.ndarray]:
+    """The pair, or parts of it of other shapes."""
+    height, width = pictures[0].shape[:2]
+    parts = {
+        "as they are": [np.s_[:, :], np.s_[:, :]],
+        "wide and upright": [
+            np.s_[height // 4 : -height // 4, :],
+            np.s_[:, width // 5 : -width // 5],
+        ],
+        "small": [np.s_[:, :], np.s_[:, :]],
+    }[shape]
+    crops = [np.ascontiguousarray(one[part]) for one, part in zip(pictures, parts, strict=True)]
+    return [resize(one, (90, 70)) for one in crops] if shape == "small" else crops
+
+
+@pytest.mark.parametrize("shape", ["as they are", "wide and upright", "small"])
+def test_the_map_is_torch_s(engines: Engines, pictures: list[np.ndarray], shape: str) -> None:
+    crops = _crops(pictures, shape)
+    onnx, by_torch = ([engine.encode(one) for one in crops] for engine in engines)
+    for finest in (240, 60):
+        (found,) = engines[0].decode(onnx[:1], onnx[1:], finest)
+        (wanted,) = engines[1].decode(by_torch[:1], by_torch[1:], finest)
+        assert found.size == wanted.size
+        assert found.points.dtype == found.matchability.dtype == np.float32
+        apart = np.linalg.norm(found.points - wanted.points, axis=-1)
+        assert np.median(apart) < 1e-3 and np.quantile(apart, 0.99) < 0.02
+        off = np.abs(found.matchability - wanted.matchability)
+        assert np.quantile(off, 0.99) < 1e-3
+        assert wanted.points.std() > 1  # a map that is the same everywhere would show nothing
+
+
+def test_features_are_torch_s(engines: Engines, pictures: list[np.ndarray]) -> None:
+    onnx, by_torch = engines
+    assert onnx.config == by_torch.config and onnx.fingerprint == by_torch.fingerprint
+    coarsest, wanted = (engine.coarsest(engine.encode(pictures[0])) for engine in engines)
+    np.testing.assert_allclose(coarsest, wanted, atol=1e-4)
+    assert onnx.encode(pictures[0]).nbytes == by_torch.encode(pictures[0]).nbytes
+    found, native = (engine.native(pictures[0], (13, 9)) for engine in engines)
+    assert found.size == native.size
+    for level in ("coarse", "middle", "fine"):
+        own, other = getattr(found, level), getattr(native, level)
+        assert own.flags.c_contiguous and own.dtype == np.float32 and own.shape == other.shape
+        # bfloat16, which torch uses where the machine multiplies it, is a hundredth off.
+        assert (own * other).sum(-1).min() > 0.99
+        assert np.quantile((own * other).sum(-1), 0.01) > 0.999
+
+
+def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+    """Batch norms whose statistics and factors are not 0 and 1 are folded as torch folds them."""
+    torch.manual_seed(3)
+    net = DGCNet(preset("dgcm-lite0")).eval()
+    with torch.no_grad():
+        for name, value in net.named_buffers():
+            if name.endswith("running_var"):
+                value.uniform_(0.5, 2)
+        for name, value in net.named_parameters():
+            if name.startswith("reg_"):
+                value.add_(0.1 * torch.randn_like(value))
+    save_weights(net, tmp_path / "own.safetensors")
+    onnx = load_onnx_engine(tmp_path / "own.safetensors")
+    wanted = load_torch_engine(tmp_path / "own.safetensors", torch.device("cpu")).net.state_dict()
+    own = folded(load_file(tmp_path / "own.safetensors"))
+    assert set(own) == set(wanted)
+    for key, value in own.items():
+        np.testing.assert_allclose(value, wanted[key].numpy(), atol=1e-5, rtol=1e-4)
+    features = [onnx.encode(one) for one in pictures]
+    assert np.isfinite(onnx.decode(features[:1], features[1:], 60)[0].points).all()
+
+
+def test_the_graphs_hold_no_weights_and_know_their_presets() -> None:
+    for name in PRESETS:
+        files = list((GRAPHS / name).iterdir())
+        assert sum(file.stat().st_size for file in files) < 100_000
+        named = json.loads((GRAPHS / name / WEIGHTS).read_text())
+        assert {file.name for file in files} == {WEIGHTS, *named["graphs"]}
+        state = DGCNet(preset(name)).state_dict()
+        shapes = {k: list(v.shape) for k, v in state.items() if "num_batches" not in k}
+        assert named["stored"] == shapes
+
+
+def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    weights = load_file(find_weights("dgcm-lite0"))
+    for change, words in (("lacks", "it lacks reg_0.final.bias"), ("shape", "instead of")):
+        broken = dict(weights)
+        value = broken.pop("reg_0.final.bias")
+        if change == "shape":
+            broken["reg_0.final.bias"] = value[:2]
+        save_file(broken, tmp_path / "w.safetensors", {"preset": "dgcm-lite0"})
+        with pytest.raises(WeightsError, match=words):
+            load_onnx_engine(tmp_path / "w.safetensors")
+    save_file(weights, tmp_path / "w.safetensors", {"preset": "dgcm"})
+    with pytest.raises(InputError, match="no ONNX graphs of dgcm,"):
+        load_onnx_engine(tmp_path / "w.safetensors")
+    (tmp_path / "w.safetensors").write_bytes(b"nothing")
+    with pytest.raises(WeightsError, match="not a safetensors file"):
+        load_onnx_engine(tmp_path / "w.safetensors")
+
+
+def test_the_same_in_threads_and_in_a_forked_process(pictures: list[np.ndarray]) -> None:
+    engine = load_onnx_engine(find_weights("dgcm-lite0"))
+    small = [resize(one, (96, 64)) for one in pictures]
+    alone = [engine.native(one, (6, 4)).fine for one in small]
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(lambda one: engine.native(one, (6, 4)).fine, small * 3))
+    assert all(np.array_equal(one, alone[k % 2]) for k, one in enumerate(found))
+    context = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    child = context.Process(target=lambda: queue.put(engine.native(small[0], (6, 4)).fine.sum()))
+    child.start()
+    child.join(120)
+    assert child.exitcode == 0 and queue.get() == alone[0].sum()
+
+
+def test_threads_are_opencv_s_and_no_more_than_openmp_allows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("dgc_pose.runtime.session.cv2.getNumThreads", lambda: 4)
+    for allowed, expected in (("", 4), ("1", 1), ("3,2", 3), ("6", 4), ("many", 4), ("0", 4)):
+        monkeypatch.setenv("OMP_NUM_THREADS", allowed)
+        assert session_threads() == expected
