@@ -7,6 +7,7 @@ import io
 import json
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
@@ -176,7 +177,8 @@ def member(data: bytes, rng: np.random.Generator) -> bytes:
         members[chosen] = (name, _any(body, rng))
     stream = io.BytesIO()
     packing = zipfile.ZIP_DEFLATED if rng.random() < 0.2 else zipfile.ZIP_STORED
-    with zipfile.ZipFile(stream, "w", packing) as archive:
+    with warnings.catch_warnings(), zipfile.ZipFile(stream, "w", packing) as archive:
+        warnings.simplefilter("ignore")  # of a name that comes twice
         for name, body in members:
             archive.writestr(name, body)
     return stream.getvalue()
