@@ -193,9 +193,10 @@ ZIP: Sequence[Mutator] = (*BYTES, member, member, member, member)
 
 def mutated(data: bytes, mutators: Sequence[Mutator], rng: np.random.Generator) -> bytes:
     """Damage by one to three of the mutators."""
+    most = max(2**22, len(data))
     for _ in range(1 + int(rng.integers(3))):
         data = mutators[rng.integers(len(mutators))](data, rng)
-    return data[: 2**22]
+    return data[:most]
 
 
 def _any(data: bytes, rng: np.random.Generator) -> bytes:
