@@ -103,6 +103,7 @@ class Evaluation(Generic[Score]):
             method=method.name,
             truth=pair.truth,
             matches=matches,
+            map_matches=None if method.everywhere else matched.found.map_matches,
             everywhere_px=matched.everywhere_px,
             options=method.options.estimation,
             match_seconds=matched.seconds + selected,

@@ -25,6 +25,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.dense import DenseMatcher, load_dense_matcher
 from dgc_pose.matching.files import FileMatcher
+from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
 from dgc_pose.options import field_types
 from dgc_pose.refinement import RefinementOptions, Refiner
@@ -78,12 +79,12 @@ class Engine:
     matcher: Matcher
     refiners: Mapping[RefinementOptions, Refiner]
 
-    def matches(
-        self, method: Method, image1: Image, image2: Image, found: MatchResult
-    ) -> Matches:
+    def matches(self, method: Method, image1: Image, image2: Image, found: MatchResult) -> Matches:
         """The matches that go into the pose, of what the matcher found in two images."""
         if found.correspondence_map is not None:
             selected = select_matches(found.correspondence_map, method.options.matching)
+            if not method.everywhere:
+                selected = textured(selected, image1, image2)
             found = replace(found, matches=selected)
         elif method.everywhere:
             raise InputError(

@@ -28,6 +28,7 @@ class Job(Generic[Score]):
     method: str
     truth: Truth
     matches: Matches
+    map_matches: Matches | None  # see `estimate_pose`
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
     options: EstimationOptions
     match_seconds: float
@@ -47,7 +48,9 @@ def score(job: Job[Score]) -> Scored[Score]:
     if truth.seed:
         options = replace(options, seed=pair_seed(options.seed, *truth.seed))
     start = time.process_time()
-    pose = estimate_pose(matches, truth.camera1, truth.camera2, options)
+    pose = estimate_pose(
+        matches, truth.camera1, truth.camera2, options, map_matches=job.map_matches
+    )
     seconds = time.process_time() - start
     rotation, translation = pose_errors(pose, truth.R, truth.t)
     confident = epipolar_errors(truth, matches.points1, matches.points2)
@@ -85,9 +88,7 @@ def map_errors(truth: Truth, found: CorrespondenceMap | None) -> tuple[float, fl
     return epipolar_errors(truth, found.map, found.grid)
 
 
-def epipolar_errors(
-    truth: Truth, points1: np.ndarray, points2: np.ndarray
-) -> tuple[float, float]:
+def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:
     """Median and mean D_e of matches (..., 2), NaN without a true translation."""
     if truth.R is None or truth.t is None:
         return np.nan, np.nan

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import get_args
 
 import click
 import cv2
@@ -23,7 +24,7 @@ from dgc_pose.benchmarks.speed import (
     stages_text,
 )
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.options import split_names
+from dgc_pose.cli.options import RUNTIME_HELP, split_names
 from dgc_pose.files import staged
 from dgc_pose.image import load_image
 from dgc_pose.matchers import refined
@@ -32,6 +33,8 @@ from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
 from dgc_pose.refinement import RefinementOptions
+from dgc_pose.runtime.load import RuntimeName
+from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.torch_engine import network_input
 
 
@@ -60,6 +63,13 @@ from dgc_pose.runtime.torch_engine import network_input
     help="Threads of torch and OpenCV; default: their own choice.",
 )
 @click.option(
+    "--runtime",
+    type=click.Choice(get_args(RuntimeName)),
+    default="auto",
+    show_default=True,
+    help=RUNTIME_HELP,
+)
+@click.option(
     "--json",
     "json_path",
     type=OutputFile("json"),
@@ -74,6 +84,7 @@ def bench_speed(
     networks: str,
     repetitions: int,
     threads: int | None,
+    runtime: RuntimeName,
     json_path: str | None,
 ) -> None:
     """Time the pipeline stage by stage, and the network's ways to run.
@@ -85,7 +96,7 @@ def bench_speed(
             torch.set_num_threads(threads)
             cv2.setNumThreads(threads)
         configs = {f"{name}, random": preset(name) for name in split_names(networks)}
-        dense = load_dense_matcher(weights, device="cpu")
+        dense = load_dense_matcher(weights, device="cpu", runtime=runtime)
         pair = bundled_setup(Path(folder)) if image1 is None else given_setup(image1, image2, k)
         nets = {dense.name: load_network(weights)}
         for name, config in configs.items():
@@ -102,6 +113,7 @@ def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict
     images = [load_image(path) for path in (setup.path1, setup.path2)]
     facts = {
         "weights": setup.dense.name,
+        "runtime": "onnx" if isinstance(setup.dense.engine, OnnxEngine) else "torch",
         "size": "x".join(map(str, images[0].size)),
         "repetitions": repetitions,
         "torch_threads": torch.get_num_threads(),

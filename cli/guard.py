@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from dgc_pose.errors import InputError
 from dgc_pose.files import Kind, output_target, require_kind, require_no_input
@@ -36,6 +37,12 @@ class OutputFile(click.ParamType):
         self.kind = kind
         self.stdout = stdout
 
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Left to the shell."""
+        return [CompletionItem(incomplete, type="file")]
+
     def check(self, path: str) -> None:
         """Raise InputError if the path is no file's, or another kind of file is there."""
         ending = Path(path).suffix.lower().lstrip(".")
@@ -51,6 +58,12 @@ class OutputFolder(click.ParamType):
     def __init__(self, *names: str, path_type: type = str) -> None:
         self.names = names
         self.path_type = path_type
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Left to the shell."""
+        return [CompletionItem(incomplete, type="dir")]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if not os.fspath(value):  # Path("") would be the working folder

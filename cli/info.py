@@ -6,6 +6,7 @@ import click
 
 from dgc_pose.cli.output import json_text
 from dgc_pose.environment import environment
+from dgc_pose.runtime.load import default_runtime
 
 
 @click.command()
@@ -13,6 +14,7 @@ from dgc_pose.environment import environment
 def info(as_json: bool) -> None:
     """Print versions, weights, devices and threads, for bug reports."""
     facts = environment()
+    facts["devices"] = {"runtime": default_runtime(), **facts["devices"]}
     if as_json:
         click.echo(json_text(facts), nl=False)
         return

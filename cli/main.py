@@ -50,6 +50,7 @@ SUBCOMMANDS = {
     "bench-synthetic": "Score maps on synthetic pairs.",
     "bench-dtu": "Repeat the paper's pose experiment on DTU.",
     "bench-verdicts": "Measure how far success can be trusted.",
+    "fit-probability": "Fit the probability that a pose is right.",
     "bench-reconstruct": "Score reconstructions on known cameras.",
     "bench-estimators": "Compare the robust estimators.",
     "bench-speed": "Show where the time of a pair goes.",

@@ -34,6 +34,16 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
         "rotation_error_90_deg": pose.rotation_error_90_deg,
         "translation_error_90_deg": pose.translation_error_90_deg,
         "covariance": _list(pose.covariance),
+        "probability": pose.probability,
+        "alternatives": [
+            {
+                "R": _list(one.R),
+                "t": _list(one.t),
+                "num_inliers": one.num_inliers,
+                "probability": one.probability,
+            }
+            for one in pose.alternatives
+        ],
         "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
         "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
     }
@@ -65,6 +75,14 @@ def pose_text(pose: RelativePose) -> str:
         lines.append(
             f"expected error: R within {pose.rotation_error_90_deg:.3f} deg, t within "
             f"{pose.translation_error_90_deg:.3f} deg, nine times in ten"
+        )
+    if pose.t is not None and pose.probability is not None:
+        lines.append(f"probability {100 * pose.probability:.0f} % that R and t are within 10 deg")
+    for one in pose.alternatives:
+        likely = "" if one.probability is None else f", probability {100 * one.probability:.0f} %"
+        lines.append(
+            f"alternative: rotation angle {rotation_angle_deg(one.R):.2f} deg, t "
+            f"{vector_line(one.t)}, {one.num_inliers} inliers{likely}"
         )
     lines += [f"warning: {warning}" for warning in pose.warnings]
     lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))

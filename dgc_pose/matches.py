@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,15 @@ class Matches:
             )
         if not self.error_px > 0:
             raise InputError(f"error_px must be positive, not {self.error_px}")
+
+    def subset(self, kept: np.ndarray) -> Matches:
+        """Some of the matches. kept: (N,) bool, or indices."""
+        return replace(
+            self,
+            points1=self.points1[kept],
+            points2=self.points2[kept],
+            confidence=self.confidence[kept],
+        )
 
     def __len__(self) -> int:
         return len(self.points1)

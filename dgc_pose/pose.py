@@ -99,7 +99,7 @@ def match_and_estimate(
     start = time.perf_counter()
     found = matcher.match(image1, image2)
     matched = time.perf_counter()
-    pose = estimate_pose(found.matches, camera1, camera2, options)
+    pose = estimate_pose(found.matches, camera1, camera2, options, map_matches=found.map_matches)
     seconds = {
         "load": load_seconds,
         "match": matched - start,

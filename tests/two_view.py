@@ -15,6 +15,7 @@ from dgc_pose.matches import Matches
 SceneKind = Literal["general", "planar", "rotation_only", "forward", "identical", "random"]
 SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
 
+CELLS = (0.05, 0.05)  # sides of a grid cell: a thirtieth of the images' width, normalised
 SIZE1, SIZE2 = (1600, 1200), (1280, 960)
 K1 = np.array([[1700.0, 0, 810], [0, 1690, 590], [0, 0, 1]])
 K2 = np.array([[1100.0, 0, 630], [0, 1110, 490], [0, 0, 1]])
@@ -43,7 +44,7 @@ class TwoViewScene:
         return Camera(self.K1, SIZE1), Camera(self.K2, SIZE2)
 
     def problem(
-        self, threshold: float = 2e-3, cells: tuple[float, float] | None = None
+        self, threshold: float = 2e-3, cells: tuple[float, float] = CELLS
     ) -> TwoViewProblem:
         """The normalised matches with a threshold and cells in the same unit."""
         camera1, camera2 = self.cameras
@@ -55,11 +56,15 @@ def normalised_problem(
     points1: np.ndarray,
     points2: np.ndarray,
     threshold: float = 2e-3,
-    cells: tuple[float, float] | None = None,
+    cells: tuple[float, float] = CELLS,
     seed: int = 0,
+    key_points: bool = False,
 ) -> TwoViewProblem:
     """A problem of normalised points, all of them used."""
-    return TwoViewProblem(points1, points2, threshold, cells, seed, np.arange(len(points1)))
+    count = len(points1)
+    return TwoViewProblem(
+        points1, points2, threshold, cells, seed, np.arange(count), np.ones(count), key_points
+    )
 
 
 def two_view_scene(

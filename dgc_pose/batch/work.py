@@ -156,8 +156,15 @@ class Worker:
         image1, image2 = (one for one in images if isinstance(one, Image))
         camera1, camera2 = (self.job.cameras[name] for name in names)
         try:
-            found = self.matcher.match(image1, image2).matches
-            pose = estimate_pose(found, camera1, camera2, self.job.estimation)
+            matched = self.matcher.match(image1, image2)
+            found = matched.matches
+            pose = estimate_pose(
+                found,
+                camera1,
+                camera2,
+                self.job.estimation,
+                map_matches=matched.map_matches,
+            )
         except Exception as error:  # one pair of a million must not end the batch
             return bad_row(names, f"{type(error).__name__}: {error}"), NO_MATCHES
         row = row_of(names, pose, found.error_px, bool(self.job.guessed & {*names}))

@@ -2,9 +2,10 @@
 
 from dgc_pose.estimation.options import EstimationOptions, EstimatorName, VerdictOptions
 from dgc_pose.estimation.relative_pose import estimate_pose
-from dgc_pose.estimation.result import RelativePose, Status
+from dgc_pose.estimation.result import Alternative, RelativePose, Status
 
 __all__ = [
+    "Alternative",
     "EstimationOptions",
     "EstimatorName",
     "RelativePose",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -11,7 +13,15 @@ from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.triangulation import epipolar_angles, triangulation_angles_deg, unit_rays
+from dgc_pose.estimation.rivals import DISTINCT_DEG
+from dgc_pose.geometry.epipolar import sampson_distance
+from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.geometry.triangulation import (
+    depths,
+    epipolar_angles,
+    triangulation_angles_deg,
+    unit_rays,
+)
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold
 _ROTATION_ROUNDS = 10
@@ -37,9 +47,24 @@ class Evidence:
     median_triangulation_angle_deg: float  # of the inliers
     homography_ratio: float  # share of inliers that one homography explains
     collinear: bool  # the inliers of either image lie on one line
-    # Grid cells with inliers, in the image with fewer of them; None for key points.
-    occupied_cells: int | None
-    rotation_error_90_deg: float | None  # nine times in ten the rotation error is below; or unknown
+    occupied_cells: int  # grid cells with inliers, in the image with fewer of them
+    key_points: bool  # whether the matches are independent detections
+    # Nine times in ten the error is below, by the jackknife alone; or unknown.
+    rotation_error_90_deg: float | None
+    translation_error_90_deg: float | None
+    residual: float  # median epipolar error of the inliers, over the threshold
+    threshold_cells: float  # the threshold over the side of a grid cell, mean of both images
+    hull_cells: float  # area of the inliers' convex hull in grid cells, the smaller of both images
+    depth_spread: float  # interquartile range of the logarithm of the inliers' depths
+    confidence: float  # median confidence of the inliers
+    run_agreement: float  # share of the RANSAC runs whose pose is within 10 degrees of this one
+    rotation_angle_deg: float  # of the pose's R
+    rival_ratio: float  # most inliers in front of another pose, over this one's
+    # Of the dense map, None without one: the mean matchability, and by matchability the share of
+    # cells that agree with the pose, and of the same cells paired wrongly.
+    map_matchability: float | None = None
+    map_agreement: float | None = None
+    map_chance: float | None = None
 
 
 def gather(
@@ -47,10 +72,15 @@ def gather(
     model: Model,
     homography_ratio: float,
     covariance: np.ndarray | None = None,
+    *,
+    runs: Sequence[Model] = (),
+    rivals: Sequence[Model] = (),
+    map_problem: TwoViewProblem | None = None,
 ) -> Evidence:
     """The evidence for and against a model of the problem's matches.
 
-    covariance: of its pose, see `pose_covariance`.
+    covariance: of its pose, see `pose_covariance`. runs: the models of the RANSAC runs. rivals:
+    other models that explain matches. map_problem: an even sample of the dense map.
     """
     threshold = problem.threshold
     kept = model.inliers
@@ -81,7 +111,21 @@ def gather(
         homography_ratio=homography_ratio,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=_occupied_cells(inliers),
+        key_points=problem.key_points,
         rotation_error_90_deg=None if covariance is None else error_radius_deg(covariance[:3, :3]),
+        translation_error_90_deg=(
+            None if covariance is None else error_radius_deg(covariance[3:, 3:])
+        ),
+        residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
+        threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
+        hull_cells=_hull_cells(inliers),
+        depth_spread=_depth_spread(problem.subset(model.inliers_in_front), model),
+        confidence=_median(inliers.confidence),
+        run_agreement=_run_agreement(model, runs),
+        rotation_angle_deg=rotation_angle_deg(model.R),
+        rival_ratio=max((one.count_in_front for one in rivals), default=0)
+        / max(model.count_in_front, 1),
+        **_map_evidence(map_problem, model),
     )
 
 
@@ -109,13 +153,59 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     return R
 
 
-def _occupied_cells(problem: TwoViewProblem) -> int | None:
-    """Grid cells with matches, in the image with fewer of them; None for key points."""
-    if problem.cells is None:
-        return None
+def _occupied_cells(problem: TwoViewProblem) -> int:
+    """Grid cells with matches, in the image with fewer of them."""
     sides = zip((problem.points1, problem.points2), problem.cells, strict=True)
     cells = (np.floor(points / side).astype(int) for points, side in sides)
     return min(len(np.unique(cell, axis=0)) for cell in cells)
+
+
+def _hull_cells(problem: TwoViewProblem) -> float:
+    """Area of the matches' convex hull in grid cells, in the image where it is smaller."""
+    if len(problem) < 3:
+        return 0.0
+    sides = zip((problem.points1, problem.points2), problem.cells, strict=True)
+    hulls = (cv2.convexHull((points / side).astype(np.float32)) for points, side in sides)
+    return min(float(cv2.contourArea(hull)) for hull in hulls)
+
+
+def _depth_spread(inliers: TwoViewProblem, model: Model) -> float:
+    """Interquartile range of the logarithm of the depths of matches in front of both cameras."""
+    depth, _ = depths(inliers.points1, inliers.points2, model.R, model.t)
+    depth = depth[np.isfinite(depth) & (depth > 0)]
+    if len(depth) < 4:
+        return 0.0
+    low, high = np.quantile(np.log(depth), (0.25, 0.75))
+    return float(high - low)
+
+
+def _run_agreement(model: Model, runs: Sequence[Model]) -> float:
+    """Share of the runs whose pose is that of the model; 1 without runs."""
+    if not runs:
+        return 1.0
+    return float(np.mean([run.angle_to(model.R, model.t) <= DISTINCT_DEG for run in runs]))
+
+
+def _map_evidence(problem: TwoViewProblem | None, model: Model) -> dict[str, float]:
+    """What a dense map says of a model, by the names of the fields."""
+    if problem is None or not len(problem):
+        return {}
+    weight = problem.confidence**2  # a cell of little matchability says little
+    total = max(float(weight.sum()), 1e-9)
+    wrong = np.random.default_rng(problem.seed).permutation(len(problem))
+    near, by_chance = (
+        sampson_distance(problem.points1[order], problem.points2, model.E) < problem.threshold
+        for order in (slice(None), wrong)
+    )
+    return {
+        "map_matchability": float(problem.confidence.mean()),
+        "map_agreement": float(weight @ near) / total,
+        "map_chance": float(weight @ by_chance) / total,
+    }
+
+
+def _median(values: np.ndarray) -> float:
+    return float(np.median(values)) if len(values) else 0.0
 
 
 def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:

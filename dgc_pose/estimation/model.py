@@ -9,6 +9,7 @@ import numpy as np
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
 from dgc_pose.geometry.triangulation import depths
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 _DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
 _EFFICIENT = 2.385  # Cauchy loss of 95 % efficiency on Gaussian noise, in standard deviations
@@ -51,6 +52,10 @@ class Model:
     def inliers_in_front(self) -> np.ndarray:
         """(N,) bool, inliers in front of both cameras."""
         return self.inliers & self.in_front
+
+    def angle_to(self, R: np.ndarray, t: np.ndarray) -> float:
+        """The larger of the angles to another pose's rotation and translation, degrees."""
+        return max(rotation_error_deg(self.R, R), translation_error_deg(self.t, t))
 
     @property
     def count_in_front(self) -> int:

@@ -12,8 +12,20 @@ EstimatorName = Literal["poselib", "pycolmap", "opencv"]
 
 @dataclass(frozen=True)
 class VerdictOptions:
-    """The gates between a pose and no pose."""
+    """What is a pose, and what is none.
 
+    Raises InputError, naming the field, for a value out of range.
+    """
+
+    # None: the gates below decide. Otherwise they only name the reason of a failure; those of
+    # matches, of a rotation and of a line decide in either case.
+    min_probability: float | None = option(
+        None,
+        "Least probability, that R and t are both within 10 degrees, of a success.",
+        metavar="P",
+        min=0,
+        max=1,
+    )
     min_matches: int = 20  # distinct, finite matches
     min_inliers: int = 15
     min_inlier_ratio: float = 0.15  # of all matches
@@ -40,6 +52,11 @@ class VerdictOptions:
     max_rotation_error_deg: float = 30.0  # expected of the pose; beyond, there is none
     planar_share: float = 0.85  # share of inliers that one homography explains on a plane
     small_angle_deg: float = 1.0  # median triangulation angle below which there is a warning
+    # Inliers of another pose, over this one's, at which it is an alternative.
+    alternative_share: float = option(0.75, above=0)
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @dataclass(frozen=True)

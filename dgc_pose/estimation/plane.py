@@ -25,13 +25,18 @@ def planar_share(problem: TwoViewProblem, model: Model) -> tuple[float, np.ndarr
     return float((error < limit).mean()), H
 
 
+def planar_models(problem: TwoViewProblem, H: np.ndarray) -> list[Model]:
+    """The models of the poses that a plane's homography allows."""
+    return [Model.of_pose(problem, R, t) for R, t in homography_poses(H)]
+
+
 def best_planar_model(problem: TwoViewProblem, model: Model, H: np.ndarray, refined: bool) -> Model:
     """The best of a model and of the poses that a plane's homography allows.
 
     On a plane the five-point solver has a family of near solutions; the homography allows two, each
     with both signs of t. refined: whether to refine them first.
     """
-    others = [Model.of_pose(problem, R, t) for R, t in homography_poses(H)]
+    others = planar_models(problem, H)
     if refined:
         others = [refine(problem, other) for other in others]
     return max([model, *others], key=lambda m: (m.count_in_front, m.count))

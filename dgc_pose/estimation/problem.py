@@ -22,10 +22,11 @@ class TwoViewProblem:
     points1: np.ndarray  # (N, 2)
     points2: np.ndarray  # (N, 2)
     threshold: float  # Sampson distance below which a match is an inlier, in the points' unit
-    # Sides of a grid cell in image 1 and in image 2, in the points' unit; None for key points.
-    cells: tuple[float, float] | None
+    cells: tuple[float, float]  # sides of a grid cell in images 1 and 2, in the points' unit
     seed: int  # of every random draw
     index: np.ndarray  # (N,) int, the row of each match among the matches given
+    confidence: np.ndarray  # (N,) of each match, 0 to 1
+    key_points: bool = False  # whether the matches are independent detections
     warnings: tuple[str, ...] = ()  # what was dropped, and why
 
     @classmethod
@@ -61,9 +62,11 @@ class TwoViewProblem:
             points1=points1,
             points2=points2,
             threshold=pixels * (1 / camera1.focal + 1 / camera2.focal) / 2,
-            cells=None if matches.key_points else (_cell_side(camera1), _cell_side(camera2)),
+            cells=(_cell_side(camera1), _cell_side(camera2)),
             seed=options.seed,
             index=index,
+            confidence=matches.confidence[index],
+            key_points=matches.key_points,
             warnings=tuple(
                 f"{count} matches dropped: {why}" for why, count in dropped.items() if count
             ),
@@ -75,7 +78,11 @@ class TwoViewProblem:
     def subset(self, kept: np.ndarray) -> TwoViewProblem:
         """The same problem with some of its matches. kept: (N,) bool."""
         return replace(
-            self, points1=self.points1[kept], points2=self.points2[kept], index=self.index[kept]
+            self,
+            points1=self.points1[kept],
+            points2=self.points2[kept],
+            index=self.index[kept],
+            confidence=self.confidence[kept],
         )
 
 

@@ -1,4 +1,4 @@
-"""RANSAC: several seeded runs of a backend, and the model with most inliers over all matches."""
+"""RANSAC: several seeded runs of a backend, and the models that they found."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from dgc_pose.estimation.backend import MINIMAL, Backend
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions, EstimatorName
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.threads import in_threads
 
 # Backends with a random generator for each run. The others seed one of the process or thread.
 _THREAD_SAFE: frozenset[EstimatorName] = frozenset({"poselib"})
 
 
-def best_model(problem: TwoViewProblem, options: EstimationOptions) -> Model | None:
-    """The model with most inliers of `options.runs` RANSAC runs; None if no run finds one.
+def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[Model]:
+    """The models of `options.runs` RANSAC runs, that with most inliers first.
 
     Each run draws its samples from at most `options.max_sampled` matches, chosen by its own seed.
     Inliers are counted here over all matches, the same way for every backend.
     """
     if len(problem) < MINIMAL:
-        return None
+        return []
     backend = get_backend(options.estimator)
 
     def run(seed: int) -> list[np.ndarray]:
@@ -37,14 +36,8 @@ def best_model(problem: TwoViewProblem, options: EstimationOptions) -> Model | N
 
     seeds = run_seeds(options)
     found = in_threads(run, seeds, None if options.estimator in _THREAD_SAFE else 1)
-    essentials = [E for matrices in found for E in matrices]
-    if not essentials:
-        return None
-    counts = [
-        (sampson_distance(problem.points1, problem.points2, E) < problem.threshold).sum()
-        for E in essentials
-    ]
-    return Model.of_essential(problem, essentials[int(np.argmax(counts))])
+    models = [Model.of_essential(problem, E) for matrices in found for E in matrices]
+    return sorted(models, key=lambda model: -model.count)  # of equals the first run's
 
 
 def run_seeds(options: EstimationOptions) -> list[int]:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from dgc_pose.camera import Camera
 from dgc_pose.estimation.covariance import pose_covariance
-from dgc_pose.estimation.evidence import gather
+from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.plane import best_planar_model, planar_share
+from dgc_pose.estimation.probability import ProbabilityModel, match_kind, shipped_models
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import best_model
+from dgc_pose.estimation.ransac import sampled_models
 from dgc_pose.estimation.refine import refine, refit
-from dgc_pose.estimation.result import POSE_STATUSES, RelativePose
+from dgc_pose.estimation.result import POSE_STATUSES, Alternative, RelativePose
+from dgc_pose.estimation.rivals import rivals
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.matches import Matches
 from dgc_pose.options import check_type
@@ -24,12 +28,19 @@ _DEFAULTS = EstimationOptions()
 
 
 def estimate_pose(
-    matches: Matches, camera1: Camera, camera2: Camera, options: EstimationOptions = _DEFAULTS
+    matches: Matches,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions = _DEFAULTS,
+    *,
+    map_matches: Matches | None = None,
 ) -> RelativePose:
     """The pose x2 = R x1 + t of camera 2 relative to camera 1, translation up to scale.
 
-    `TwoViewProblem.of` describes how matches and threshold are normalised. The same seed gives the
-    same answer to the bit. Raises InputError if `matches` is not Matches.
+    `TwoViewProblem.of` describes how matches and threshold are normalised. map_matches: an even
+    sample of the dense map that the matches come from (`MatchResult.map_matches`), as evidence for
+    the probability. The same seed gives the same answer to the bit. Raises InputError if `matches`
+    is not Matches.
     """
     check_type(options, EstimationOptions, "options")
     check_type(camera1, Camera, "camera1")
@@ -42,18 +53,28 @@ def estimate_pose(
     if len(problem) < options.verdict.min_matches:
         reason = f"only {len(problem)} matches; a verdict needs {options.verdict.min_matches}"
         return no_model("too_few_matches", reason)
-    sampled = best_model(problem, options)
-    if sampled is None:
+    runs = sampled_models(problem, options)
+    if not runs:
         return no_model("no_model", f"no essential matrix was found for {len(problem)} matches")
 
-    model, homography_ratio = _refined(problem, sampled, options)
-    covariance = pose_covariance(problem, model)
-    evidence = gather(problem, model, homography_ratio, covariance)
-    verdict = judge(evidence, options.verdict)
+    model, homography = _refined(problem, runs[0], options)
+    others = rivals(problem, model, runs, homography, options)
+    of_map = None
+    if map_matches is not None:
+        own = replace(options, threshold_px=None)  # that of the matches is not the map's
+        of_map = TwoViewProblem.of(map_matches, camera1, camera2, own)
+    look = partial(_looked_at, problem, homography_ratio=homography[0], runs=runs, of_map=of_map)
+    found = look(model, rivals=others)
+    against = () if found.judge is None else found.judge.against(found.evidence)
+    verdict = judge(found.evidence, options.verdict, found.probability, against)
 
     inliers[problem.index] = model.inliers
     has_pose = verdict.status in POSE_STATUSES
-    rotation = evidence.rotation if verdict.status == "rotation_only" else None
+    rotation = found.evidence.rotation if verdict.status == "rotation_only" else None
+    least = options.verdict.alternative_share * model.count_in_front
+    alternatives = [
+        look(other, rivals=[model]) for other in others if other.count_in_front >= least
+    ]
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
@@ -61,16 +82,91 @@ def estimate_pose(
         num_matches=len(problem),
         R=model.R if has_pose else rotation,
         t=model.t if has_pose else None,
-        covariance=covariance if has_pose else None,
-        evidence=evidence,
-        warnings=problem.warnings + verdict.warnings,
+        covariance=found.calibrated_covariance if has_pose else None,
+        evidence=found.evidence,
+        probability=0.0 if verdict.status == "rotation_only" else found.probability,
+        alternatives=_alternatives(alternatives, found.probability),
+        warnings=(
+            *problem.warnings,
+            *verdict.warnings,
+            *_warnings(len(alternatives), found.probability, options.verdict.min_probability),
+        ),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A model with its evidence, and the model of the probability that applies to it."""
+
+    model: Model
+    evidence: Evidence
+    covariance: np.ndarray | None
+    judge: ProbabilityModel | None
+
+    @property
+    def probability(self) -> float | None:
+        return None if self.judge is None else self.judge.probability(self.evidence)
+
+    @property
+    def calibrated_covariance(self) -> np.ndarray | None:
+        if self.covariance is None or self.judge is None:
+            return self.covariance
+        return self.judge.calibrated(self.covariance, self.evidence)
+
+
+def _looked_at(
+    problem: TwoViewProblem,
+    model: Model,
+    *,
+    homography_ratio: float,
+    runs: Sequence[Model],
+    rivals: Sequence[Model],
+    of_map: TwoViewProblem | None,
+) -> _Found:
+    covariance = pose_covariance(problem, model)
+    evidence = gather(
+        problem,
+        model,
+        homography_ratio,
+        covariance,
+        runs=runs,
+        rivals=rivals,
+        map_problem=of_map,
+    )
+    return _Found(model, evidence, covariance, shipped_models().get(match_kind(evidence)))
+
+
+def _alternatives(found: Sequence[_Found], probability: float | None) -> tuple[Alternative, ...]:
+    """At most one of several poses is right: what the first leaves over is all that they share."""
+    total = sum(one.probability or 0.0 for one in found)
+    share = 1.0 if probability is None else min(1.0, (1 - probability) / max(total, 1e-9))
+    return tuple(
+        Alternative(
+            one.model.R,
+            one.model.t,
+            one.model.count,
+            None if one.probability is None else share * one.probability,
+        )
+        for one in found
+    )
+
+
+def _warnings(
+    alternatives: int, probability: float | None, min_probability: float | None
+) -> Iterator[str]:
+    if alternatives:
+        others = (
+            "1 other pose explains" if alternatives == 1 else f"{alternatives} other poses explain"
+        )
+        yield f"{others} the matches about as well: see the alternatives"
+    if probability is None and min_probability is not None:
+        yield "no probability is fitted for such matches: the gates decide"
 
 
 def _refined(
     problem: TwoViewProblem, model: Model, options: EstimationOptions
-) -> tuple[Model, float]:
-    """The refined model, and the share of inliers that one homography explains."""
+) -> tuple[Model, tuple[float, np.ndarray | None]]:
+    """The refined model; the share of inliers that one homography explains, and the homography."""
     if options.refine:
         model = refine(problem, model)
     share, H = planar_share(problem, model)
@@ -78,4 +174,4 @@ def _refined(
         model = best_planar_model(problem, model, H, options.refine)
     if options.refine:
         model = refit(problem, model, adapt_scale=True)
-    return model, share
+    return model, (share, H)

@@ -22,9 +22,20 @@ Status = Literal[
     "no_model",  # the estimator found no essential matrix, or the inliers do not determine it
     "chance_inliers",  # no more inliers than unrelated images would have
     "behind_cameras",  # many points would lie behind a camera
+    "improbable",  # the evidence altogether speaks against the pose
 ]
 
 POSE_STATUSES: tuple[Status, ...] = ("ok", "planar")  # those with R and t
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another pose that explains the matches about as well."""
+
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,), unit length
+    num_inliers: int
+    probability: float | None  # that R and t are both within 10 degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +54,16 @@ class RelativePose:
     t: np.ndarray | None = None  # (3,), unit length
     # (6, 6), rad^2, of rank 5: a rotation vector w and a change d of t, in camera 2's axes; the
     # true pose is exp([w]x) R and t + d. None without a pose, and if the inliers do not determine
-    # it. Inliers count as correct matches: the covariance does not include a plane's second pose,
-    # a wrong K or a wrong verdict.
+    # it. Scaled so that the expected error of right poses holds nine times in ten; it does not
+    # include an alternative pose, a wrong K or a wrong verdict.
     covariance: np.ndarray | None = None
     evidence: Evidence | None = None  # what the verdict rests on; None without a model
+    # That R and t are both within 10 degrees; 0 without a model, and with "rotation_only". None
+    # if no model of the probability is fitted for such matches.
+    probability: float | None = 0.0
+    # Poses more than 10 degrees from this one that explain the matches about as well, the one with
+    # most inliers first: of a plane, of repeated structure, of a mirrored depth.
+    alternatives: tuple[Alternative, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)  # by stage of the pipeline
 

@@ -6,6 +6,7 @@ all matches are inliers of an arbitrary translation.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,12 +24,35 @@ class Verdict(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def judge(evidence: Evidence, options: VerdictOptions) -> Verdict:
-    """The verdict on a model. The first gate that the evidence fails decides."""
-    return _failure(evidence, options) or _pose(evidence, options)
+def judge(
+    evidence: Evidence,
+    options: VerdictOptions,
+    probability: float | None = None,
+    against: Sequence[str] = (),
+) -> Verdict:
+    """The verdict on a model.
+
+    Without a probability, or without `options.min_probability`, the first gate that the evidence
+    fails decides. Otherwise the probability does, unless the translation is not determined at all.
+    against: what speaks against the pose, in words.
+    """
+    undetermined = _undetermined(evidence, options)
+    if probability is None or options.min_probability is None:
+        # Chance before all: few inliers say nothing about a rotation either.
+        by_chance = _chance(evidence, options)
+        failed = by_chance or undetermined or _implausible(evidence, options)
+        return failed or _pose(evidence, options)
+    if undetermined is not None:
+        return _chance(evidence, options) or undetermined
+    if probability >= options.min_probability:
+        return _pose(evidence, options)
+    failed = _chance(evidence, options) or _implausible(evidence, options)
+    reason = f"the pose is right with a probability of {100 * probability:.0f} %"
+    reason = ": ".join([reason, ", ".join(against)] if against else [reason])
+    return Verdict("improbable" if failed is None else failed.status, reason)
 
 
-def _failure(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+def _chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     count, ratio, chance = evidence.num_inliers, evidence.inlier_ratio, evidence.chance_ratio
     least = max(options.min_inlier_ratio, options.chance_factor * chance)
     by_chance = evidence.log10_false_alarms > options.max_log10_false_alarms
@@ -39,12 +63,17 @@ def _failure(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
         )
         return Verdict("chance_inliers", reason)
     cells = evidence.occupied_cells
-    if cells is not None and cells < options.min_occupied_cells:
+    if not evidence.key_points and cells < options.min_occupied_cells:
         reason = (
             f"the {count} inliers lie in only {cells} grid cells; unrelated images with a few "
             f"similar patches have as many"
         )
         return Verdict("chance_inliers", reason)
+    return None
+
+
+def _undetermined(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+    """Whether many poses explain the matches, because the translation does not show."""
     if evidence.collinear:
         return Verdict("no_model", "the inliers lie on one line, which many poses explain")
     # The model fits the noise of few matches: their errors come out too small by some 1 / sqrt.
@@ -57,6 +86,10 @@ def _failure(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
             f"essential matrix does: the images do not determine the translation"
         )
         return Verdict("rotation_only", reason)
+    return None
+
+
+def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     if evidence.cheirality_ratio < options.min_cheirality:
         share = 100 * evidence.cheirality_ratio
         reason = f"only {share:.0f} % of the inliers lie in front of both cameras"
@@ -64,8 +97,8 @@ def _failure(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     error = evidence.rotation_error_90_deg
     if error is not None and error > options.max_rotation_error_deg:
         reason = (
-            f"the {count} inliers do not determine the pose: its rotation may be wrong by "
-            f"{error:.0f} deg"
+            f"the {evidence.num_inliers} inliers do not determine the pose: its rotation may be "
+            f"wrong by {error:.0f} deg"
         )
         return Verdict("no_model", reason)
     return None

@@ -12,6 +12,7 @@ from dgc_pose.image import Image
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.matching.texture import textured
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.pixels import cell_centres, rescale
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
@@ -66,8 +67,8 @@ class DenseMatcher(Matcher):
     def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
         """As `match` for each pair, decoded together."""
         return [
-            MatchResult(select_matches(found, self.options), found)
-            for found in self.correspondence_maps(pairs)
+            MatchResult(textured(select_matches(found, self.options), *pair), found)
+            for pair, found in zip(pairs, self.correspondence_maps(pairs), strict=True)
         ]
 
     def coarse_features(self, image: Image) -> np.ndarray:

@@ -30,6 +30,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.matching.texture import textured
 from dgc_pose.pixels import pixel_grid, rescale
 
 ENDINGS = (".flo", ".npz", ".npy", ".png")
@@ -99,8 +100,9 @@ class FileMatcher(Matcher):
         arrays = _read(path)
         if "flow" in arrays or "map" in arrays:
             found = _map(arrays, image1, image2)
-            return MatchResult(select_matches(found, self.options), found)
-        return MatchResult(_points(arrays, image1, image2), None)
+            matches = textured(select_matches(found, self.options), image1, image2)
+            return MatchResult(matches, found)
+        return MatchResult(textured(_points(arrays, image1, image2), image1, image2), None)
 
 
 def _read(path: Path) -> Mapping[str, np.ndarray]:

@@ -11,6 +11,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.image import Image, resize
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.matching.texture import textured
 from dgc_pose.pixels import pixel_grid, rescale
 
 FlowName = Literal["dis", "farneback"]
@@ -50,7 +51,7 @@ class FlowMatcher(Matcher):
         forward, backward = self._flow(grey2, grey1), self._flow(grey1, grey2)
         points1 = pixel_grid((width, height)) + forward
         found = scaled_map(points1, agreement(forward, backward), image1.size, image2.size)
-        return MatchResult(select_matches(found, self.options), found)
+        return MatchResult(textured(select_matches(found, self.options), image1, image2), found)
 
     def _flow(self, of: np.ndarray, to: np.ndarray) -> np.ndarray:
         """Flow (H, W, 2) float32 on the pixels of the first image (H, W) uint8."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +11,10 @@ import numpy as np
 
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
+
+# Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.
+ERROR_CELLS = 0.5
+_SAMPLE = 40  # cells a row of the sample of a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +30,25 @@ class CorrespondenceMap:
     # image 1 mapped back by the reverse map; None if that map was not computed
     cycle: np.ndarray | None = None
 
+    @property
+    def cell_size(self) -> float:
+        """Side of a cell in pixels of the original images: mean over both images and both axes."""
+        cells = self.matchability.size
+        areas = [w * h / cells for w, h in (self.size1, self.size2)]
+        return sum(math.sqrt(area) for area in areas) / 2
+
+    def sample(self, side: int) -> Matches:
+        """Every k-th cell of every k-th row as matches, so that at most `side` are in a row."""
+        rows, columns = self.matchability.shape
+        step = max(1, -(-max(rows, columns) // side))
+        cells = (slice(step // 2, None, step), slice(step // 2, None, step))
+        return Matches(
+            self.map[cells].reshape(-1, 2),
+            self.grid[cells].reshape(-1, 2),
+            self.matchability[cells].ravel(),
+            error_px=ERROR_CELLS * self.cell_size,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
@@ -32,6 +56,14 @@ class MatchResult:
 
     matches: Matches  # those that a pose is estimated from, pixels of the images matched
     correspondence_map: CorrespondenceMap | None  # None for a matcher of key points
+
+    @property
+    def map_matches(self) -> Matches | None:
+        """An even sample of the map, whatever its matchability, which is their confidence; None
+        without a map. Evidence for or against a pose, not matches to estimate one from."""
+        if self.correspondence_map is None:
+            return None
+        return self.correspondence_map.sample(_SAMPLE)
 
 
 class Matcher(ABC):

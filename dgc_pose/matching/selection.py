@@ -10,13 +10,10 @@ import numpy as np
 
 from dgc_pose.errors import InputError
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.matching.matcher import ERROR_CELLS, CorrespondenceMap
 from dgc_pose.options import check_options, option
 
 FinestLevel = Literal[240, 120, 60]
-
-# Error of a good match along one axis, in cells of the map's grid; see docs/experiments.md.
-ERROR_CELLS = 0.5
 
 
 @dataclass(frozen=True)
@@ -77,15 +74,8 @@ def select_matches(correspondence_map: CorrespondenceMap, options: MatchingOptio
         points1[keep],
         correspondence_map.grid[keep],
         correspondence_map.matchability[keep],
-        error_px=ERROR_CELLS * cell_size(correspondence_map),
+        error_px=ERROR_CELLS * correspondence_map.cell_size,
     )
-
-
-def cell_size(correspondence_map: CorrespondenceMap) -> float:
-    """Side of a cell in pixels of the original images: mean over both images and both axes."""
-    cells = correspondence_map.matchability.size
-    areas = [w * h / cells for w, h in (correspondence_map.size1, correspondence_map.size2)]
-    return sum(math.sqrt(area) for area in areas) / 2
 
 
 def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.ndarray:

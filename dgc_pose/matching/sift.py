@@ -11,6 +11,7 @@ from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import Matcher, MatchResult
+from dgc_pose.matching.texture import textured
 from dgc_pose.options import check_options, option
 
 ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
@@ -60,7 +61,7 @@ class SiftMatcher(Matcher):
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
         """Mutual nearest neighbours that pass the ratio test; confidence 1 - distance ratio."""
-        return MatchResult(self._matches(image1, image2), None)
+        return MatchResult(textured(self._matches(image1, image2), image1, image2), None)
 
     def _matches(self, image1: Image, image2: Image) -> Matches:
         points1, descriptors1 = self._key_points(image1)

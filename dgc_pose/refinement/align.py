@@ -28,7 +28,8 @@ _CHUNK = 256  # patches at a time, which stay in the processor's cache
 _STILL = 0.02  # pixels of a step after which a patch is not moved again
 _SETTLED = 0.1  # pixels: the last step of an alignment that has converged
 _HALVES = np.array([[0.5, 0.0], [0.0, 0.5]])  # pixels, for central differences
-_NOISE = 1.0  # grey levels: patches of less contrast are flat
+_NOISE = 1.0  # grey levels, added to the contrast of a patch
+_FLAT = np.sqrt(2) * _NOISE  # contrast, with that, of a patch that has none of its own
 _SIMILAR = 1.5  # scale between the images up to which neither is shrunk
 
 
@@ -38,7 +39,9 @@ class Aligned:
 
     points1: np.ndarray  # (N, 2) float64, pixels of image 1
     points2: np.ndarray  # (N, 2) float64, corners of image 2
-    zncc: np.ndarray  # (N,) float64, correlation of the aligned patches, -1 to 1
+    # (N,) float64, correlation of the aligned patches, -1 to 1; NaN, as it is undefined, if one of
+    # them has no more contrast than noise
+    zncc: np.ndarray
     converged: np.ndarray  # (N,) bool: settled, within the tolerance of where it began
     index: np.ndarray  # (N,) int, of the matches that they come from
     pixel: float = 1.0  # of the images aligned, in pixels of the originals: mean over both
@@ -209,8 +212,9 @@ def _shift(
         if len(moving) == 0:
             break
         around = points1[moving, None].astype(np.float32) + around1[moving]
-        patch, _ = _standardised(bilinear(grey1, around), weights)
-        zncc[moving] = (patch * template[moving]) @ weights
+        patch, own = _standardised(bilinear(grey1, around), weights)
+        flat = np.minimum(own, contrast[moving])[:, 0] < _FLAT
+        zncc[moving] = np.where(flat, np.nan, (patch * template[moving]) @ weights)
         step = (gain[moving] @ (patch - template[moving])[..., None])[..., 0]
         length[moving] = np.linalg.norm(step, axis=1)
         step *= np.minimum(1, _STEP / np.maximum(length[moving], 1e-9))[:, None]

@@ -168,7 +168,7 @@ def subcell_points(
     The target's point is the cell's centre; the source's is the mean of the cells within one of the
     most similar in a window, weighted by the softmax of their cosines.
     """
-    halves1, halves2 = _between_cells(fine1), _between_cells(fine2)
+    halves1 = _between_cells(fine1)
     axis = np.arange(-_RADIUS, _RADIUS + 1)
     window = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     around = 2 * cells1[:, None] + window
@@ -176,12 +176,14 @@ def subcell_points(
     inside = (around >= 0).all(-1) & (around <= limit).all(-1)
     around = around.clip(0, limit)
     cells = around[..., 1] * halves1.shape[1] + around[..., 0]
-    rows1, rows2 = np.concatenate(halves1), np.concatenate(halves2)
-    wanted = 2 * (cells2[:, 1] * halves2.shape[1] + cells2[:, 0])
+    rows1 = np.concatenate(halves1)
+    x, y = 2 * cells2.T
+    pairs = fine2[y, x] + fine2[y, x + 1], fine2[y + 1, x] + fine2[y + 1, x + 1]
+    wanted = (pairs[0] + pairs[1]) * np.float32(0.25)  # `_between_cells` where it is needed
 
     def compare(part: slice) -> np.ndarray:
         """Cosines (m, P) of each match's window."""
-        return (rows1[cells[part]] @ rows2[wanted[part], :, None])[..., 0]
+        return (rows1[cells[part]] @ wanted[part, :, None])[..., 0]
 
     cosines = np.concatenate(in_threads(compare, _parts(len(cells), _WINDOWS)))
     cosines[~inside] = -np.inf

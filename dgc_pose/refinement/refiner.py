@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
+from dgc_pose.matching.texture import textured
 from dgc_pose.refinement.align import align, spread
 from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.options import AlignmentOptions
@@ -71,7 +72,10 @@ class Refiner(Matcher):
             yield source.find(image1, image2, given.correspondence_map, given.matches)
 
     def _steps(self, image1: Image, image2: Image, found: Matches) -> Matches | None:
-        """Matches that agree with their neighbours, aligned; None if too few agree."""
+        """Matches that agree with their neighbours, aligned; None if too few agree.
+
+        A match needs structure where it ends: alignment moves it to a corner.
+        """
         options = self.options
         local = consistent(found, options.neighbours)
         if len(local.index) < options.min_matches:
@@ -86,20 +90,26 @@ class Refiner(Matcher):
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
-            if good.sum() >= options.min_matches:
-                return Matches(
-                    aligned.points1[good],
-                    aligned.points2[good],
-                    aligned.zncc[good].clip(0, 1),
-                    ALIGNED_ERROR_PX * aligned.pixel,
-                    found.key_points,
-                )
-        confidence = found.confidence[local.index]
-        kept = spread(local.points2, confidence, image2.size, options.max_matches)
-        return Matches(
-            found.points1[local.index[kept]],
-            local.points2[kept],
-            confidence[kept],
+            refined = Matches(
+                aligned.points1[good],
+                aligned.points2[good],
+                aligned.zncc[good].clip(0, 1),
+                ALIGNED_ERROR_PX * aligned.pixel,
+                found.key_points,
+            )
+            refined = textured(refined, image1, image2)
+            if len(refined) >= options.min_matches:
+                return refined
+        unmoved = Matches(
+            found.points1[local.index],
+            local.points2,
+            found.confidence[local.index],
             found.error_px,
             found.key_points,
+        )
+        unmoved = textured(unmoved, image1, image2)
+        if len(unmoved) < options.min_matches:
+            return None
+        return unmoved.subset(
+            spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
         )

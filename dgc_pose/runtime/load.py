@@ -45,6 +45,12 @@ def load_engine(
     return load_torch_engine(path, choose_device(device))
 
 
+def default_runtime() -> RuntimeName:
+    """What "auto" is here for the default weights."""
+    onnx = _prefers_onnx(DEFAULT_WEIGHTS, find_weights(DEFAULT_WEIGHTS), "auto")
+    return "onnx" if onnx else "torch"
+
+
 def torch_is_installed() -> bool:
     """Whether torch can be imported; it is not imported for that."""
     return find_spec("torch") is not None

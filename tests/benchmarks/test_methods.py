@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import dense_scene
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
 from dgc_pose.refinement import RefinementOptions
 
-IMAGE = Image(np.zeros((10, 10, 3), np.uint8))
+BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
+IMAGE = Image(cv2.resize(BLOTS, (200, 200)))
 REFINED = MethodOptions(refinement=RefinementOptions())
 
 
@@ -98,13 +100,14 @@ def test_methods_that_differ_after_the_map_share_its_pass() -> None:
 
 
 def _map() -> CorrespondenceMap:
-    """10 x 10 cells onto themselves; half of them trusted, a corner outside image 1."""
+    """10 x 10 cells of 20 pixels onto themselves; half of them trusted, a corner outside."""
     grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0)), -1).astype(np.float32)
+    grid = 20 * grid + 9.5
     place = grid.copy()
-    place[:2, :2] -= 5
+    place[:2, :2] -= 100
     trust = np.zeros((10, 10), np.float32)
     trust[:, :5] = 0.8
-    return CorrespondenceMap(place, grid, trust, (10, 10), (10, 10), None)
+    return CorrespondenceMap(place, grid, trust, IMAGE.size, IMAGE.size, None)
 
 
 def _taken(name: str, found: CorrespondenceMap | Matches, options: MatchingOptions) -> Matches:

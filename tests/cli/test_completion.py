@@ -33,6 +33,10 @@ def test_files_are_left_to_the_shell(words):
     assert [kind for kind, _ in completed(words, "a")] == ["file"]
 
 
+def test_folders_are_left_to_the_shell():
+    assert [kind for kind, _ in completed(["bench-dtu", "--out"], "a")] == ["dir"]
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_scripts_of_the_shells_are_sound(shell):
     result = CliRunner().invoke(main, ["completion", shell])

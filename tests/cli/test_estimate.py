@@ -26,6 +26,8 @@ KEYS = [
     "rotation_error_90_deg",
     "translation_error_90_deg",
     "covariance",
+    "probability",
+    "alternatives",
     "warnings",
     "seconds",
 ]

@@ -26,6 +26,7 @@ def test_versions_are_those_installed(facts):
     assert facts["dgc-pose"]["version"] == metadata.version("dgc-pose")
     assert facts["libraries"]["numpy"] == metadata.version("numpy")
     assert facts["machine"]["Python"].startswith(sys.version.split()[0])
+    assert facts["devices"]["runtime"] in ("onnx", "torch")
     assert facts["threads"]["OpenCV"] == str(cv2.getNumThreads())
 
 

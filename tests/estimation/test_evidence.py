@@ -7,11 +7,10 @@ from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.metrics.pose import rotation_error_deg
-from two_view import normalised_problem, two_view_scene
+from two_view import CELLS, normalised_problem, two_view_scene
 
 THRESHOLD = 2e-3
 OPTIONS = VerdictOptions()
-CELLS = (0.05, 0.05)  # a thirtieth of the synthetic images' width
 
 
 @pytest.mark.parametrize("rotation_deg", [0.0, 3.0, 25.0])
@@ -125,8 +124,8 @@ def test_inliers_crowded_in_a_few_spots_occupy_few_cells():
     assert crowded.occupied_cells <= 12
     assert judge(crowded, OPTIONS).status == "chance_inliers"
     # Key points are independent.
-    independent = evidence_of(normalised_problem(near1, near2, THRESHOLD, None))
-    assert independent.occupied_cells is None
+    independent = evidence_of(normalised_problem(near1, near2, THRESHOLD, CELLS, key_points=True))
+    assert independent.key_points and independent.occupied_cells == crowded.occupied_cells
     assert judge(independent, OPTIONS).status == "ok"
 
 

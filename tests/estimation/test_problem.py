@@ -107,7 +107,7 @@ def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length
     assert threshold(threshold_px=3.0, threshold_factor=9.0) == threshold(threshold_px=3.0)
 
 
-def test_a_cell_is_a_24th_of_the_longer_side_and_key_points_have_none():
+def test_a_cell_is_a_24th_of_the_longer_side():
     scene = two_view_scene(count=30)
     camera1, camera2 = scene.cameras
     dense = scene.matches
@@ -117,5 +117,3 @@ def test_a_cell_is_a_24th_of_the_longer_side_and_key_points_have_none():
     # Without a size the principal point, (810, 590), counts as the middle.
     unknown = TwoViewProblem.of(dense, Camera(scene.K1), camera2)
     assert unknown.cells[0] == pytest.approx(1621 / 24 / 1695)
-    key_points = dataclasses.replace(dense, key_points=True)
-    assert TwoViewProblem.of(key_points, camera1, camera2).cells is None

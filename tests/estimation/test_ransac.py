@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.estimation import EstimationOptions, ransac
-from dgc_pose.estimation.ransac import best_model, run_seeds
+from dgc_pose.estimation.ransac import run_seeds, sampled_models
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
@@ -33,7 +33,7 @@ def test_of_all_runs_the_one_with_most_inliers_is_kept(monkeypatch):
 
     monkeypatch.setattr(ransac, "get_backend", lambda name: backend)
     options = EstimationOptions(estimator="opencv", iterations=77)
-    model = best_model(problem, options)
+    model = sampled_models(problem, options)[0]
     assert asked == [(problem.threshold, 77, seed) for seed in run_seeds(options)]
     assert rotation_error_deg(model.R, scene.R) < 1e-5
     assert translation_error_deg(model.t, scene.t) < 1e-5
@@ -54,26 +54,26 @@ def test_each_run_samples_from_its_own_draw_and_its_model_is_scored_on_all(monke
 
     monkeypatch.setattr(ransac, "get_backend", lambda name: backend)
     options = EstimationOptions(estimator="opencv", max_sampled=120)
-    model = best_model(problem, options)
+    model = sampled_models(problem, options)[0]
     assert [len(set(drawn)) for drawn in seen] == [120] * 5
     assert len({tuple(sorted(drawn)) for drawn in seen}) == 5
     assert model.inliers.shape == (300,) and model.inliers[scene.true].all()
     again = seen.copy()
     seen.clear()
-    best_model(problem, options)
+    sampled_models(problem, options)
     assert seen == again
     seen.clear()
-    best_model(problem, replace(options, max_sampled=300))
+    sampled_models(problem, replace(options, max_sampled=300))
     assert seen == [list(range(300))] * 5
 
 
 def test_no_run_with_a_model_is_no_model(monkeypatch):
     monkeypatch.setattr(ransac, "get_backend", lambda name: lambda *a, **k: [])
-    assert best_model(two_view_scene(count=100).problem(), EstimationOptions()) is None
+    assert sampled_models(two_view_scene(count=100).problem(), EstimationOptions()) == []
 
 
 @pytest.mark.parametrize("count", [0, 1, 4])
 def test_fewer_than_five_matches_are_no_model(count):
     problem = two_view_scene(count=5).problem().subset(np.arange(5) < count)
     assert len(problem) == count
-    assert best_model(problem, EstimationOptions()) is None
+    assert sampled_models(problem, EstimationOptions()) == []

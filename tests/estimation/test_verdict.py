@@ -52,7 +52,7 @@ def test_each_gate_closes_by_itself(status, changes):
         {"inlier_ratio": 0.151},
         {"chance_ratio": 0.19},
         {"occupied_cells": 20},
-        {"occupied_cells": None},
+        {"occupied_cells": 5, "key_points": True},
         {"rotation_error_90_deg": 29.0},
         {"rotation_error_90_deg": None},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1

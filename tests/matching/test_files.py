@@ -13,6 +13,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.image import Image
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.files import FileMatcher
+from dgc_pose.matching.texture import textured
 from dgc_pose.pixels import pixel_grid
 
 STORED = (80, 60)  # width, height of both views as stored
@@ -22,7 +23,8 @@ STEM = "scan65_3_7"
 
 def _images(size: tuple[int, int] = SHOWN) -> tuple[Image, Image]:
     """Both views, stored at 80x60 and shown at `size`."""
-    pixels = np.zeros((size[1], size[0], 3), np.uint8)
+    blots = np.random.default_rng(0).integers(0, 255, (12, 16, 3), np.uint8)
+    pixels = cv2.resize(blots, size, interpolation=cv2.INTER_CUBIC)
     return Image(pixels, "3.png", stored_size=STORED), Image(pixels, "7.png", stored_size=STORED)
 
 
@@ -122,17 +124,18 @@ def test_matches_are_selected_from_a_map(tmp_path) -> None:
         result = matcher.match(*_images(STORED))
         assert result.correspondence_map is not None
         expected = select_matches(result.correspondence_map, matcher.options)
+        expected = textured(expected, *_images(STORED))
         assert np.array_equal(result.matches.points1, expected.points1)
         assert (len(expected) > 0) == (count > 0) and len(expected) <= count
 
 
 def test_points_are_given_in_pixels_of_the_images_shown(tmp_path) -> None:
-    points1 = np.array([[-0.5, -0.5], [79.5, 59.5], [39.5, 29.5]])
+    points1 = np.array([[20.5, 20.5], [58.5, 38.5], [39.5, 29.5]])
     np.savez(tmp_path / f"{STEM}.npz", points1=points1, points2=points1[::-1], error_px=3.0)
     result = _matcher(tmp_path).match(*_images())
     assert result.correspondence_map is None
     found = result.matches
-    assert np.allclose(found.points1, [[-0.5, -0.5], [39.5, 19.5], [19.5, 9.5]])
+    assert np.allclose(found.points1, [[10, 6.5], [29, 12.5], [19.5, 9.5]])
     assert np.allclose(found.points2, found.points1[::-1])
     assert found.error_px == pytest.approx(3.0 * np.sqrt(0.5 / 3))
     assert np.array_equal(found.confidence, np.ones(3))

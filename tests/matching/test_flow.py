@@ -9,6 +9,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches
 from dgc_pose.matching.flow import FLOWS, FlowMatcher, agreement, scaled_map
+from dgc_pose.matching.texture import textured
 from dgc_pose.pixels import pixel_grid
 
 
@@ -45,10 +46,12 @@ def test_the_map_leads_from_image_2_into_image_1(name, sizes, plane) -> None:
     x, y = _plane(sizes[1], *plane)
     moved = (x - angle * y + shift[0], y + angle * x + shift[1])
     matcher = FlowMatcher(name)
-    result = matcher.match(_picture(*_plane(sizes[0], *plane)), _picture(*moved))
+    images = _picture(*_plane(sizes[0], *plane)), _picture(*moved)
+    result = matcher.match(*images)
     found = result.correspondence_map
     assert isinstance(found, CorrespondenceMap) and matcher.name == name
-    assert len(result.matches) == len(select_matches(found, matcher.options)) > 500
+    selected = textured(select_matches(found, matcher.options), *images)
+    assert len(result.matches) == len(selected) > 500
     assert (found.size1, found.size2) == sizes
     # From the grid by the formula above, in plane units and back to pixels of image 1.
     unit1, unit2 = np.divide(sizes[0], plane), np.divide(sizes[1], plane)

@@ -12,7 +12,6 @@ from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.selection import (
     ERROR_CELLS,
     MatchingOptions,
-    cell_size,
     even_subsample,
     select_matches,
 )
@@ -49,7 +48,7 @@ def test_filters_against_a_loop() -> None:
 
 def test_error_follows_the_cell() -> None:
     correspondence_map = _map()
-    assert cell_size(correspondence_map) == pytest.approx(10.0)
+    assert correspondence_map.cell_size == pytest.approx(10.0)
     assert select_matches(correspondence_map, MatchingOptions()).error_px == 10 * ERROR_CELLS
 
 

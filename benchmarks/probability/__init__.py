@@ -1,0 +1,1 @@
+"""The fit of `pose.probability`: pairs, stored matches, evidence, model, report."""

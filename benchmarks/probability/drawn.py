@@ -1,0 +1,150 @@
+"""Pairs drawn from posed scenes, evenly over rotation and overlap: easy, hard and hopeless ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from dgc_pose.benchmarks.pair_list import Pair
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.synthesis.posed_depth import PosedFrame, read_rgbd
+
+_ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
+# Edges of the bins of overlap: share of image 2's depth that is seen in image 1, and points that
+# two images of a sparse model have in common. The pairs of the first bin are hopeless.
+_OVERLAPS = (0.0, 0.1, 0.25, 0.5, 1.01)
+_COMMON = (0, 5, 25, 80, 10**9)
+_HOPELESS = 0.15  # share of the pairs drawn that are
+_LEAST_BASELINE = 0.08  # of the depth; the direction of a shorter one is the poses' noise
+_PROBE = 24  # depths along the longer side by which overlap is counted
+_FRAMES = 60  # of a sequence, evenly chosen; all pairs of them are looked at
+_AGREES = 0.05  # of the depth
+
+
+def drawn_rgbd(folder: Path, count: int, seed: int) -> list[Pair]:
+    """Pairs of a folder of posed RGB-D frames. Raises as `read_rgbd` does."""
+    frames = read_rgbd(folder)
+    frames = frames[:: math.ceil(len(frames) / _FRAMES)]
+    cameras = [Camera(frame.K) for frame in frames]
+    depths = [frame.read_depth() for frame in frames]
+    found, overlaps = [], []
+    for j, two in enumerate(frames):
+        points = _probes(two, depths[j])
+        if not len(points):
+            continue
+        for i, one in enumerate(frames):
+            if i == j:
+                continue
+            T = two.cam_from_world @ np.linalg.inv(one.cam_from_world)
+            names = (f"images/{frame.image.name}" for frame in (one, two))
+            pair = _pair(folder, tuple(names), (cameras[i], cameras[j]), T)
+            if np.linalg.norm(pair.t) < _LEAST_BASELINE * np.median(points[:, 2]):
+                continue
+            found.append(pair)
+            back = points @ T[:3, :3] - T[:3, 3] @ T[:3, :3]
+            overlaps.append(_overlap(one, depths[i], back))
+    return _chosen(found, np.array(overlaps), _OVERLAPS, count, seed)
+
+
+def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
+    """Pairs of a COLMAP model, without lens distortion, whose photographs lie in `images`.
+
+    Raises InputError, with the path, if the model cannot be read or has distortion.
+    """
+    try:
+        model = pycolmap.Reconstruction(str(folder))
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"{folder}: no COLMAP model ({str(error).splitlines()[0]})") from None
+    images = sorted(model.images.values(), key=lambda image: image.name)
+    seen = [{p.point3D_id for p in image.points2D if p.has_point3D()} for image in images]
+    cameras = [_pinhole(model.cameras[image.camera_id], folder) for image in images]
+    world = [np.vstack([image.cam_from_world().matrix(), (0, 0, 0, 1)]) for image in images]
+    found, common = [], []
+    for i, j in np.ndindex(len(images), len(images)):
+        shared = seen[i] & seen[j]
+        T = world[j] @ np.linalg.inv(world[i])
+        depth = _depth(model, shared or seen[j], world[j])
+        if i == j or np.linalg.norm(T[:3, 3]) < _LEAST_BASELINE * depth:
+            continue
+        names = (f"images/{images[k].name}" for k in (i, j))
+        found.append(_pair(folder, tuple(names), (cameras[i], cameras[j]), T))
+        common.append(len(shared))
+    return _chosen(found, np.array(common), _COMMON, count, seed)
+
+
+def _chosen(
+    pairs: Sequence[Pair], overlaps: np.ndarray, edges: Sequence[float], count: int, seed: int
+) -> list[Pair]:
+    """At most `count` pairs, one bin of rotation and overlap after the other in turn; those beyond
+    the last rotation only among the hopeless."""
+    rng = np.random.default_rng(seed)
+    rotations = np.array([rotation_error_deg(pair.R, np.eye(3)) for pair in pairs])
+    rotation = np.digitize(rotations, _ROTATIONS) - 1
+    overlap = np.digitize(overlaps, edges) - 1
+    hopeless = overlap == 0
+    far = rotation == len(_ROTATIONS) - 1
+    apart = rng.permutation(np.flatnonzero(hopeless))[: round(_HOPELESS * count)]
+    bins = [
+        list(rng.permutation(np.flatnonzero((rotation == r) & (overlap == o) & ~far)))
+        for r in range(len(_ROTATIONS) - 1)
+        for o in range(1, len(edges) - 1)
+    ]
+    chosen: list[int] = []
+    while any(bins) and len(chosen) < count - len(apart):
+        chosen += [int(own.pop()) for own in bins if own]
+    chosen = chosen[: count - len(apart)] + apart.tolist()
+    return [pairs[k] for k in sorted(chosen)]
+
+
+def _pair(
+    folder: Path, names: tuple[str, ...], cameras: tuple[Camera, Camera], T: np.ndarray
+) -> Pair:
+    U, _, Vt = np.linalg.svd(T[:3, :3])  # the nearest rotation: stored poses are rounded
+    return Pair(names[0], names[1], folder, *cameras, U @ Vt, T[:3, 3])
+
+
+def _probes(frame: PosedFrame, depth: np.ndarray) -> np.ndarray:
+    """Points (N, 3), in the camera's axes, of pixels of known depth, evenly spread."""
+    step = max(1, max(depth.shape) // _PROBE)
+    y, x = np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step]
+    z = depth[y, x].astype(np.float64)
+    known = z > 0
+    pixels = np.stack([x[known], y[known]], -1).astype(np.float64)
+    rays = (pixels - frame.K[:2, 2]) / np.diag(frame.K)[:2]
+    return np.column_stack([rays, np.ones(len(rays))]) * z[known][:, None]
+
+
+def _overlap(frame: PosedFrame, depth: np.ndarray, points: np.ndarray) -> float:
+    """Share of points (N, 3), in the frame's axes, that it sees."""
+    z = points[:, 2]
+    pixels = points[:, :2] / np.maximum(z, 1e-6)[:, None] * np.diag(frame.K)[:2] + frame.K[:2, 2]
+    column, row = np.rint(pixels.clip(-1e6, 1e6)).astype(int).T
+    height, width = depth.shape
+    inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    seen = depth[row.clip(0, height - 1), column.clip(0, width - 1)]
+    unknown = inside & (seen == 0)
+    visible = inside & (np.abs(seen - z) < _AGREES * z)
+    counted = len(z) - int(unknown.sum())
+    return float(visible.sum() / counted) if counted else 0.0
+
+
+def _pinhole(camera: pycolmap.Camera, folder: Path) -> Camera:
+    if len(camera.extra_params_idxs()):
+        raise InputError(f"{folder}: {camera.model_name} has distortion; undistort the model")
+    K = camera.calibration_matrix()
+    K[:2, 2] -= 0.5  # COLMAP's (0, 0) is the corner of the top-left pixel
+    return Camera(K, (camera.width, camera.height))
+
+
+def _depth(model: pycolmap.Reconstruction, points: set[int], cam_from_world: np.ndarray) -> float:
+    """Median depth of points in a camera; 0 for none."""
+    if not points:
+        return 0.0
+    world = np.array([model.points3D[k].xyz for k in points])
+    return float(np.median(world @ cam_from_world[2, :3] + cam_from_world[2, 3]))

@@ -1,0 +1,78 @@
+"""What a fit is made of: scenes, each with the part that it plays, listed in a JSON file.
+
+    {"scene": "hololens", "part": "fit", "kind": "rgbd", "path": "rgbd/hololens", "pairs": 120}
+
+Paths are relative to the data folder. A scene plays one part alone, so that pairs of one place are
+never on both sides. Kinds:
+
+- `list`: a pair list in SuperGlue's format; its `scene` may be null: then the scene of a pair is
+  the first folder of its image's name.
+- `rgbd`: a folder of posed RGB-D frames; pairs are drawn from it (`drawn.py`).
+- `sparse`: a COLMAP text model with its images.
+- `rendered`: `path` is a folder of photographs as textures.
+- `unrelated`: `path` is a list of folders; two photographs of different prefixes or folders.
+- `textureless`: drawn images without structure, alone and beside photographs of `path`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from dgc_pose.errors import InputError
+from dgc_pose.options import check_options, option
+
+Part = Literal["fit", "calibrate", "report"]
+SourceKind = Literal["list", "rgbd", "sparse", "rendered", "unrelated", "textureless"]
+DEFAULT_PLAN = "plan.json"  # beside this file
+
+
+@dataclass(frozen=True)
+class Source:
+    """One line of a plan."""
+
+    name: str  # of the source's files; the scene too, but for lists of several
+    part: Part = option()
+    kind: SourceKind = option()
+    path: tuple[Path, ...] = ()  # within the data folder
+    pairs: int = option(60, min=1)  # at most
+    seed: int = option(0, min=0)
+    scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def read_plan(path: Path | None) -> list[Source]:
+    """The sources of a plan; None for the one that the project's model is fitted by.
+
+    Raises InputError, with the path, for a file that is no plan and for a scene with two parts.
+    """
+    text = (
+        files("dgc_pose.benchmarks.probability").joinpath(DEFAULT_PLAN).read_text("utf-8")
+        if path is None
+        else path.read_text(encoding="utf-8")
+    )
+    try:
+        found = [_source(entry) for entry in json.loads(text)]
+    except (ValueError, TypeError, KeyError, AttributeError, InputError) as error:
+        raise InputError(f"{path or DEFAULT_PLAN}: not a plan ({error})") from None
+    names = [source.name for source in found]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice or not names:
+        raise InputError(f"{path or DEFAULT_PLAN}: {', '.join(sorted(twice)) or 'no scene'} twice")
+    missing = set(get_args(Part)) - {source.part for source in found}
+    if missing:
+        raise InputError(f"{path or DEFAULT_PLAN}: no scene to {' or '.join(sorted(missing))}")
+    return found
+
+
+def _source(entry: dict[str, Any]) -> Source:
+    values = dict(entry)
+    paths = values.pop("path", [])
+    return Source(
+        **values, path=tuple(Path(p) for p in ([paths] if isinstance(paths, str) else paths))
+    )

@@ -1,0 +1,81 @@
+"""From stored matches to evidence and errors: one record a pair, whatever the verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.benchmarks.probability.collection import StoredPair
+from dgc_pose.benchmarks.probability.plan import Part
+from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.estimation.probability import RIGHT_DEG
+from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
+from dgc_pose.threads import in_threads
+
+# Gates that every model passes, so that its pose is known.
+ANY_POSE = VerdictOptions(
+    min_probability=None,
+    min_inliers=0,
+    min_inlier_ratio=0.0,
+    max_log10_false_alarms=math.inf,
+    chance_factor=0.0,
+    min_occupied_cells=0,
+    min_cheirality=0.0,
+    rotation_share=math.inf,
+    strict_rotation_share=math.inf,
+    max_rotation_error_deg=math.inf,
+)
+_CHUNK = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What a pair's evidence is, and how wrong its pose."""
+
+    name: str
+    source: str
+    scene: str
+    part: Part
+    evidence: Evidence | None  # None without a model
+    rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
+    translation_error_deg: float
+
+    @property
+    def right(self) -> bool:
+        """Whether R and t are both within 10 degrees."""
+        return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
+
+    @property
+    def pair_error_deg(self) -> float:
+        """As the matching literature counts: t without its sign."""
+        return max(self.rotation_error_deg, folded(self.translation_error_deg))
+
+
+def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
+    """The record of each pair, in order; `options.verdict` does not matter."""
+    waiting: list[StoredPair] = []
+    for pair in pairs:
+        waiting.append(pair)
+        if len(waiting) == _CHUNK:
+            yield from in_threads(lambda one: record(one, options), waiting)
+            waiting = []
+    yield from in_threads(lambda one: record(one, options), waiting)
+
+
+def record(pair: StoredPair, options: EstimationOptions) -> Record:
+    """The record of one pair."""
+    own = replace(options, verdict=ANY_POSE)
+    truth = pair.truth
+    pose = estimate_pose(
+        pair.matches, truth.camera1, truth.camera2, own, map_matches=pair.map_matches
+    )
+    rotation = translation = math.inf
+    if truth.R is not None and truth.t is not None and pose.R is not None and pose.t is not None:
+        rotation = rotation_error_deg(pose.R, truth.R)
+        translation = translation_error_deg(pose.t, np.asarray(truth.t))
+    source = pair.name.rpartition(" ")[0]
+    return Record(pair.name, source, pair.scene, pair.part, pose.evidence, rotation, translation)

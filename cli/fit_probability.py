@@ -1,0 +1,99 @@
+"""`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from tqdm import tqdm
+
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import DeviceName, split_names
+from dgc_pose.errors import InputError
+from dgc_pose.files import staged
+from dgc_pose.options import check_options, option
+
+
+@dataclass(frozen=True)
+class FitChoice:
+    """What is collected and fitted."""
+
+    data: Path = option(help="Folder of the data that the plan names.")
+    out: Path = option(help="Folder of the stored matches and of the results.")
+    plan: Path | None = option(
+        None, "JSON list of scenes and their parts; default: the project's own.", metavar="PATH"
+    )
+    methods: str = option(
+        "dgcm-lite,sift", "Comma-separated networks and sift; of the networks the first is fitted."
+    )
+    stop_after: float | None = option(
+        None,
+        "Stop collecting after so many minutes, without a fit; the same command continues.",
+        metavar="MIN",
+        above=0,
+    )
+    collected: bool = option(False, "Match no further pairs: fit on those that are stored.")
+    device: DeviceName = option("auto", "Where the network runs.")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@click.command()
+@dataclass_options(FitChoice, "choice")
+def fit_probability(choice: FitChoice) -> None:
+    """Fit the probability that a pose is right: collect, fit, calibrate, report.
+
+    Matches of the plan's pairs are stored in --out, and the same command goes on after any kill.
+    Then the models are fitted on some scenes, calibrated on others and reported on third ones.
+    Writes probability.json, which the package reads, report.txt and reliability.png into --out.
+    Needs scikit-learn (the extra "fit").
+    """
+    from dgc_pose.benchmarks.probability.plan import read_plan
+
+    sources = read_plan(choice.plan)
+    methods = split_names(choice.methods)
+    if not methods:
+        raise InputError("no methods named")
+    if not choice.collected and not _collected(choice, methods):
+        click.echo("stopped; the same command continues")
+        return
+    from dgc_pose.benchmarks.probability.run import fit_all
+
+    found = fit_all(choice.out, methods, sources, say=click.echo)
+    model, text, figure = (
+        str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
+    )
+    from dgc_pose.viz import save_figure
+
+    with staged(model, text, figure) as stage:
+        stage(model).write_text(found.models, encoding="utf-8")
+        stage(text).write_text(found.report + "\n", encoding="utf-8")
+        save_figure(found.figure, stage(figure))
+    click.echo(found.report)
+
+
+def _collected(choice: FitChoice, methods: Sequence[str]) -> bool:
+    """Match what is not stored yet; whether nothing is left."""
+    from dgc_pose.benchmarks.probability.collection import collect, require_engine
+    from dgc_pose.benchmarks.probability.plan import read_plan
+    from dgc_pose.benchmarks.probability.sources import planned
+    from dgc_pose.matchers import load_matcher
+
+    start = time.monotonic()
+    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
+    for name, matcher in matchers.items():
+        require_engine(choice.out, name, matcher)
+    lists = choice.out / "lists"
+    pairs = [p for s in read_plan(choice.plan) for p in planned(s, choice.data, lists)]
+    # One pair of each scene in turn: a collection that is cut short has some of each.
+    pairs.sort(key=lambda pair: pair.number)
+    done = collect(pairs, matchers, choice.out)
+    for _ in tqdm(done, total=len(pairs), unit="pair", disable=None):
+        minutes = (time.monotonic() - start) / 60
+        if choice.stop_after is not None and minutes >= choice.stop_after:
+            return False
+    return True

@@ -1,0 +1,135 @@
+"""Where an image has structure: no match is made without it.
+
+Two blank patches, or two patches of noise, agree with each other wherever they lie. A point can be
+found again if the image changes around it in every direction: if both eigenvalues of the structure
+tensor (Förstner and Gülch 1987) are larger than those of the image's own noise. Along an edge or a
+stripe the smaller one is not (the aperture problem). Uniform bars at the border belong to no scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import cv2
+import numpy as np
+
+from dgc_pose.image import Image, resize_by
+from dgc_pose.matches import Matches
+from dgc_pose.pixels import rescale
+
+LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
+_GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
+_WINDOW = 4.0  # pixels, deviation of the Gaussian over which gradients are averaged
+_EDGE = 5  # pixels at the image's edge that the first Gaussian and the derivative reach
+_TIMES_NOISE = 3.0  # both eigenvalues over that of the noise
+_LEAST_NOISE = 2.0  # grey levels: rounding, dithering and the blocks of JPEG at the least
+# The smaller eigenvalue over the larger one. The jagged edges of a stripe have less.
+_LEAST_RATIO = 0.003
+_BAR_RANGE = 12.0  # grey levels between most pixels of a row or column that belongs to a bar
+_BAR_SHARE = 0.02  # of the pixels of a row or column that may differ at each end of the range
+_BAR_EDGE = 8  # pixels beside a bar that its edge, smeared by compression, may reach
+# Variance of the derivative of white noise of variance 1 after the Gaussian: 1 / (8 pi s^4).
+_NOISE_GRADIENT = 1 / (8 * np.pi * _GRADIENT**4)
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Where an image has structure, on the image or on a shrunk copy of it."""
+
+    mask: np.ndarray  # (h, w) bool
+    size: tuple[int, int]  # (width, height) of the image itself
+
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Whether the image has structure at points (N, 2), pixels of the image: (N,) bool.
+
+        False outside the image and for points that are not finite.
+        """
+        height, width = self.mask.shape
+        finite = np.isfinite(points).all(1)
+        cells = rescale(np.where(finite[:, None], points, -1.0), self.size, (width, height))
+        column, row = np.rint(cells.clip(-2, LONG_SIDE + 1)).astype(np.int64).T
+        inside = finite & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        return inside & self.mask[row.clip(0, height - 1), column.clip(0, width - 1)]
+
+
+_KEPT: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()  # as long as the image itself
+
+
+def textured(matches: Matches, image1: Image, image2: Image) -> Matches:
+    """The matches whose points have structure around them in both images."""
+    kept = texture(image1).at(matches.points1) & texture(image2).at(matches.points2)
+    return matches if kept.all() else matches.subset(kept)
+
+
+def texture(image: Image) -> Texture:
+    """Where an image has structure; computed once for each image."""
+    found = _KEPT.get(image)
+    if found is None:
+        shrunk = resize_by(image.pixels, min(1.0, LONG_SIDE / max(image.size)))
+        grey = cv2.cvtColor(shrunk, cv2.COLOR_RGB2GRAY).astype(np.float32)
+        found = _KEPT[image] = Texture(structured(grey), image.size)
+    return found
+
+
+def structured(grey: np.ndarray) -> np.ndarray:
+    """Where an image (H, W) float32, in grey levels, has structure in every direction: (H, W)."""
+    mask = np.zeros(grey.shape, dtype=bool)
+    rows, columns = _without_bars(grey)
+    content = grey[rows, columns]
+    if min(content.shape) <= 2 * _EDGE:
+        return mask
+    least = _TIMES_NOISE * _NOISE_GRADIENT * max(noise_level(content), _LEAST_NOISE) ** 2
+    small, large = _eigenvalues(content)
+    found = (small > least) & (small > _LEAST_RATIO * large)
+    mask[rows, columns] = np.pad(found, _EDGE)
+    return mask
+
+
+def noise_level(grey: np.ndarray) -> float:
+    """Standard deviation of the noise of an image (H, W), H, W >= 3, in its own unit.
+
+    From the upper quartile of the response to the difference of two Laplacians, which cancels
+    planes and straight edges (Immerkær 1996). Fine texture counts as noise. Not the median: noise
+    around black is cut off.
+    """
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    response = cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1]
+    return float(np.quantile(np.abs(response), 0.75)) / (1.1503 * 6)
+
+
+def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smaller and the larger eigenvalue of the structure tensor at each pixel but the outer
+    ones, where the filters mirror the image, which gives a stripe a corner."""
+    smooth = cv2.GaussianBlur(grey, (0, 0), _GRADIENT)
+    smooth = smooth[_EDGE - 1 : 1 - _EDGE, _EDGE - 1 : 1 - _EDGE]
+    x = (smooth[1:-1, 2:] - smooth[1:-1, :-2]) / 2
+    y = (smooth[2:, 1:-1] - smooth[:-2, 1:-1]) / 2
+    xx, yy, xy = (
+        cv2.GaussianBlur(product, (0, 0), _WINDOW, borderType=cv2.BORDER_REPLICATE)
+        for product in (x * x, y * y, x * y)
+    )
+    mean, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    return mean - half, mean + half
+
+
+def _without_bars(grey: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of an image between uniform bars at its border."""
+    rows = _content(grey)
+    return rows, _content(grey[rows].T)
+
+
+def _content(grey: np.ndarray) -> slice:
+    """The rows from the first to the last that is not uniform, without the edges of the bars."""
+    count = len(grey)
+    before = next((k for k, row in enumerate(grey) if _varied(row)), count)
+    after = next((k for k, row in enumerate(grey[::-1]) if _varied(row)), count)
+    first, last = (k + _BAR_EDGE if k else 0 for k in (before, after))
+    return slice(min(first, count), max(count - last, first, 0))
+
+
+def _varied(row: np.ndarray) -> bool:
+    if len(row) == 0:
+        return False
+    low, high = np.quantile(row, (_BAR_SHARE, 1 - _BAR_SHARE))
+    return bool(high - low > _BAR_RANGE)

@@ -1,0 +1,244 @@
+"""From stored matches to models and report, on synthetic scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import dense_scene
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from good_evidence import GOOD_EVIDENCE
+
+from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
+from dgc_pose.benchmarks.probability import collection
+from dgc_pose.benchmarks.probability.collection import (
+    collect,
+    read_collection,
+    require_engine,
+    store_path,
+)
+from dgc_pose.benchmarks.probability.fitting import fit_model
+from dgc_pose.benchmarks.probability.plan import Part, Source
+from dgc_pose.benchmarks.probability.records import Record, record
+from dgc_pose.benchmarks.probability.report import judged, report_text
+from dgc_pose.benchmarks.probability.run import fit_all
+from dgc_pose.benchmarks.probability.sources import PlannedPair, planned
+from dgc_pose.camera import Camera
+from dgc_pose.cli.main import main
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.probability import FEATURES, models_of
+from dgc_pose.image import Image
+from dgc_pose.matching import Matcher, MatchResult
+from dgc_pose.matching.sift import SiftMatcher
+from two_view import two_view_scene
+
+OPTIONS = EstimationOptions(runs=2, iterations=100)
+PARTS: tuple[Part, ...] = ("fit", "calibrate", "report")
+BLANK = Image(np.zeros((8, 8, 3), np.uint8))
+
+
+class _Scenes(Matcher):
+    """The matches of a two-view scene of its own for each pair, in turn."""
+
+    name = "scenes"
+
+    def __init__(self) -> None:
+        self.calls = 0
+        self.matches = two_view_scene("random", count=60).matches
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        self.calls += 1
+        return MatchResult(self.matches, None)
+
+
+def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[Source, list[PlannedPair]]:
+    """Every second pair has a scene; the matches of the others are random."""
+    source = Source(part, part, "list")
+
+    def make(number: int) -> PosedPair:
+        kind = "general" if number % 2 else "random"
+        scene = two_view_scene(kind, seed=number, count=150, outliers=0.2 + 0.004 * number)
+        matcher.matches = dataclasses.replace(scene.matches, key_points=True)
+        t = scene.t if kind == "general" else np.array([0.0, 0, 1])
+        return PosedPair(Truth({}, *scene.cameras, scene.R, t), BLANK, BLANK)
+
+    own = [PlannedPair(source, k, f"{part} {k % 3}", lambda k=k: make(k)) for k in range(count)]
+    return source, own
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory) -> tuple[Path, list[Source]]:
+    out = tmp_path_factory.mktemp("collected")
+    matcher, sources = _Scenes(), []
+    require_engine(out, "sift", matcher)
+    for part in PARTS:
+        source, pairs = _pairs(matcher, part, 44 if part != "report" else 24)
+        assert len(list(collect(pairs, {"sift": matcher}, out))) == len(pairs)
+        sources.append(source)
+    return out, sources
+
+
+def test_a_collection_goes_on_where_it_stopped(stored) -> None:
+    out, _ = stored
+    matcher = _Scenes()
+    source, pairs = _pairs(matcher, "fit", 44)
+    gone = store_path(out, "sift", source, 7)
+    before = gone.read_bytes()
+    gone.unlink()
+    assert len(list(collect(pairs, {"sift": matcher}, out))) == 44
+    assert matcher.calls == 1 and gone.read_bytes() == before
+
+
+def test_other_weights_do_not_go_on_with_a_collection(stored) -> None:
+    out, _ = stored
+    with pytest.raises(InputError, match="other weights"):
+        require_engine(out, "sift", SiftMatcher())
+
+
+def test_what_is_stored_comes_back(stored) -> None:
+    out, sources = stored
+    scene = two_view_scene("general", seed=3, count=150, outliers=0.2 + 0.004 * 3)
+    pair = [one for one in read_collection(out, "sift", sources) if one.name == "fit 0003"][0]
+    np.testing.assert_allclose(pair.matches.points1, scene.points1, atol=1e-3)
+    assert pair.matches.key_points and pair.map_matches is None and pair.scene == "fit 0"
+    np.testing.assert_allclose(pair.truth.R, scene.R)
+    assert pair.truth.camera1.size == (8, 8)
+
+
+def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
+    matcher = dense_scene.MapMatcher(dense_scene.true_map())
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    images = [Image(pixels) for pixels in dense_scene.pictures()]
+    source = Source("one", "fit", "list")
+    truth = Truth({}, camera, camera, dense_scene.R, dense_scene.T)
+    made = PlannedPair(source, 0, "one", lambda: PosedPair(truth, *images))
+    list(collect([made], {"net": matcher}, tmp_path))
+    (pair,) = read_collection(tmp_path, "net", [source])
+    assert pair.map_matches is not None and 100 < len(pair.map_matches) <= 1600
+    found = record(pair, OPTIONS)
+    assert found.right and found.evidence is not None
+    assert found.evidence.map_agreement > 0.9 > 0.5 > found.evidence.map_chance
+    assert found.evidence.map_matchability == pytest.approx(pair.map_matches.confidence.mean())
+
+
+def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
+    out, sources = stored
+    found = fit_all(out, ["sift"], sources, OPTIONS)
+    models = models_of(found.models, "fit")
+    assert set(models) == {"key_points"}
+    weights = models["key_points"].weights
+    assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
+    assert "calibration error" in found.report and "key points" in found.report
+    assert json.loads(found.models)["engine"]["sift"]["name"] == "scenes"
+    assert len(found.figure.axes) == 2
+    likely = [
+        models["key_points"].probability(one.evidence) >= 0.5
+        for one in found.records
+        if one.evidence is not None
+    ]
+    right = [one.right for one in found.records if one.evidence is not None]
+    assert np.mean(np.equal(likely, right)) > 0.95
+
+
+def test_the_command_refuses_what_it_cannot_fit(tmp_path) -> None:
+    arguments = ["fit-probability", "--data", str(tmp_path), "--out", str(tmp_path), "--collected"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2 and "nothing is collected for dgcm-lite" in result.output
+    assert not (tmp_path / "probability.json").exists()
+    result = CliRunner().invoke(main, [*arguments[:-1], "--methods", "sift"])
+    assert result.exit_code == 2 and "no such data; the plan's source" in result.output
+
+
+def _records(count: int, seed: int, part: Part) -> list[Record]:
+    """Poses whose chance to be right is a known function of three numbers."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(count):
+        ratio, cells, agreement = rng.random(), rng.integers(5, 120), rng.random()
+        odds = 6 * (ratio - 0.5) + 2 * np.log(cells / 25) + 2 * (agreement - 0.5)
+        right = rng.random() < 1 / (1 + np.exp(-odds))
+        own = 0.3 * np.exp(rng.normal())
+        # The jackknife's error is half of what it should be.
+        error = 0.6 / 1.645 * own / 0.3 * abs(rng.normal()) if right else 60.0
+        evidence = dataclasses.replace(
+            GOOD_EVIDENCE,
+            inlier_ratio=ratio,
+            occupied_cells=int(cells),
+            map_agreement=agreement,
+            rotation_error_90_deg=own,
+            translation_error_90_deg=own,
+        )
+        found.append(Record(f"s {k}", "s", f"{part} {k % 5}", part, evidence, error, error))
+    return found
+
+
+def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
+    data = _records(600, 0, "fit") + _records(400, 1, "calibrate")
+    text = json.dumps({"format": 1, "models": {"network": fit_model(data, "network")}})
+    model = models_of(text, "fit")["network"]
+    fresh = [judged(one, model) for one in _records(1500, 2, "report")]
+    probability = np.array([one.probability for one in fresh])
+    right = np.array([one.record.right for one in fresh])
+    for low, high in ((0.0, 0.3), (0.3, 0.7), (0.7, 1.01)):
+        own = (probability >= low) & (probability < high)
+        assert right[own].mean() == pytest.approx(probability[own].mean(), abs=0.08)
+    within = [o.record.rotation_error_deg <= o.rotation_90_deg for o in fresh if o.record.right]
+    assert 0.85 < np.mean(within) < 0.95
+    assert "calibration error" in report_text(fresh)
+
+
+def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
+    data = [one for one in _records(300, 0, "fit") if one.right]
+    with pytest.raises(InputError, match="0 wrong poses to fit on"):
+        fit_model(data, "network")
+
+
+def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
+    def missing(name: str) -> None:
+        raise ImportError(name)
+
+    monkeypatch.setattr("importlib.import_module", missing)
+    data = _records(200, 0, "fit") + _records(200, 1, "calibrate")
+    with pytest.raises(InputError, match="dgc-pose\\[fit\\]"):
+        fit_model(data, "network")
+
+
+def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        for k in range(3):
+            pixels = np.random.default_rng(k).integers(0, 255, (30, 40, 3), np.uint8)
+            import cv2
+
+            cv2.imwrite(str(tmp_path / folder / f"{folder}{k}_1.png"), pixels)
+    paths = (Path("a"), Path("b"))
+    for kind in ("unrelated", "textureless"):
+        source = Source(kind, "report", kind, paths, pairs=8, seed=3)
+        first, again = (
+            [one.make() for one in planned(source, tmp_path, tmp_path / "lists")] for _ in "12"
+        )
+        assert len(first) == 8
+        for one, other in zip(first, again, strict=True):
+            assert np.array_equal(one.image1.pixels, other.image1.pixels)
+            assert one.truth.R is None and one.truth.camera1.size == one.image1.size
+    missing = Source("x", "fit", "rgbd", (Path("nowhere"),))
+    with pytest.raises(InputError, match="nowhere: no such data"):
+        planned(missing, tmp_path, tmp_path / "lists")
+
+
+def test_a_kill_while_writing_leaves_no_half_pair(tmp_path, monkeypatch) -> None:
+    matcher = _Scenes()
+    source, pairs = _pairs(matcher, "fit", 1)
+
+    def killed(stream, **arrays):
+        stream.write(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(collection.np, "savez_compressed", killed)
+    with pytest.raises(KeyboardInterrupt):
+        list(collect(pairs, {"sift": matcher}, tmp_path))
+    assert not list(tmp_path.rglob("*.npz*"))

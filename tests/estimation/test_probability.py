@@ -1,0 +1,185 @@
+"""The model of the probability: applied as its file says, monotone, and with reasons."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from good_evidence import GOOD_EVIDENCE
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dgc_pose.errors import InputError
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.estimation.options import VerdictOptions
+from dgc_pose.estimation.probability import (
+    FEATURES,
+    error_features,
+    match_kind,
+    models_of,
+    read_models,
+    shipped_models,
+)
+from dgc_pose.estimation.verdict import judge
+
+ERROR = {"weights": {"own": -0.25, "inliers": 0.1}, "intercept": 0.5}
+MODEL = {
+    "weights": {name: 0.5 * feature.sign for name, feature in FEATURES.items()},
+    "intercept": -2.0,
+    "reference": {name: feature.value(GOOD_EVIDENCE) for name, feature in FEATURES.items()},
+    "rotation_error": ERROR,
+    "translation_error": ERROR,
+}
+
+
+def _text(**changes: object) -> str:
+    return json.dumps({"format": 1, "models": {"network": MODEL | changes}})
+
+
+def _model():
+    return models_of(_text(), "test")["network"]
+
+
+def _worse(**changes: object) -> Evidence:
+    return dataclasses.replace(GOOD_EVIDENCE, **changes)
+
+
+def test_the_probability_is_the_logistic_function_of_the_weighted_features() -> None:
+    odds = -2.0 + sum(0.5 * f.sign * f.value(GOOD_EVIDENCE) for f in FEATURES.values())
+    assert _model().probability(GOOD_EVIDENCE) == pytest.approx(1 / (1 + math.exp(-odds)))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"num_inliers": 30},
+        {"inlier_ratio": 0.3},
+        {"chance_ratio": 0.2},
+        {"log10_false_alarms": -3.0},
+        {"cheirality_ratio": 0.5},
+        {"occupied_cells": 12},
+        {"hull_cells": 20.0},
+        {"rotation_error_90_deg": 9.0},
+        {"rotation_error_90_deg": None},
+        {"translation_error_90_deg": None},
+        {"residual": 0.5},
+        {"threshold_cells": 0.3},
+        {"parallax": 1.5},
+        {"rotation_share": 0.9},
+        {"median_triangulation_angle_deg": 0.5},
+        {"homography_ratio": 0.95},
+        {"depth_spread": 0.02},
+        {"confidence": 0.6},
+        {"run_agreement": 0.2},
+        {"rival_ratio": 0.95},
+        {"map_matchability": 0.05},
+        {"map_agreement": 0.3},
+    ],
+)
+def test_worse_evidence_lowers_the_probability_and_is_named_first(changes) -> None:
+    model, evidence = _model(), _worse(**changes)
+    assert model.probability(evidence) < model.probability(GOOD_EVIDENCE)
+    (reason, *_) = model.against(evidence)
+    named = [f.words(evidence) for f in FEATURES.values()]
+    assert reason in named and model.against(GOOD_EVIDENCE) == []
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.floats(0, 1),
+    st.floats(0, 1),
+    st.floats(-1e5, math.inf),
+    st.one_of(st.none(), st.floats(0, 180)),
+)
+def test_any_evidence_has_a_probability(count, ratio, chance, alarms, error) -> None:
+    evidence = _worse(
+        num_inliers=count,
+        occupied_cells=count,
+        inlier_ratio=ratio,
+        chance_ratio=chance,
+        log10_false_alarms=alarms,
+        rotation_error_90_deg=error,
+        translation_error_90_deg=error,
+        parallax=ratio,
+        hull_cells=0.0,
+        threshold_cells=0.0,
+    )
+    assert 0 < _model().probability(evidence) < 1
+    assert all(isinstance(reason, str) for reason in _model().against(evidence))
+
+
+def test_the_covariance_is_scaled_by_the_calibrated_error() -> None:
+    model = _model()
+    root = np.random.default_rng(0).standard_normal((6, 6))
+    covariance = root @ root.T * 1e-4
+    scaled = model.calibrated(covariance, GOOD_EVIDENCE)
+    expected = [math.exp(0.5 - 0.25 * math.log(own) + 0.1 * math.log(300)) for own in (0.5, 1.0)]
+    assert np.allclose(scaled[:3, :3], covariance[:3, :3] * expected[0] ** 2)
+    assert np.allclose(scaled[3:, 3:], covariance[3:, 3:] * expected[1] ** 2)
+    assert np.allclose(scaled, scaled.T) and np.linalg.eigvalsh(scaled).min() > -1e-12
+    assert error_features(GOOD_EVIDENCE, "rotation")["own"] == math.log(0.5)
+
+
+def test_the_kind_of_matches_chooses_the_model() -> None:
+    assert match_kind(GOOD_EVIDENCE) == "network"
+    assert match_kind(_worse(map_agreement=None)) == "matches"
+    assert match_kind(_worse(map_agreement=None, key_points=True)) == "key_points"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "no JSON",
+        "[]",
+        '{"models": {}}',
+        '{"format": 2, "models": {}}',
+        _text(weights={"unheard": 1.0}),
+        _text(weights={"inliers": math.nan}),
+        _text(rotation_error=None),
+        _text(intercept="much"),
+        _text(reference={}),
+    ],
+)
+def test_a_file_that_is_no_model_is_refused_by_its_name(text: str, tmp_path) -> None:
+    path = tmp_path / "model.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match="model.json: not a model of the probability"):
+        read_models(path)
+
+
+def test_the_package_s_own_file_can_be_read() -> None:
+    for model in shipped_models().values():
+        assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
+
+
+OPTIONS = VerdictOptions(min_probability=0.5)
+
+
+def test_the_probability_decides_and_not_the_gates() -> None:
+    few = _worse(num_inliers=12, occupied_cells=9)
+    assert judge(few, OPTIONS).status == "chance_inliers"
+    assert judge(few, OPTIONS, 0.5).status == "ok"
+    assert judge(GOOD_EVIDENCE, OPTIONS, 0.49).status == "improbable"
+    assert judge(GOOD_EVIDENCE, VerdictOptions(min_probability=0.3), 0.4).status == "ok"
+    assert judge(GOOD_EVIDENCE, VerdictOptions(min_probability=None), 0.1).status == "ok"
+    assert judge(_worse(homography_ratio=0.9), OPTIONS, 0.9).status == "planar"
+
+
+def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
+    against = ["only 28 % of the matches are inliers", "there is little parallax"]
+    status, reason, _ = judge(_worse(cheirality_ratio=0.4), OPTIONS, 0.231, against)
+    assert status == "behind_cameras"
+    assert reason == (
+        "the pose is right with a probability of 23 %: only 28 % of the matches are inliers, "
+        "there is little parallax"
+    )
+
+
+def test_no_probability_makes_a_translation_of_a_rotation_or_a_line() -> None:
+    rotated = _worse(rotation_share=1.0, parallax=1.0)
+    assert judge(rotated, OPTIONS, 0.99).status == "rotation_only"
+    assert judge(_worse(collinear=True), OPTIONS, 0.99).status == "no_model"

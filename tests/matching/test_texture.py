@@ -1,0 +1,187 @@
+"""No match without structure, whatever makes the matches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+from blank_images import SIZE, blank_image, blank_pairs
+
+from dgc_pose.benchmarks.probability.blank import BLANKS, BlankKind
+from dgc_pose.camera import Camera
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+from dgc_pose.matching.files import FileMatcher
+from dgc_pose.matching.flow import FLOWS, FlowMatcher
+from dgc_pose.matching.sift import SiftMatcher, SiftOptions
+from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
+from dgc_pose.refinement import Refiner
+from dgc_pose.refinement.flow import FlowMatches
+from dgc_pose.refinement.source import MapMatches
+
+PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)
+
+
+@pytest.fixture(scope="module")
+def photograph() -> Image:
+    return Image(dense_scene.pictures()[0])
+
+
+class _Everywhere(Matcher):
+    """A network that is sure of every pixel of any two images."""
+
+    name = "sure"
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        found = dense_scene.true_map()
+        sure = np.ones_like(found.matchability)
+        given = MatchResult(
+            Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0),
+            type(found)(found.map, found.grid, sure, found.size1, found.size2),
+        )
+        from dgc_pose.matching import select_matches
+
+        assert given.correspondence_map is not None
+        matches = select_matches(given.correspondence_map, MatchingOptions())
+        return MatchResult(textured(matches, image1, image2), given.correspondence_map)
+
+
+def _stored(folder: Path) -> FileMatcher:
+    """Another program's matches, one at each fourth pixel, whatever the images show."""
+    np.savez(folder / "pair.npz", points1=PIXELS[::4] + (0.3, 0.2), points2=PIXELS[::4])
+    return FileMatcher(folder, lambda name1, name2: "pair")
+
+
+SOURCES: dict[str, Callable[[Path], Matcher]] = {
+    "map": lambda folder: _Everywhere(),
+    "map refined": lambda folder: Refiner(_Everywhere(), [MapMatches()]),
+    "flow refined": lambda folder: Refiner(_Everywhere(), [FlowMatches()]),
+    "sift": lambda folder: SiftMatcher(SiftOptions(features=1000)),
+    "files": _stored,
+    "files refined": lambda folder: Refiner(_stored(folder)),
+    **{flow: lambda folder, flow=flow: FlowMatcher(flow) for flow in FLOWS},
+}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_no_source_gives_a_match_and_no_estimator_a_pose(
+    source: str, photograph: Image, tmp_path: Path
+) -> None:
+    matcher = SOURCES[source](tmp_path)
+    camera = Camera(dense_scene.K, SIZE)
+    for name, image1, image2 in blank_pairs(photograph):
+        matches = matcher.match(image1, image2).matches
+        assert len(matches) < 20, (name, len(matches))
+        for estimator in ("poselib", "pycolmap", "opencv"):
+            options = EstimationOptions(estimator=estimator, runs=1, iterations=50)
+            pose = estimate_pose(matches, camera, camera, options)
+            assert pose.R is None and not pose.success, (name, estimator)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_where_there_is_structure_every_source_still_matches(source: str, tmp_path: Path) -> None:
+    first, second = (Image(pixels) for pixels in dense_scene.pictures())
+    # The sources of stored and made-up matches take the second picture for the first one moved.
+    assert len(SOURCES[source](tmp_path).match(first, second).matches) >= 50
+
+
+@pytest.mark.parametrize("kind", BLANKS)
+def test_a_blank_image_has_no_structure_anywhere(kind: BlankKind) -> None:
+    for seed in range(4):
+        assert texture(blank_image(kind, seed)).mask.mean() < 0.02
+
+
+def test_fine_and_coarse_texture_is_structure_at_any_contrast_above_the_noise() -> None:
+    rng = np.random.default_rng(0)
+    for blur, contrast in ((1.5, 60), (4, 60), (12, 60), (4, 8)):
+        smooth = cv2.GaussianBlur(rng.standard_normal((240, 320)), (0, 0), blur)
+        grey = 128 + contrast * smooth / smooth.std() + rng.standard_normal((240, 320))
+        assert structured(grey.astype(np.float32))[10:-10, 10:-10].mean() > 0.8
+
+
+def test_the_noise_level_is_that_of_the_noise() -> None:
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:200, :300]
+    for sigma in (1.0, 4.0, 15.0):
+        ramp = 100 + 0.3 * x - 0.2 * y + sigma * rng.standard_normal((200, 300))
+        assert noise_level(ramp.astype(np.float32)) == pytest.approx(sigma, rel=0.05)
+
+
+def test_a_photograph_and_its_noisy_copy_keep_their_structure() -> None:
+    """More noise hides the weaker structure, and only that."""
+    picture = dense_scene.pictures()[0]
+    rng = np.random.default_rng(0)
+    shares = []
+    for sigma in (0, 5, 20):
+        noisy = picture + sigma * rng.standard_normal(picture.shape[:2])[..., None]
+        shares.append(texture(Image(noisy.clip(0, 255).astype(np.uint8))).mask.mean())
+    assert shares[0] >= shares[1] >= shares[2] and shares[0] > 0.7 and shares[1] > 0.5
+
+
+def test_an_edge_has_none_and_its_end_has() -> None:
+    grey = np.full((120, 160), 60, np.float32)
+    grey[40:, 50:110] = 180  # a bar whose top lies in the image
+    frame = np.ones_like(grey, dtype=bool)
+    frame[3:-3, 3:-3] = False
+    grey[frame] = np.random.default_rng(0).uniform(0, 255, frame.sum())  # so there is no bar
+    mask = structured(grey)
+    assert not mask[80:95, 25:135].any()  # along the bar's sides
+    assert mask[38:43, 48:53].all() and mask[38:43, 108:113].all()  # its corners
+
+
+@pytest.mark.parametrize("colour", [0, 255, 90])
+def test_bars_at_the_border_are_no_scene(colour: int) -> None:
+    """Not their edges, nor the corners of a frame, sharp or smeared by compression."""
+    picture = dense_scene.pictures()[0]
+    framed = np.full_like(picture, colour)
+    framed[40:-40, 30:-30] = picture[40:-40, 30:-30]
+    encoded = cv2.imencode(".jpg", framed, [cv2.IMWRITE_JPEG_QUALITY, 70])[1]
+    for pixels in (framed, cv2.imdecode(encoded, cv2.IMREAD_COLOR)):
+        mask = texture(Image(np.ascontiguousarray(pixels))).mask
+        assert not mask[:40].any() and not mask[-40:].any()
+        assert not mask[:, :30].any() and not mask[:, -30:].any()
+        assert mask[60:-60, 50:-50].mean() > 0.6
+
+
+def test_a_burnt_out_sky_has_none_and_the_ground_has() -> None:
+    picture = dense_scene.pictures()[0]
+    sky = picture.copy()
+    sky[:100] = 255
+    mask = texture(Image(sky)).mask
+    assert not mask[:95].any() and mask[120:-10, 10:-10].mean() > 0.6
+
+
+def test_points_are_looked_up_on_images_of_any_size() -> None:
+    small = dense_scene.pictures()[0]
+    image = Image(cv2.resize(small, (4 * SIZE[0], 4 * SIZE[1])))
+    found = texture(image)
+    assert max(found.mask.shape) == LONG_SIDE
+    points = np.array([[640.0, 480], [-3, 5], [np.nan, 3], [np.inf, 1], [1e12, 0], [0, 0]])
+    assert found.at(points).tolist() == [True, False, False, False, False, False]
+    assert found.at(np.zeros((0, 2))).shape == (0,)
+
+
+def test_both_points_need_structure_and_the_rest_of_a_match_stays() -> None:
+    picture = dense_scene.pictures()[0]
+    half = picture.copy()
+    half[:, :160] = 128
+    points = PIXELS[:: 7 * 3].astype(float)
+    confidence = np.linspace(0, 1, len(points))
+    matches = Matches(points, points, confidence, 0.7, True)
+    kept = textured(matches, Image(picture), Image(half))
+    other = textured(matches, Image(half), Image(picture))
+    assert np.array_equal(kept.points1, other.points1) and (kept.points1[:, 0] > 150).all()
+    assert (kept.error_px, kept.key_points) == (0.7, True) and 0 < len(kept) < len(points) / 2
+    assert np.isin(kept.confidence, confidence).all()
+
+
+def test_tiny_images_have_no_structure() -> None:
+    for size in ((1, 1), (3, 200), (8, 8)):
+        pixels = np.random.default_rng(0).integers(0, 255, (*size, 3), np.uint8)
+        assert not texture(Image(pixels)).mask.any()
