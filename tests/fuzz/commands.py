@@ -217,9 +217,9 @@ def without_network() -> None:
 
     real = matchers.load_dense_matcher
 
-    def load(weights, *, device, options, cache):  # type: ignore[no-untyped-def]
+    def load(weights, *, options, **others):  # type: ignore[no-untyped-def]
         if weights != "dgcm-lite":
-            return real(weights, device=device, options=options, cache=cache)
+            return real(weights, options=options, **others)
         return dense_scene.MapMatcher(dense_scene.true_map(), options)
 
     matchers.load_dense_matcher = methods.load_dense_matcher = load  # type: ignore[assignment]

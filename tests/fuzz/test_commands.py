@@ -37,7 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield tmp_path
 
 
-def _map_matcher(weights, *, device, options, cache):
+def _map_matcher(weights, *, options, **_):
     return dense_scene.MapMatcher(dense_scene.true_map(), options)
 
 
