@@ -68,7 +68,7 @@ class Method:
         own = self.options.matching
         cycle_px = None if own.cycle_px is None else 1.0
         return self.engine, MatchingOptions(
-            cycle_px=cycle_px, rotate_below=own.rotate_below, finest=own.finest
+            cycle_px=cycle_px, search_below=own.search_below, finest=own.finest
         )
 
 

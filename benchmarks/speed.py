@@ -86,7 +86,7 @@ def time_stages(setup: Setup) -> Seconds:
     engine = dense.engine
     source, target = watch("encoder", lambda: [engine.encode(image.pixels) for image in images])
     watch("decoders", lambda: engine.decode([source], [target], dense.options.finest))
-    upright = DenseMatcher(engine, replace(dense.options, rotate_below=0.0))
+    upright = DenseMatcher(engine, replace(dense.options, search_below=0.0))
     watch(_UPRIGHT, lambda: upright.correspondence_maps([(first, second)]))
     (found,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
     selected = watch("selection", lambda: select_matches(found, dense.options))

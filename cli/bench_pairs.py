@@ -10,6 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
+from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_engines, parse_methods
 from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPairs
@@ -72,6 +73,7 @@ class SceneChoice:
 @pair_list_argument
 @root_option
 @dataclass_options(SceneChoice, "scenes")
+@dataclass_options(ImageChange, "change")
 @click.option(
     "--methods",
     default=lambda: ",".join([*shipped(), SIFT]),
@@ -100,6 +102,7 @@ def bench_pairs(
     pair_list: str | None,
     root: str | None,
     scenes: SceneChoice,
+    change: ImageChange,
     methods: str,
     limit: int | None,
     out: str | None,
@@ -113,8 +116,12 @@ def bench_pairs(
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
     """
+    changed = change != ImageChange()
     if pair_list is not None and scenes.rendered is None and scenes.photos is None:
-        pairs: PairSet[Any] = listed_pairs(pair_list, root, limit)
+        listed = listed_pairs(pair_list, root, limit)
+        pairs: PairSet[Any] = ChangedPairs(listed.pairs, change) if changed else listed
+    elif changed:
+        raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
     elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
         pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
     else:

@@ -11,16 +11,18 @@ from dgc_pose.errors import InputError
 from dgc_pose.image import Image
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.search import likely_views
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.texture import textured
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
-from dgc_pose.pixels import cell_centres, rescale
+from dgc_pose.pixels import cell_centres, rescale, within
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
 from dgc_pose.runtime.load import RuntimeName, load_engine
 from dgc_pose.sampling import bilinear
 
-# The encoder's features by image and quarter turns of it; keyed by the object, not by its pixels.
-FeatureCache = BoundedCache[tuple[Image, int], MapFeatures]
+# The encoder's features by image and view of it; keyed by the object, not by its pixels.
+FeatureCache = BoundedCache[tuple[Image, View], MapFeatures]
 
 
 def feature_cache() -> FeatureCache:
@@ -74,7 +76,8 @@ class DenseMatcher(Matcher):
     def coarse_features(self, image: Image) -> np.ndarray:
         """The coarsest features of an image (cells, C) float32, of unit length over C."""
         cache = feature_cache() if self.cache is None else self.cache
-        return np.concatenate(self.engine.coarsest(self._features(image, 0, cache)))
+        features = self._features(image, View.whole(image.size), cache)
+        return np.concatenate(self.engine.coarsest(features))
 
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
         """The map of each pair, with the cycle error if the options ask for one.
@@ -83,58 +86,85 @@ class DenseMatcher(Matcher):
         are independent of the batch.
         """
         cache = feature_cache() if self.cache is None else self.cache
-        found = self._rotated_maps(pairs, 0, cache)
-        suggested = {
-            i: self._likely_rotation(*pairs[i], cache)
-            for i, one in enumerate(found)
-            if one.matchability.mean() < self.options.rotate_below
+        whole = [(View.whole(first.size), View.whole(second.size)) for first, second in pairs]
+        decoded = self._decode(pairs, whole, cache)
+        views = {
+            i: likely_views(self.engine, *pairs[i])
+            for i, (one, _) in enumerate(decoded)
+            if one.matchability.mean() < self.options.search_below
         }
-        for quarter_turns in sorted({*suggested.values()} - {0}):
-            weak = [i for i, rotation in suggested.items() if rotation == quarter_turns]
-            maps = self._rotated_maps([pairs[i] for i in weak], quarter_turns, cache)
-            for i, rotated in zip(weak, maps, strict=True):
-                found[i] = max((found[i], rotated), key=lambda c: float(c.matchability.mean()))
-        return found
-
-    def _likely_rotation(self, image1: Image, image2: Image, cache: FeatureCache) -> int:
-        """The quarter turns of image 2 whose coarsest features are most similar to image 1's.
-
-        This needs no decoder, and on rendered pairs it finds the rotation as well as the maps do.
-        """
-        source, *targets = (
-            np.concatenate(self.engine.coarsest(self._features(image, turns, cache)))  # (cells, C)
-            for image, turns in ((image1, 0), *((image2, turns) for turns in range(4)))
-        )
-        similarity = [float((source @ target.T).max(0).mean()) for target in targets]
-        return similarity.index(max(similarity))
-
-    def _rotated_maps(
-        self, pairs: Sequence[tuple[Image, Image]], quarter_turns: int, cache: FeatureCache
-    ) -> list[CorrespondenceMap]:
-        """The maps computed with each image 2 rotated, given over image 2 as it is."""
-        source = [self._features(first, 0, cache) for first, _ in pairs]
-        target = [self._features(second, quarter_turns, cache) for _, second in pairs]
-        finest = self.options.finest
-        forward = self.engine.decode(source, target, finest)
-        cycles: list[np.ndarray | None] = [None] * len(pairs)
-        if self.options.cycle_px is not None:
-            reverse = self.engine.decode(target, source, finest)
-            cycles = [
-                _cycle_error(one, other, _rotated_size(image2, quarter_turns))
-                for one, other, (_, image2) in zip(forward, reverse, pairs, strict=True)
-            ]
+        suggested = {i: both for i, both in views.items() if both is not None}
+        again = self._decode([pairs[i] for i in suggested], list(suggested.values()), cache)
+        for (i, both), other in zip(suggested.items(), again, strict=True):
+            inside = both[1].inside(pairs[i][1].size, other[0].matchability.shape[::-1])
+            if other[0].matchability[inside].mean() > decoded[i][0].matchability.mean():
+                whole[i], decoded[i] = both, other
         return [
-            _upright_map(*pair, quarter_turns, one, cycle)
-            for pair, one, cycle in zip(pairs, forward, cycles, strict=True)
+            self._upright_map(*pair, *both, *one)
+            for pair, both, one in zip(pairs, whole, decoded, strict=True)
         ]
 
-    def _features(self, image: Image, quarter_turns: int, cache: FeatureCache) -> MapFeatures:
-        """The encoder's features of an image rotated by `numpy.rot90`."""
+    def _decode(
+        self,
+        pairs: Sequence[tuple[Image, Image]],
+        views: Sequence[tuple[View, View]],
+        cache: FeatureCache,
+    ) -> list[tuple[DecodedMap, np.ndarray | None]]:
+        """The map between the views of each pair, and the cycle error if the options ask for it."""
+        source, target = (
+            [
+                self._features(pair[k], both[k], cache)
+                for pair, both in zip(pairs, views, strict=True)
+            ]
+            for k in (0, 1)
+        )
+        finest = self.options.finest
+        forward = self.engine.decode(source, target, finest)
+        if self.options.cycle_px is None:
+            return [(one, None) for one in forward]
+        reverse = self.engine.decode(target, source, finest)
+        return [
+            (one, _cycle_error(one, other, view2))
+            for one, other, (_, view2) in zip(forward, reverse, views, strict=True)
+        ]
 
-        def encode() -> MapFeatures:
-            return self.engine.encode(np.ascontiguousarray(np.rot90(image.pixels, quarter_turns)))
+    def _features(self, image: Image, view: View, cache: FeatureCache) -> MapFeatures:
+        """The encoder's features of a view of an image."""
+        return cache.get((image, view), lambda: self.engine.encode(view.cut(image.pixels)))
 
-        return cache.get((image, quarter_turns), encode)
+    def _upright_map(
+        self,
+        image1: Image,
+        image2: Image,
+        view1: View,
+        view2: View,
+        found: DecodedMap,
+        cycle: np.ndarray | None,
+    ) -> CorrespondenceMap:
+        """The map over image 2 as it is, of one decoded between views.
+
+        Cells that the view of image 2 does not show have matchability 0.
+        """
+        values = [found.points, found.matchability, *(() if cycle is None else (cycle,))]
+        rows, columns = found.matchability.shape
+        grid = cell_centres((columns, rows), image2.size)
+        if view2 != View.whole(image2.size):
+            size = self.engine.config.input_size(image2.size)
+            columns, rows = (side * self.options.finest // INPUT_SIZE for side in size)
+            grid = cell_centres((columns, rows), image2.size)
+            in_view = view2.to_view(grid)
+            cells = rescale(in_view, view2.size, found.matchability.shape[::-1])
+            values = [bilinear(value, cells) for value in values]
+            values[1] = np.where(within(in_view, view2.size), values[1], np.float32(0))
+        points1 = view1.to_image(rescale(values[0], found.size, view1.size))
+        return CorrespondenceMap(
+            map=points1.astype(np.float32),
+            grid=grid.astype(np.float32),
+            matchability=np.ascontiguousarray(values[1]),
+            size1=image1.size,
+            size2=image2.size,
+            cycle=None if cycle is None else values[2],
+        )
 
 
 def load_dense_matcher(
@@ -153,42 +183,12 @@ def load_dense_matcher(
     return DenseMatcher(load_engine(weights, device=device, runtime=runtime), options, cache)
 
 
-def _upright_map(
-    image1: Image,
-    image2: Image,
-    quarter_turns: int,
-    found: DecodedMap,
-    cycle: np.ndarray | None,
-) -> CorrespondenceMap:
-    """The map over image 2 as it is, of one computed with image 2 rotated.
-
-    cycle: pixels of image 2, on the grid of the map computed.
-    """
-    upright, matchability = (
-        np.rot90(values, -quarter_turns) for values in (found.points, found.matchability)
-    )
-    rows, columns = matchability.shape
-    return CorrespondenceMap(
-        map=rescale(upright, found.size, image1.size).astype(np.float32),
-        grid=cell_centres((columns, rows), image2.size).astype(np.float32),
-        matchability=np.ascontiguousarray(matchability),
-        size1=image1.size,
-        size2=image2.size,
-        cycle=None if cycle is None else np.rot90(cycle, -quarter_turns),
-    )
-
-
-def _cycle_error(forward: DecodedMap, reverse: DecodedMap, size2: tuple[int, int]) -> np.ndarray:
-    """Distance (H, W) float32 between each cell of image 2 and its image under both maps, in pixels
-    of image 2 at size2."""
+def _cycle_error(forward: DecodedMap, reverse: DecodedMap, view2: View) -> np.ndarray:
+    """Distance (H, W) float32 between each cell of image 2's view and its image under both maps, in
+    pixels of image 2."""
     rows, columns = reverse.matchability.shape
     returned = bilinear(reverse.points, rescale(forward.points, forward.size, (columns, rows)))
     rows, columns = forward.matchability.shape
     offset = returned - cell_centres((columns, rows), reverse.size)
-    return np.linalg.norm(offset * np.divide(size2, reverse.size), axis=-1).astype(np.float32)
-
-
-def _rotated_size(image: Image, quarter_turns: int) -> tuple[int, int]:
-    """(width, height) of the image rotated."""
-    width, height = image.size
-    return (width, height) if quarter_turns % 2 == 0 else (height, width)
+    pixel = np.divide(view2.size, reverse.size) / view2.scale
+    return np.linalg.norm(offset * pixel, axis=-1).astype(np.float32)

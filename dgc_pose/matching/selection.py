@@ -45,9 +45,9 @@ class MatchingOptions:
     )
     # Share of all cells that must pass; a smaller patch matches by chance.
     min_share: float = option(0.01, min=0, max=1)
-    # The network is trained on upright photographs. If the mean matchability is below this, image 2
-    # is matched also rotated by the quarter turns that its coarsest features suggest.
-    rotate_below: float = option(0.25, min=0, max=1)
+    # The network is trained on upright photographs of similar scale. If the mean matchability is
+    # below this, other rotations of image 2 and other scales are searched.
+    search_below: float = option(0.25, min=0, max=1)
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -1,28 +1,31 @@
 """Matches of the frozen encoder's own features at native resolution, guided by the dense map.
 
 The encoder is fully convolutional, so the image keeps its shape and most of its resolution. At
-stride 16 each cell of image 2 gets a few candidate cells of image 1: the most similar ones, and
-those that the map points to. At stride 8 their children are compared, and mutual nearest neighbours
-are kept. At stride 4 the point is located to a fraction of a cell. Only the comparison at stride 16
-is quadratic in the number of pixels.
+stride 16 each cell of image 2 gets a few candidate cells of image 1: the likeliest by consensus
+among neighbouring cells, and those that the map points to. At stride 8 their children are compared,
+and mutual nearest neighbours are kept. At stride 4 the point is located to a fraction of a cell.
+Only the comparison at stride 16 is quadratic in the number of pixels.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
-from dgc_pose.pixels import cell_centres, rescale
-from dgc_pose.refinement.consistency import consistent
+from dgc_pose.matching.view import View
+from dgc_pose.pixels import cell_centres, rescale, within
+from dgc_pose.refinement.cell_consensus import likely_cells
 from dgc_pose.refinement.guide import (
+    matchable_points,
     points_in_image1,
-    rotate_points,
     rotation_between,
     scale_between,
+    window_shown,
 )
 from dgc_pose.refinement.native import NativeCache, cells_at, native_cache
 from dgc_pose.refinement.options import FeatureOptions
@@ -30,8 +33,10 @@ from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.threads import in_threads
 
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
-_FEW = 0.3  # share of consistent matches below which other scales are tried
-_OTHER_SCALES = (1 / 3, 3.0)
+_WEAK = 0.25  # mean matchability
+_WIDER = 1.6  # ratio of the fields of view, along a side
+_ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
+_UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
@@ -57,26 +62,17 @@ class FeatureMatches:
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
     ) -> Matches:
-        """Matches at the scale that the map shows, to the octave: features tolerate half of one.
-
-        If the map is weak, other scales are tried, and that with the most consistent matches kept.
-        """
-        options, cache = self.options, self.cache or native_cache()
-        given = (self.engine, image1, image2, correspondence_map, options, cache)
-        shown = 2.0 ** round(math.log2(scale_between(correspondence_map)))
-        found = match_features(*given, scale=shown)
-        if correspondence_map.matchability.mean() >= options.other_scales_below:
-            return found
-        most = len(consistent(found, options.neighbours).index)
-        # Equal scale is always tried: that of a weak map is no more likely.
-        for scale in (1.0, *_OTHER_SCALES):
-            if scale == shown or (scale != 1.0 and most >= _FEW * len(found)):
-                continue
-            other = match_features(*given, scale=scale)
-            count = len(consistent(other, options.neighbours).index)
-            if count > most:
-                found, most = other, count
-        return found
+        """Matches at the scale that the map shows, to the octave: features tolerate half of one."""
+        scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
+        return match_features(
+            self.engine,
+            image1,
+            image2,
+            correspondence_map,
+            self.options,
+            self.cache or native_cache(),
+            scale=scale,
+        )
 
 
 def match_features(
@@ -92,29 +88,65 @@ def match_features(
     """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
 
     scale: pixels of image 1 per pixel of image 2. Features are invariant neither to scale nor to
-    rotation: the images are resized to one scale, with long sides of about `long_side` pixels, and
-    image 2 is rotated by the quarter turns that the map shows.
+    rotation: the images, or the parts that the map shows to match, are resized to one scale, with
+    long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
     """
-    quarter_turns = rotation_between(correspondence_map)
-    rotated = np.ascontiguousarray(np.rot90(image2.pixels, quarter_turns))
-    factor1, factor2 = equal_scales(image1.size, image2.size, scale, options.long_side)
-    cells1 = cells_at(image1.size, factor1)
-    cells2 = cells_at((rotated.shape[1], rotated.shape[0]), factor2)
-    source = cache.get((image1, 0, cells1), lambda: engine.native(image1.pixels, cells1))
-    target = cache.get((image2, quarter_turns, cells2), lambda: engine.native(rotated, cells2))
-    guided = _guided_cells(correspondence_map, source, target, quarter_turns)
-    similar = _similar_cells(source, target, options.candidates)
-    candidates = np.concatenate([similar, guided], 1)
+    views = _views(correspondence_map, scale, options.long_side)
+    source, target = (
+        cache.get((image, *one), partial(_features, engine, image, *one))
+        for image, one in zip((image1, image2), views, strict=True)
+    )
+    view1, view2 = (view for view, _ in views)
+    guided = _guided_cells(correspondence_map, source, target, view1, view2)
+    likely = likely_cells(
+        source,
+        target,
+        guided,
+        engine.correlation_scales,
+        similar=options.similar,
+        kept=options.likely,
+    )
+    candidates = np.concatenate([likely, guided], 1)
     found1, found2, cosine = mutual_neighbours(source, target, candidates)
     fine1, fine2 = subcell_points(source.fine, target.fine, found1, found2)
-    points2 = to_pixels(fine2, target.fine, target.size)
-    cell = math.sqrt(_cell_area(source) * _cell_area(target)) ** 0.5
+    points1 = view1.to_image(to_pixels(fine1, source.fine, source.size))
+    points2 = view2.to_image(to_pixels(fine2, target.fine, target.size))
+    inside = within(points1, image1.size) & within(points2, image2.size)
+    area1, area2 = _cell_area(source) / view1.scale**2, _cell_area(target) / view2.scale**2
     return Matches(
-        to_pixels(fine1, source.fine, source.size),
-        rotate_points(points2, target.size, -quarter_turns),
-        cosine.clip(0, 1),
-        error_px=ERROR_CELLS * cell,
+        points1[inside],
+        points2[inside],
+        cosine[inside].clip(0, 1),
+        error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
     )
+
+
+def _views(
+    correspondence_map: CorrespondenceMap, scale: float, long_side: int
+) -> list[tuple[View, tuple[int, int]]]:
+    """Of the parts of both images that the map shows to match, at one orientation; and the columns
+    and rows of stride 16 at one scale."""
+    points1, points2 = matchable_points(correspondence_map)
+    size1, size2 = correspondence_map.size1, correspondence_map.size2
+    # What a weak map shows is too little to crop by, unless the fields of view differ.
+    wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
+    if correspondence_map.matchability.mean() < _WEAK and 1 / _WIDER < wider < _WIDER:
+        points1, points2 = points1[:0], points2[:0]
+    window1 = window_shown(points1[within(points1, size1)], size1)
+    window2 = window_shown(points2, size2)
+    angle = rotation_between(correspondence_map)
+    angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
+    factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
+    found = []
+    for window, turn, factor in ((window1, 0.0, factors[0]), (window2, angle, factors[1])):
+        # Before a rotation by other than quarter turns the image is shrunk, which is faster.
+        view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
+        found.append((view, cells_at(view.size, factor / view.scale)))
+    return found
+
+
+def _features(engine: Engine, image: Image, view: View, cells: tuple[int, int]) -> NativeFeatures:
+    return engine.native(view.cut(image.pixels), cells)
 
 
 def equal_scales(
@@ -200,34 +232,19 @@ def to_pixels(cells: np.ndarray, level: np.ndarray, size: tuple[int, int]) -> np
     return rescale(cells, level.shape[1::-1], size)
 
 
-def _similar_cells(source: NativeFeatures, target: NativeFeatures, count: int) -> np.ndarray:
-    """The most similar cells of stride 16 of the source for each of the target's: (n, count)."""
-    own, other = (np.concatenate(features.coarse) for features in (source, target))
-    count = min(count, len(own))
-
-    def best(rows: slice) -> np.ndarray:
-        cosines = other[rows] @ own.T
-        found = np.empty((len(cosines), count), np.int64)
-        # Faster than a partition for as few as are asked for.
-        for column in found.T:
-            column[:] = cosines.argmax(1)
-            np.put_along_axis(cosines, column[:, None], -np.inf, 1)
-        return found
-
-    return np.concatenate(in_threads(best, _parts(len(other), _CHUNK)))
-
-
 def _guided_cells(
     correspondence_map: CorrespondenceMap,
     source: NativeFeatures,
     target: NativeFeatures,
-    quarter_turns: int,
+    view1: View,
+    view2: View,
 ) -> np.ndarray:
     """The 2x2 cells of stride 16 around the map's point for each cell of the target: (n, 4)."""
     rows, columns = source.coarse.shape[:2]
     centres = cell_centres(target.coarse.shape[1::-1], target.size).reshape(-1, 2)
-    points2 = rotate_points(centres, target.size, -quarter_turns)
-    cells = rescale(points_in_image1(correspondence_map, points2), source.size, (columns, rows))
+    points2 = view2.to_image(centres)
+    points1 = view1.to_view(points_in_image1(correspondence_map, points2))
+    cells = rescale(points1, source.size, (columns, rows))
     corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
     corner = corner.clip(0, (columns - 1, rows - 1))
     found: np.ndarray = corner[..., 1] * columns + corner[..., 0]

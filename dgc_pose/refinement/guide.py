@@ -1,7 +1,8 @@
-"""What the dense map shows: the points in image 1, and the rotation and scale between the images.
-"""
+"""What the dense map shows: points in image 1, and rotation and scale between the images."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from dgc_pose.pixels import rescale
 from dgc_pose.sampling import bilinear
 
 _LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
+_OUTER = 1.0  # percent of the points, on each side, that may lie outside a window
+_MARGIN = 0.25  # on each side of a window, of its sides
+_MOST = 0.4  # of an image's area; a larger window is not worth features of its own
 
 
 def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray) -> np.ndarray:
@@ -25,29 +29,64 @@ def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray)
     ).astype(np.float64)
 
 
-def rotation_between(correspondence_map: CorrespondenceMap, matchability: float = 0.5) -> int:
-    """Quarter turns (of `numpy.rot90`) that bring image 2 nearest to the orientation of image 1.
+def rotation_between(correspondence_map: CorrespondenceMap, matchability: float = 0.5) -> float:
+    """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
+    `numpy.rot90`) to have the orientation of image 1.
 
     From the similarity that best fits the map over the cells of at least that matchability; 0 if
     they are less than one cell in a hundred.
     """
-    matchable = correspondence_map.matchability >= matchability
-    if matchable.mean() < _LEAST_SHARE:
-        return 0
-    points1 = correspondence_map.map[matchable].astype(np.float64)
-    points2 = correspondence_map.grid[matchable].astype(np.float64)
+    points1, points2 = matchable_points(correspondence_map, matchability)
+    if len(points1) == 0:
+        return 0.0
     points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
     # As complex numbers, points1 = a points2: |a| is the scale, its argument the angle from 2 to 1.
     a = (points1 @ (1, 1j) * (points2 @ (1, -1j))).sum()
-    # y points down, so rot90, which rotates counter-clockwise, rotates by a negative angle.
-    return int(np.rint(-np.angle(a) / (np.pi / 2))) % 4
+    # y points down, so a counter-clockwise rotation is by a negative angle.
+    return float(-np.angle(a, deg=True))
+
+
+def matchable_points(
+    correspondence_map: CorrespondenceMap, matchability: float = 0.5
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cells of at least that matchability: (N, 2) float64 in image 1 and image 2; none if they are
+    less than one cell in a hundred."""
+    matchable = correspondence_map.matchability >= matchability
+    if matchable.mean() < _LEAST_SHARE:
+        matchable = np.zeros_like(matchable)
+    return (
+        correspondence_map.map[matchable].astype(np.float64),
+        correspondence_map.grid[matchable].astype(np.float64),
+    )
+
+
+def window_shown(
+    points: np.ndarray, size: tuple[int, int]
+) -> tuple[tuple[int, int], tuple[float, float]]:
+    """The part of an image of `size` (width, height) that holds nearly all of its points (N, 2)
+    and a margin: (width, height), and the pixel at its centre. The whole image if that is not much
+    larger, or without points.
+    """
+    whole = size, ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    if len(points) == 0:
+        return whole
+    low, high = np.percentile(points, (_OUTER, 100 - _OUTER), axis=0)
+    margin = _MARGIN * (high - low)
+    # Whole pixels, so that a window is cut without resampling.
+    first = np.floor(np.maximum(low - margin, 0)).astype(int)
+    last = np.ceil(np.minimum(high + margin, np.subtract(size, 1))).astype(int)
+    width, height = (int(side) for side in last - first + 1)
+    if width * height > _MOST * math.prod(size):
+        return whole
+    x, y = (float(middle) for middle in (first + last) / 2)
+    return (width, height), (x, y)
 
 
 def scale_between(correspondence_map: CorrespondenceMap, matchability: float = 0.5) -> float:
     """Pixels of image 1 per pixel of image 2: the median over cells of at least that matchability.
 
     From areas of the map over a thirtieth of the image, which its errors hardly change; clipped to
-    1/5 to 5, and 1 if less than one cell in a hundred is matchable.
+    1/10 to 10. If less than one cell in a hundred is matchable, that of equal fields of view.
     """
     points1 = correspondence_map.map.astype(np.float64)
     points2 = correspondence_map.grid.astype(np.float64)
@@ -55,23 +94,11 @@ def scale_between(correspondence_map: CorrespondenceMap, matchability: float = 0
     step = max(1, len(matchable) // 30)
     corners = matchable[:-step, :-step] & matchable[step:, :-step] & matchable[:-step, step:]
     if corners.mean() < _LEAST_SHARE:
-        return 1.0
-    areas = []
+        areas = [math.prod(size) for size in (correspondence_map.size1, correspondence_map.size2)]
+        return math.sqrt(areas[0] / areas[1])
+    measured = []
     for points in (points1, points2):
         across = (points[:-step, step:] - points[:-step, :-step])[corners]
         down = (points[step:, :-step] - points[:-step, :-step])[corners]
-        areas.append(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
-    return float(np.sqrt(np.median(areas[0] / areas[1])).clip(0.2, 5.0))
-
-
-def rotate_points(points: np.ndarray, size: tuple[int, int], quarter_turns: int) -> np.ndarray:
-    """Points (N, 2) of an image of `size` (width, height), in the image rotated by numpy.rot90."""
-    width, height = size
-    x, y = points.T
-    if quarter_turns % 4 == 1:
-        x, y = y, width - 1 - x
-    elif quarter_turns % 4 == 2:
-        x, y = width - 1 - x, height - 1 - y
-    elif quarter_turns % 4 == 3:
-        x, y = height - 1 - y, x
-    return np.stack([x, y], -1)
+        measured.append(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
+    return float(np.sqrt(np.median(measured[0] / measured[1])).clip(0.1, 10.0))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dgc_pose.image import Image
 from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import STRIDE
 from dgc_pose.runtime.engine import NativeFeatures
 
-# Features by image (the object, not its pixels), quarter turns of it, and columns and rows of
-# stride 16.
-NativeCache = BoundedCache[tuple[Image, int, tuple[int, int]], NativeFeatures]
+# Features by image (the object, not its pixels), view of it, and columns and rows of stride 16.
+NativeCache = BoundedCache[tuple[Image, View, tuple[int, int]], NativeFeatures]
 
 
 def native_cache() -> NativeCache:

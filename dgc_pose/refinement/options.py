@@ -17,10 +17,8 @@ class FeatureOptions:
     """Of `FeatureMatches`. Raises InputError, naming the field, for a value out of range."""
 
     long_side: int = option(800, min=64)  # most pixels of the images that features are computed on
-    candidates: int = option(8, min=1)  # cells of stride 16 for each cell, besides those of the map
-    neighbours: int = option(12, min=4)  # that a match must agree with, to compare scales by
-    # Mean matchability below which scales other than the map's are tried.
-    other_scales_below: float = option(0.25, min=0, max=1)
+    similar: int = option(12, min=1)  # most similar cells of stride 16, for the consensus
+    likely: int = option(4, min=1)  # of them and the map's, those searched besides the map's
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -48,6 +46,8 @@ class AlignmentOptions:
     patch_radius: int = option(7, min=2)  # pixels of image 2; patches of 15x15
     min_zncc: float = option(0.8, above=0, max=1)  # least correlation of a pair of aligned patches
     min_matches: int = option(50, min=1)  # a step that leaves fewer is undone
+    # Fewer aligned matches than this are completed by the consistent ones that were not aligned.
+    min_aligned: int = option(100, min=1)
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import textured
-from dgc_pose.refinement.align import align, spread
-from dgc_pose.refinement.consistency import consistent
+from dgc_pose.refinement.align import Aligned, align, spread
+from dgc_pose.refinement.consistency import LocalMatches, consistent
 from dgc_pose.refinement.options import AlignmentOptions
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
@@ -98,8 +100,10 @@ class Refiner(Matcher):
                 found.key_points,
             )
             refined = textured(refined, image1, image2)
-            if len(refined) >= options.min_matches:
+            if len(refined) >= options.min_aligned:
                 return refined
+            completed = textured(_completed(found, local, aligned, good), image1, image2)
+            return completed if len(completed) >= options.min_matches else None
         unmoved = Matches(
             found.points1[local.index],
             local.points2,
@@ -113,3 +117,19 @@ class Refiner(Matcher):
         return unmoved.subset(
             spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
         )
+
+
+def _completed(found: Matches, local: LocalMatches, aligned: Aligned, good: np.ndarray) -> Matches:
+    """The matches that were to be aligned: those that were, and the others as they were found.
+
+    Patches of views far apart often differ too much. What is left of them is more accurate, but too
+    little to tell a pose from chance; both together have the error of those found.
+    """
+    rows = np.searchsorted(local.index, aligned.index)
+    return Matches(
+        np.where(good[:, None], aligned.points1, found.points1[aligned.index]),
+        np.where(good[:, None], aligned.points2, local.points2[rows]),
+        np.where(good, aligned.zncc.clip(0, 1), found.confidence[aligned.index]),
+        found.error_px,
+        found.key_points,
+    )

@@ -62,6 +62,11 @@ class Engine(Protocol):
     def fingerprint(self) -> str:
         """16 hexadecimal digits that identify the weights, whatever runs them."""
 
+    @property
+    def correlation_scales(self) -> np.ndarray:
+        """(levels,) float32, inverse temperatures of the cosines of the correlated levels, the
+        coarsest first."""
+
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         """Features of an image, resized as `config.input_size` says."""
 

@@ -76,6 +76,10 @@ class OnnxEngine:
     def fingerprint(self) -> str:
         return fingerprint(self._stored.items())
 
+    @property
+    def correlation_scales(self) -> np.ndarray:
+        return self._weights[_SCALES]
+
     def encode(self, pixels: np.ndarray) -> OnnxFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
         image = resize(pixels, size).astype(np.float32)

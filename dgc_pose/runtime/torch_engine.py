@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -54,6 +55,11 @@ class TorchEngine:
     @cached_property
     def fingerprint(self) -> str:
         return self._weights or network_fingerprint(self.net)
+
+    @cached_property
+    def correlation_scales(self) -> np.ndarray:
+        scales: np.ndarray = cast(Tensor, self.net.correlation_scales).float().cpu().numpy()
+        return scales
 
     @torch.inference_mode()
     def encode(self, pixels: np.ndarray) -> TorchFeatures:

@@ -95,7 +95,7 @@ def test_methods_that_differ_after_the_map_share_its_pass() -> None:
     names = ["n", "n/all", "n:matchability=0.2", "n:estimator=opencv", "n:refine=map"]
     passes = {one.key for one in parse_methods(names, REFINED)}
     assert len(passes) == 1
-    others = ["n:finest=60", "n:cycle_px=2", "n:rotate_below=0"]
+    others = ["n:finest=60", "n:cycle_px=2", "n:search_below=0"]
     assert len(passes | {one.key for one in parse_methods(others)}) == 4
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from dgc_pose.image import Image
@@ -10,6 +11,7 @@ from dgc_pose.matching import DenseMatcher, MatchingOptions
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.dense import feature_cache
 from dgc_pose.matching.sift import SiftMatcher, key_point_cache
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime.torch_engine import TorchEngine
@@ -47,7 +49,7 @@ def _images(count: int) -> list[Image]:
 def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite"))
-    options = MatchingOptions(matchability=0.0, rotate_below=0.0)
+    options = MatchingOptions(matchability=0.0, search_below=0.0)
     engine = TorchEngine(net)
     plain, cached = DenseMatcher(engine, options), DenseMatcher(engine, options, feature_cache())
     images = _images(3)
@@ -59,19 +61,21 @@ def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     assert cached.cache is not None and (cached.cache.asked, cached.cache.made) == (6, 3)
 
 
-def test_rotated_images_have_features_of_their_own() -> None:
-    """If rotations are tried, features are made for image 1 and four rotations of image 2."""
+def test_views_have_features_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Features are made for both images, and for the view of image 2 that the search suggests."""
     torch.manual_seed(0)
-    options = MatchingOptions(matchability=0.0, rotate_below=1.0)
+    options = MatchingOptions(matchability=0.0, search_below=1.0)
     engine = TorchEngine(DGCNet(preset("dgcm-lite")))
     matcher = DenseMatcher(engine, options, feature_cache())
     plain = DenseMatcher(engine, options)
     images = _images(2)
+    suggested = View.whole(images[0].size), View.whole(images[1].size, 50.0)
+    monkeypatch.setattr("dgc_pose.matching.dense.likely_views", lambda *given: suggested)
     (found,), (expected,) = (
         one.correspondence_maps([(images[0], images[1])]) for one in (matcher, plain)
     )
     assert np.array_equal(found.map, expected.map)
-    assert matcher.cache is not None and matcher.cache.made == 5
+    assert matcher.cache is not None and matcher.cache.made == 3
 
 
 def test_sift_detects_once_an_image() -> None:

@@ -13,8 +13,10 @@ import torch
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.image import Image
 from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_dense_matcher
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
+from dgc_pose.pixels import within
 from dgc_pose.runtime.engine import DecodedMap
 from dgc_pose.runtime.torch_engine import TorchEngine, network_input
 
@@ -93,7 +95,7 @@ def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
         ]
         prediction = net(*inputs)
     for level, cells in ((1, 120), (2, 60)):
-        options = MatchingOptions(finest=cells, rotate_below=0.0, cycle_px=10.0)  # type: ignore[arg-type]
+        options = MatchingOptions(finest=cells, search_below=0.0, cycle_px=10.0)  # type: ignore[arg-type]
         found = _map(DenseMatcher(TorchEngine(net), options), first, second)
         wanted = prediction.maps[-1 - level][0].movedim(0, -1).numpy()  # edges at -1 and +1
         wanted = (wanted + 1) * first.size / np.array(2) - 0.5
@@ -146,41 +148,53 @@ def test_nothing_is_nan_whatever_the_network_says() -> None:
     assert len(result.matches) == 0
 
 
-def test_a_rotation_is_found_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a net that matches upright images alone, the rotated image's map is rotated back, and no
-    other rotation is decoded."""
+@pytest.mark.parametrize("angle", [90.0, 180.0, 270.0, 40.0])
+def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a net that matches upright images alone: the map of the view that the search suggests is
+    given over image 2 as it is."""
     upright = _image(300, 200)
-    engine = TorchEngine(_constant_net())
-    matcher = DenseMatcher(engine)
-    decode = engine.decode
+    rotated = View.whole(upright.size, angle)
+    second = Image(rotated.cut(upright.pixels))
+    view2 = View.whole(second.size, -angle)
+    suggested = (View.whole(upright.size), view2)
+    monkeypatch.setattr("dgc_pose.matching.dense.likely_views", lambda *given: suggested)
+    engine = TorchEngine(_constant_net(align_corners=False))
+    decode, calls = engine.decode, []
 
     def decode_upright_alone(*given: Any) -> list[DecodedMap]:
-        seen = (decoded[-1] + quarter_turns) % 4 == 0
-        matchability = np.full((240, 240), 0.9 if seen else 0.1, np.float32)
-        return [replace(one, matchability=matchability) for one in decode(*given)]
+        calls.append(len(given[0]))
+        value = np.float32(0.1 if len(calls) == 1 else 0.9)
+        return [replace(one, matchability=np.full((240, 240), value)) for one in decode(*given)]
 
-    decoded: list[int] = []
-    rotated_maps = matcher._rotated_maps
-
-    def recorded(pairs: object, rotation: int, cache: object) -> object:
-        decoded.append(rotation)
-        return rotated_maps(pairs, rotation, cache)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(matcher, "_rotated_maps", recorded)
     monkeypatch.setattr(engine, "decode", decode_upright_alone)
-    for quarter_turns in range(4):
-        rotated = Image(np.rot90(upright.pixels, quarter_turns).copy())
-        decoded.clear()
-        found = _map(matcher, upright, rotated)
-        assert decoded == ([0] if quarter_turns == 0 else [0, -quarter_turns % 4])
-        assert found.matchability.mean() > 0.8
-        # Each cell of the rotated image must map to the point whose colour it shows.
-        pixels = np.rot90(np.arange(200 * 300).reshape(200, 300), quarter_turns)
-        for row, column in ((30, 50), (200, 120), (3, 236)):
-            x, y = found.map[row, column]
-            u, v = found.grid[row, column]
-            shown = pixels[round(v), round(u)]
-            assert abs(shown % 300 - x) <= 1.6 and abs(shown // 300 - y) <= 1.6
+    found = _map(DenseMatcher(engine), upright, second)
+    assert calls == [1, 1] and found.matchability.shape == (240, 240)
+    # The identity between the whole of image 1 and the view of image 2.
+    truth = (view2.to_view(found.grid) + 0.5) / view2.size * upright.size - 0.5
+    shown = within(view2.to_view(found.grid), view2.size)
+    np.testing.assert_allclose(found.map[shown], truth[shown], atol=0.8)
+    assert (found.matchability[shown] > 0.8).all() and (found.matchability[~shown] == 0).all()
+
+
+def test_a_part_of_image_1_is_decoded_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = _image(300, 200), _image(90, 60)
+    view1 = View(0.0, 2.0, (100.0, 80.0), (180, 120))
+    suggested = (view1, View.whole(second.size))
+    monkeypatch.setattr("dgc_pose.matching.dense.likely_views", lambda *given: suggested)
+    engine = TorchEngine(_constant_net(align_corners=False))
+    means = iter([0.1, 0.9])
+    decode = engine.decode
+    monkeypatch.setattr(
+        engine,
+        "decode",
+        lambda *given: [
+            replace(one, matchability=np.full((240, 240), next(means), np.float32))
+            for one in decode(*given)
+        ],
+    )
+    found = _map(DenseMatcher(engine), first, second)
+    expected = found.grid + (100 - 44.5, 80 - 29.5)  # the same scale: 180 pixels show 90
+    np.testing.assert_allclose(found.map, expected, atol=0.01)
 
 
 def test_missing_weights_and_devices_are_refused() -> None:
@@ -204,7 +218,7 @@ def test_a_batch_gives_what_its_pairs_give_alone() -> None:
         (_image(90, 120, 5), _image(160, 120, 6)),
     ]
     means = [float(_map(matcher, *pair).matchability.mean()) for pair in pairs]
-    weakest = replace(options, rotate_below=(sorted(means)[0] + sorted(means)[1]) / 2)
+    weakest = replace(options, search_below=(sorted(means)[0] + sorted(means)[1]) / 2)
     matcher = DenseMatcher(matcher.engine, weakest)
     for pair, found in zip(pairs, matcher.correspondence_maps(pairs), strict=True):
         alone = _map(matcher, *pair)

@@ -92,7 +92,7 @@ def test_a_cycle_error_is_required_if_asked_for() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0), ("rotate_below", -0.1)],
+    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0), ("search_below", -0.1)],
 )
 def test_wrong_options_are_named(field: str, value: float) -> None:
     with pytest.raises(InputError, match=field):

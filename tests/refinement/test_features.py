@@ -11,16 +11,17 @@ import torch.nn.functional as F
 from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
+from dgc_pose.pixels import within
 from dgc_pose.refinement.features import (
-    _similar_cells,
+    _views,
     equal_scales,
     match_features,
     mutual_neighbours,
     subcell_points,
 )
-from dgc_pose.refinement.guide import rotate_points
 from dgc_pose.refinement.native import native_cache
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import NativeFeatures
@@ -78,7 +79,7 @@ def _match(
     guide: CorrespondenceMap,
     scale: float = 1.0,
 ) -> Matches:
-    options = FeatureOptions(long_side=192, candidates=4)
+    options = FeatureOptions(long_side=192, similar=4)
     images = Image(first), Image(second)
     return match_features(engine, *images, guide, options, native_cache(), scale=scale)
 
@@ -121,14 +122,6 @@ def test_only_children_of_candidates_are_compared() -> None:
     assert np.array_equal(coarse1, (coarse2 + 1) % 4)
 
 
-def test_the_most_similar_cells_are_those_of_a_full_sort() -> None:
-    source, target = _random_features(0, 9, 7), _random_features(1, 20, 11)
-    found = _similar_cells(source, target, 5)
-    cosines = target.coarse.reshape(-1, 16).astype(float) @ source.coarse.reshape(-1, 16).T
-    assert np.array_equal(found, (-cosines).argsort(1)[:, :5])
-    assert _similar_cells(source, target, 100).shape == (220, 63)  # as many as there are
-
-
 def test_points_follow_a_shift_of_the_fine_level() -> None:
     noise = np.random.default_rng(0).standard_normal((12, 12, 8), np.float32)
     fine1 = _unit(cv2.resize(noise, (24, 24), interpolation=cv2.INTER_CUBIC))
@@ -139,21 +132,36 @@ def test_points_follow_a_shift_of_the_fine_level() -> None:
     np.testing.assert_allclose(points1 - points2, [[-1.0, 2.0]] * 3, atol=0.5)
 
 
-@pytest.mark.parametrize("quarter_turns", [0, 1, 3])
-def test_a_rotated_picture_matches_itself(engine: TorchEngine, quarter_turns: int) -> None:
+@pytest.mark.parametrize("angle", [0.0, 90.0, 270.0, 150.0])
+def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> None:
     """Image 2 is image 1 rotated; the map shows the rotation, with an error of 10 pixels."""
     pixels = _picture(192, 160)
-    second = np.ascontiguousarray(np.rot90(pixels, -quarter_turns))
-    size2 = (second.shape[1], second.shape[0])
-    grid = _grid(size2)
-    truth = rotate_points(grid.reshape(-1, 2), size2, quarter_turns)
-    guide = _guide(truth.reshape(grid.shape) + 10, grid, (192, 160), size2)
+    rotated = View.whole((192, 160), angle)
+    second = rotated.cut(pixels)
+    grid = _grid(rotated.size)
+    guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
     found = _match(engine, pixels, second, guide)
-    assert len(found) > 200
-    off = found.points1 - rotate_points(found.points2, size2, quarter_turns)
-    assert np.median(np.abs(off)) < 0.5 and (np.abs(off).max(1) < 3).mean() > 0.9
-    # The error is that of a quarter of a cell of stride 4, at the original's own size.
-    assert found.error_px == pytest.approx(1.0, rel=1e-6)
+    off = found.points1 - rotated.to_image(found.points2)
+    if angle % 90 == 0:
+        assert len(found) > 200
+        assert np.median(np.abs(off)) < 0.5 and (np.abs(off).max(1) < 3).mean() > 0.9
+        # The error is that of a quarter of a cell of stride 4, at the original's own size.
+        assert found.error_px == pytest.approx(1.0, rel=1e-6)
+    else:  # resampled, and with cells of the border
+        assert (np.abs(off).max(1) < 3).sum() > 30
+        assert within(found.points2, rotated.size).all()
+
+
+def test_parts_that_match_are_resized_instead_of_whole_images() -> None:
+    """Image 2 shows a small part of image 1, at the same scale."""
+    grid = _grid((160, 120))
+    guide = _guide(grid + (100, 200), grid, (640, 480), (160, 120))
+    (view1, cells1), (view2, cells2) = _views(guide, 1.0, 160)
+    assert view2 == View.whole((160, 120)) and view1.centre == pytest.approx((179.5, 259.5), abs=1)
+    assert 230 < view1.size[0] < 245 and 172 < view1.size[1] < 185
+    factor = 160 / view1.size[0]  # of both images
+    assert cells1 == (10, round(view1.size[1] * factor / 16))
+    assert cells2 == (round(160 * factor / 16), round(120 * factor / 16))
 
 
 def test_a_random_map_does_no_harm(engine: TorchEngine) -> None:

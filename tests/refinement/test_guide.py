@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching.view import View
 from dgc_pose.refinement.guide import (
+    matchable_points,
     points_in_image1,
-    rotate_points,
     rotation_between,
     scale_between,
+    window_shown,
 )
 
 
@@ -28,33 +30,41 @@ def test_beyond_the_outer_cells_the_map_is_constant() -> None:
     np.testing.assert_allclose(corner, scene.map[0, 0], atol=1e-4)
 
 
-@pytest.mark.parametrize("quarter_turns", [0, 1, 2, 3])
-def test_rotated_points_follow_the_pixels(quarter_turns: int) -> None:
-    values = np.arange(7 * 5).reshape(7, 5)
-    points = np.array([[0, 0], [4, 0], [2, 6], [3, 1]])
-    x, y = rotate_points(points.astype(float), (5, 7), quarter_turns).astype(int).T
-    assert np.array_equal(np.rot90(values, quarter_turns)[y, x], values[points[:, 1], points[:, 0]])
-    rotated_size = (5, 7) if quarter_turns % 2 == 0 else (7, 5)
-    back = rotate_points(np.stack([x, y], -1), rotated_size, -quarter_turns)
-    assert np.array_equal(back, points)
-
-
-@pytest.mark.parametrize("quarter_turns", [0, 1, 2, 3])
-def test_the_map_shows_the_rotation_of_image_2(quarter_turns: int) -> None:
-    """Image 2 such that rot90 gives it the orientation of image 1 up to 20 degrees."""
+@pytest.mark.parametrize("angle", [-150.0, -20.0, 0.0, 75.0, 170.0])
+def test_the_map_shows_the_rotation_of_image_2(angle: float) -> None:
+    """Image 2 such that it has the orientation of image 1 when it is rotated by the angle."""
     axis = np.arange(24.0)
     grid = np.stack(np.meshgrid(axis, axis), -1)
-    upright = rotate_points(grid.reshape(-1, 2), (24, 24), quarter_turns) - 11.5
-    angle = np.radians(20)
-    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    points1 = (upright @ rotation.T * 0.7 + 40).reshape(24, 24, 2)
+    upright = View.whole((24, 24), angle).to_view(grid)
+    points1 = 0.7 * upright + 20
     matchability = np.full((24, 24), 0.9, np.float32)
     points1[:3], matchability[:3] = 500.0, 0.1  # cells of low matchability do not count
     found = CorrespondenceMap(
         points1.astype(np.float32), grid.astype(np.float32), matchability, (80, 80), (24, 24)
     )
-    assert rotation_between(found) == quarter_turns
+    assert rotation_between(found) == pytest.approx(angle, abs=1e-3)
     assert rotation_between(found, matchability=0.95) == 0
+    points, _ = matchable_points(found)
+    assert len(points) == 21 * 24 and len(matchable_points(found, 0.95)[0]) == 0
+
+
+def test_a_window_holds_the_points_with_a_margin() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform((100, 50), (180, 90), (2000, 2))
+    points[:10] = 600.0  # fewer than one in a hundred do not count
+    (width, height), centre = window_shown(points, (640, 480))
+    assert 115 < width < 130 and 55 < height < 65
+    assert centre == pytest.approx((140, 70), abs=2)
+    # Of whole pixels, and within the image.
+    assert centre[0] % 1 == (0.5 if width % 2 == 0 else 0.0)
+    (width, height), centre = window_shown(points - (100, 50), (640, 480))
+    assert centre[0] - (width - 1) / 2 == centre[1] - (height - 1) / 2 == 0
+
+
+def test_a_large_window_is_the_whole_image() -> None:
+    whole = (640, 480), (319.5, 239.5)
+    assert window_shown(np.array([[30.0, 20.0], [500.0, 440.0]]), (640, 480)) == whole
+    assert window_shown(np.zeros((0, 2)), (640, 480)) == whole
 
 
 @pytest.mark.parametrize("scale", [0.3, 1.0, 2.5])
@@ -73,4 +83,5 @@ def test_the_map_shows_the_scale(scale: float) -> None:
         points1.astype(np.float32), grid.astype(np.float32), matchability, (900, 900), (300, 240)
     )
     assert scale_between(found) == pytest.approx(scale, rel=0.03)
-    assert scale_between(found, matchability=0.95) == 1.0
+    equal_fields = np.sqrt(900 * 900 / (300 * 240))
+    assert scale_between(found, matchability=0.95) == pytest.approx(equal_fields)

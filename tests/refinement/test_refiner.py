@@ -162,45 +162,22 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
     assert by_auto.error_px == 0.5 and len(by_auto) > 150
 
 
-@pytest.mark.parametrize(
-    "matchability, shown, true, tried",
-    [
-        (0.9, 1.1, 3.0, [1.0]),
-        (0.9, 2.2, 3.0, [2.0]),
-        (0.1, 1.1, 3.0, [1.0, 1 / 3, 3.0]),
-        (0.1, 2.2, 3.0, [2.0, 1.0, 1 / 3, 3.0]),
-        (0.1, 2.2, 1.0, [2.0, 1.0]),
-        (0.1, 2.2, 2.0, [2.0, 1.0]),
-    ],
-)
-def test_other_scales_are_tried_if_the_map_is_weak(
-    images: tuple[Image, Image],
-    engine: TorchEngine,
-    matchability: float,
-    shown: float,
-    true: float,
-    tried: list[float],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Equal scale always, the others if few of the matches are consistent; the best is kept."""
-    rng = np.random.default_rng(0)
-    points2 = rng.uniform((60, 40), (260, 200), (400, 2))
-    scales: list[object] = []
-
-    def match_features(*arguments: object, scale: float, **options: object) -> Matches:
-        scales.append(scale)
-        points1 = dense_scene.points_in_image1(points2)
-        if scale != true:
-            points1 = rng.permutation(points1)
-        return Matches(points1, points2, np.ones(400), 1.0)
-
-    monkeypatch.setattr("dgc_pose.refinement.features.match_features", match_features)
-    monkeypatch.setattr("dgc_pose.refinement.features.scale_between", lambda found: shown)
+def test_few_aligned_matches_are_completed(images: tuple[Image, Image]) -> None:
+    """Patches that differ too much stay where they were found, with the error that they had."""
     matcher = _noisy()
-    matcher.correspondence_map.matchability[:] = matchability
-    found = Refiner(matcher, [FeatureMatches(engine)]).match(*images).matches
-    assert scales == pytest.approx(tried)
-    assert (np.median(_errors(found)) < 0.1) == (true in tried)
+    aligned, completed, as_found = (
+        Refiner(matcher, options=options).match(*images).matches
+        for options in (
+            AlignmentOptions(),
+            AlignmentOptions(min_zncc=0.97, min_aligned=2000),
+            AlignmentOptions(align=False),
+        )
+    )
+    assert aligned.error_px == 0.5
+    assert completed.error_px == as_found.error_px > 0.5
+    assert len(completed) > len(aligned) - 50
+    moved = _errors(completed) < 0.1
+    assert 0.02 < moved.mean() and np.median(_errors(completed)) < np.median(_errors(as_found))
 
 
 def test_a_cache_spares_native_passes_and_changes_nothing(
@@ -231,9 +208,8 @@ def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: To
     [
         (RefinementOptions, "source", "nothing"),
         (FeatureOptions, "long_side", 16),
-        (FeatureOptions, "candidates", 0),
-        (FeatureOptions, "neighbours", 3),
-        (FeatureOptions, "other_scales_below", 1.5),
+        (FeatureOptions, "similar", 0),
+        (FeatureOptions, "likely", 0),
         (FlowOptions, "long_side", 16),
         (FlowOptions, "matchability", -0.1),
         (FlowOptions, "max_matches", 0),
@@ -242,6 +218,7 @@ def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: To
         (AlignmentOptions, "patch_radius", 1),
         (AlignmentOptions, "max_matches", 0),
         (AlignmentOptions, "min_matches", 0),
+        (AlignmentOptions, "min_aligned", 0),
     ],
 )
 def test_options_out_of_range_are_named(options: type, name: str, value: object) -> None:

@@ -1,0 +1,255 @@
+"""Which rotation and scale between two images makes the network sure of its matches.
+
+The network is trained on upright pairs of similar scale. Small copies of one image, rotated by
+twelve angles, are compared with the other image, at equal fields of view and at fields that differ
+by 2 and by 4. Of all, the copy is taken whose coarse matching distribution has the lowest mean
+entropy, as REDI-Match does for quarter turns; nothing is trained for it. The most probable matches
+of that copy then give the similarity, from which the views of both images are cut.
+
+Entropies are relative to each other within a pair, so that no bound depends on the weights'
+temperature.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from dgc_pose.image import Image, resize_by
+from dgc_pose.matching.view import View
+from dgc_pose.network.config import STRIDE
+from dgc_pose.pixels import Size, cell_centres, rescale
+from dgc_pose.runtime.engine import Engine, NativeFeatures
+
+_CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
+_ANGLES = range(0, 360, 30)  # degrees, at equal fields of view
+_FEWER_ANGLES = range(0, 360, 45)  # at other fields of view
+_OCTAVES = (1, 2)  # of the ratio between the fields of view
+# Entropy of a copy, relative to that of the upright pair and to the median of all copies, below
+# which it is taken.
+_LOWER = 0.92
+_CLEAR = 0.8  # relative to the median: below it, other scales are not tried
+_PIXELS = 480  # square root of the area of a view, before the network's own resizing
+_MARGIN = 1.5  # sides of a window, relative to what the other image is expected to cover
+_LEAST = 6  # matches that a similarity must fit
+_ANGLE_STEP = 5  # degrees that views are rotated by a multiple of
+_REACH = 1.5  # cells that they may be off
+_ANGLE_OFF = 30.0  # degrees that a similarity may differ by from what was compared
+_SCALE_OFF = 2.0  # and the factor
+
+
+@dataclass(frozen=True, eq=False)
+class _Thumbnail:
+    """A small copy of an image."""
+
+    view: View  # of the image resized to `size`
+    size: Size
+    features: NativeFeatures
+    inside: np.ndarray  # (h, w) bool, which cells of stride 16 show the image
+
+    def points(self, size: Size) -> np.ndarray:
+        """Centres (N, 2) of the cells inside, pixels of the image at its own `size`."""
+        rows, columns = self.inside.shape
+        centres = cell_centres((columns, rows), self.view.size)[self.inside]
+        return rescale(self.view.to_image(centres), self.size, size)
+
+    def pixel_of(self, size: Size) -> float:
+        """Side of a pixel of the copy in pixels of the image at its own `size`."""
+        return math.sqrt(math.prod(size) / math.prod(self.size)) / self.view.scale
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A relative rotation and scale, compared."""
+
+    angle_deg: float  # that image 2 is rotated by
+    octave: int  # log2 of the ratio of the fields of view: positive if image 1 shows more
+    entropy: float  # mean over the cells of the small copy, 1 for a uniform distribution
+    points1: np.ndarray  # (N, 2) most probable matches, pixels of image 1
+    points2: np.ndarray  # (N, 2) pixels of image 2
+    ratio: float  # pixels of the image with the larger field of view per pixel of the other
+    cell_px: float  # side of a cell of the larger copy in pixels of its image
+
+
+def likely_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
+    """Views of both images at one rotation and scale; None if the images as they are match best."""
+    thumbnails = _Thumbnails(engine, image1, image2)
+    found = [thumbnails.compare(angle, 0) for angle in _ANGLES]
+    upright = found[0].entropy
+    if _best(found).entropy > _CLEAR * _median(found):
+        found += [
+            thumbnails.compare(angle, sign * octave)
+            for octave in _OCTAVES
+            for angle in _FEWER_ANGLES
+            for sign in (1, -1)
+        ]
+    best = _best(found)
+    if best is found[0] or best.entropy > _LOWER * min(upright, _median(found)):
+        return None
+    return _views(best, image1.size, image2.size)
+
+
+class _Thumbnails:
+    """Small copies of two images, each made once."""
+
+    def __init__(self, engine: Engine, image1: Image, image2: Image) -> None:
+        self.engine = engine
+        # No copy is larger than this one.
+        largest = 2 ** _OCTAVES[-1] * STRIDE * math.sqrt(_CELLS)
+        self._pixels = [
+            resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
+            for image in (image1, image2)
+        ]
+        self._sizes = (image1.size, image2.size)
+        self._made: dict[tuple[int, int, int], _Thumbnail] = {}
+
+    def compare(self, angle_deg: int, octave: int) -> _Candidate:
+        """The image of the smaller field of view is rotated, and shrunk to the other's scale."""
+        small = 1 if octave >= 0 else 0
+        one = self._thumbnail(small, angle_deg if small == 1 else -angle_deg, 0)
+        other = self._thumbnail(1 - small, 0, abs(octave))
+        logarithms = matching_distribution(
+            other.features, one.features, one.inside, self.engine.correlation_scales
+        )
+        peaks = logarithms.max(0)
+        sure = peaks >= np.median(peaks)
+        large = other.points(self._sizes[1 - small])[logarithms.argmax(0)][sure]
+        own = one.points(self._sizes[small])[sure]
+        pixel = other.pixel_of(self._sizes[1 - small])
+        return _Candidate(
+            angle_deg,
+            octave,
+            mean_entropy(logarithms),
+            large if small == 1 else own,
+            own if small == 1 else large,
+            pixel / one.pixel_of(self._sizes[small]),
+            STRIDE * pixel,
+        )
+
+    def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
+        key = (image, angle_deg % 360, octave)
+        if key not in self._made:
+            pixels = self._pixels[image]
+            size = (pixels.shape[1], pixels.shape[0])
+            scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
+            view = View.whole(size, float(angle_deg % 360), scale)
+            columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
+            features = self.engine.native(view.cut(pixels), (columns, rows))
+            inside = view.inside(size, (columns, rows))
+            self._made[key] = _Thumbnail(view, size, features, inside)
+        return self._made[key]
+
+
+def matching_distribution(
+    source: NativeFeatures, target: NativeFeatures, inside: np.ndarray, scales: np.ndarray
+) -> np.ndarray:
+    """Log-probability (n1, n2) of each coarse cell of the source for each of the target's n2 cells
+    `inside` (h, w), by the dual softmax over the cosines of the correlated levels.
+
+    scales: inverse temperatures of the levels, the coarsest first; at most two are compared.
+    """
+    rows = np.flatnonzero(inside)
+    evidence = scales[0] * (_rows(source.coarse) @ _rows(target.coarse)[rows].T)
+    if len(scales) > 1:
+        children1, children2 = _children(source.middle), _children(target.middle)[:, rows]
+        cosines = (
+            children1.reshape(-1, children1.shape[2]) @ children2.reshape(-1, children2.shape[2]).T
+        )
+        four = cosines.reshape(4, len(evidence), 4, len(rows))
+        evidence = evidence + scales[1] * four.max(0).mean(1)
+    scores = _log_softmax(evidence, 0) + _log_softmax(evidence, 1)
+    return _log_softmax(scores, 0)
+
+
+def mean_entropy(logarithms: np.ndarray) -> float:
+    """Of log-probabilities (n1, n2), over the n2 columns: 0 for certain matches, 1 for none."""
+    cells, columns = logarithms.shape
+    if cells < 2 or columns == 0:
+        return 1.0
+    return float(-(np.exp(logarithms) * logarithms).sum() / (columns * math.log(cells)))
+
+
+def _views(best: _Candidate, size1: tuple[int, int], size2: tuple[int, int]) -> tuple[View, View]:
+    """The whole of the image with the smaller field of view, and the part of the other that it
+    covers, with a margin; both whole at equal fields."""
+    linear, shift = _similarity(best)
+    ratio = float(np.hypot(*linear[0]))  # pixels of the larger field's image per pixel of the other
+    turned = math.degrees(math.atan2(linear[0, 1], linear[0, 0]))
+    step = _ANGLE_STEP * round((turned if best.octave >= 0 else -turned) / _ANGLE_STEP)
+    angle = float(step % 360)
+    if best.octave == 0:
+        return _whole(size1, 0.0), _whole(size2, angle)
+    small_size, large_size = (size2, size1) if best.octave > 0 else (size1, size2)
+    # At scale 1: in the orientation of both views, which is that of image 1.
+    shown = View.whole(small_size, angle if best.octave > 0 else 0.0).size
+    extent = [_MARGIN * ratio * side for side in shown]
+    centre = linear @ ((np.array(small_size) - 1) / 2) + shift
+    centre = centre.clip(0, np.array(large_size) - 1)
+    scale = min(1.0, _PIXELS / math.sqrt(math.prod(extent)))
+    width, height = (max(1, round(side * scale)) for side in extent)
+    around = (float(centre[0]), float(centre[1]))
+    if best.octave > 0:
+        return View(0.0, scale, around, (width, height)), _whole(size2, angle)
+    return _whole(size1, 0.0), View(angle, scale, around, (width, height))
+
+
+def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
+    """(2, 2) and (2,): from pixels of the image with the smaller field of view to the other's.
+
+    That which most of the matches fit; without one, by the angle and the octave that were compared.
+    """
+    small, large = best.points2, best.points1
+    if best.octave < 0:
+        small, large = large, small
+    matrix, fits = None, 0
+    if len(small) >= _LEAST:
+        matrix, mask = cv2.estimateAffinePartial2D(
+            small, large, ransacReprojThreshold=_REACH * best.cell_px
+        )
+        fits = int(mask.sum())
+    expected = View(
+        best.angle_deg if best.octave >= 0 else -best.angle_deg, best.ratio, (0, 0), (1, 1)
+    )
+    linear = expected.matrix[:, :2]
+    if matrix is not None and fits >= _LEAST:
+        change = np.linalg.solve(linear, matrix[:, :2])  # near the identity, if the fit is right
+        off, grown = abs(math.atan2(change[0, 1], change[0, 0])), float(np.hypot(*change[0]))
+        if off < math.radians(_ANGLE_OFF) and 1 / _SCALE_OFF < grown < _SCALE_OFF:
+            return matrix[:, :2], matrix[:, 2]
+    return linear, np.median(large - small @ linear.T, 0)
+
+
+def _whole(size: tuple[int, int], angle_deg: float) -> View:
+    """The whole of an image, no larger than the network needs it."""
+    if angle_deg == 0:
+        return View.whole(size)
+    return View.whole(size, angle_deg, min(1.0, _PIXELS / math.sqrt(math.prod(size))))
+
+
+def _best(found: list[_Candidate]) -> _Candidate:
+    return min(found, key=lambda one: one.entropy)
+
+
+def _median(found: list[_Candidate]) -> float:
+    return float(np.median([one.entropy for one in found]))
+
+
+def _rows(level: np.ndarray) -> np.ndarray:
+    """The cells of a level (h, w, C) one by one: (h * w, C)."""
+    return level.reshape(-1, level.shape[2])
+
+
+def _children(middle: np.ndarray) -> np.ndarray:
+    """The features of stride 8 (2 h, 2 w, C) by cells of stride 16: (4, h * w, C)."""
+    height, width, channels = middle.shape
+    split = middle.reshape(height // 2, 2, width // 2, 2, channels).transpose(1, 3, 0, 2, 4)
+    return split.reshape(4, -1, channels)
+
+
+def _log_softmax(scores: np.ndarray, axis: int) -> np.ndarray:
+    shifted = scores - scores.max(axis, keepdims=True)
+    logarithms: np.ndarray = shifted - np.log(np.exp(shifted).sum(axis, keepdims=True))
+    return logarithms

@@ -1,0 +1,93 @@
+"""Views: parts of an image, rotated and resized by a similarity, as the network is shown them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from dgc_pose.image import resize_by
+from dgc_pose.pixels import Size, cell_centres, within
+
+# Around the image: ImageNet's mean colour, which is zero for the network, as is its padding.
+_BORDER = (124, 116, 104)
+
+
+@dataclass(frozen=True)
+class View:
+    """A window on an image, rotated and resized. A value, so that features are kept by it."""
+
+    angle_deg: float  # of the image's rotation, counter-clockwise, as by `numpy.rot90`
+    scale: float  # pixels of the view per pixel of the image
+    centre: tuple[float, float]  # pixel of the image, x and y, at the centre of the view
+    size: Size  # (width, height) of the view in its own pixels
+
+    @staticmethod
+    def whole(size: Size, angle_deg: float = 0.0, scale: float = 1.0) -> View:
+        """Of the smallest size that holds the whole of an image of `size` (width, height)."""
+        return View.window(size, ((size[0] - 1) / 2, (size[1] - 1) / 2), angle_deg, scale)
+
+    @staticmethod
+    def window(extent: Size, centre: tuple[float, float], angle_deg: float, scale: float) -> View:
+        """That holds a window of the image of `extent` (width, height) around a pixel of it."""
+        cosine, sine = _cosine_sine(angle_deg)
+        width = abs(extent[0] * cosine) + abs(extent[1] * sine)
+        height = abs(extent[0] * sine) + abs(extent[1] * cosine)
+        # Rounding errors must not add a pixel.
+        sides = (max(1, math.ceil(side * scale - 1e-6)) for side in (width, height))
+        return View(angle_deg, scale, centre, (next(sides), next(sides)))
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(2, 3) float64: from pixels of the image to pixels of the view."""
+        cosine, sine = _cosine_sine(self.angle_deg)
+        # y points down, so a counter-clockwise rotation takes (1, 0) to (cos, -sin).
+        linear = self.scale * np.array([[cosine, sine], [-sine, cosine]])
+        middle = (np.array(self.size) - 1) / 2
+        return np.column_stack([linear, middle - linear @ self.centre])
+
+    def to_view(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 2) of the image, in pixels of the view."""
+        matrix = self.matrix
+        moved: np.ndarray = points @ matrix[:, :2].T + matrix[:, 2]
+        return moved
+
+    def to_image(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 2) of the view, in pixels of the image."""
+        matrix = self.matrix
+        moved: np.ndarray = (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        return moved
+
+    def cut(self, pixels: np.ndarray) -> np.ndarray:
+        """The view (height, width, 3) of an image (H, W, 3) uint8: area means to shrink, bilinear
+        otherwise, one colour outside the image."""
+        size = (pixels.shape[1], pixels.shape[0])
+        if self == View.whole(size, self.angle_deg) and self.angle_deg % 90 == 0:
+            return np.ascontiguousarray(np.rot90(pixels, round(self.angle_deg / 90)))
+        matrix = self.matrix
+        if self.scale < 1:
+            pixels = resize_by(pixels, self.scale)
+            step = np.array([size[0] / pixels.shape[1], size[1] / pixels.shape[0]])
+            # Half-pixel rule: the resized image's (u, v) is ((u + 0.5) step - 0.5) of the image.
+            matrix = np.column_stack(
+                [matrix[:, :2] * step, matrix[:, :2] @ (step / 2 - 0.5) + matrix[:, 2]]
+            )
+        return cv2.warpAffine(
+            pixels, matrix, self.size, borderMode=cv2.BORDER_CONSTANT, borderValue=_BORDER
+        )
+
+    def inside(self, size: Size, cells: Size) -> np.ndarray:
+        """Which of `cells` (columns, rows) over the view have their centre within the image of
+        `size` (width, height): (rows, columns) bool."""
+        return within(self.to_image(cell_centres(cells, self.size)), size)
+
+
+def _cosine_sine(angle_deg: float) -> tuple[float, float]:
+    """Exact for quarter turns."""
+    quarters, rest = divmod(angle_deg, 90)
+    cosine, sine = math.cos(math.radians(rest)), math.sin(math.radians(rest))
+    for _ in range(int(quarters) % 4):
+        cosine, sine = -sine, cosine
+    return cosine, sine

@@ -1,0 +1,156 @@
+"""Likely cells of stride 16 for each cell, by consensus among neighbours, at native resolution.
+
+As the network's consensus at its coarsest level, belief propagation on the grid of the target's
+cells (`dgc_pose/network/consensus.py`): a match (s, t) is supported by matches near (s + d, t + d)
+of the eight neighbours t + d. Here there are thousands of cells, so that only a few candidates of
+each are kept: the most similar ones and those that the dense map points to. Nothing is learned.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.threads import in_threads
+
+# As at the coarsest level: Gaussian deviation in source cells, weight of the messages, least one.
+_REACH = 1.4
+_WEIGHT = 0.4
+_FLOOR = 0.01
+_PASSES = 4
+_CHUNK = 256  # cells compared at a time, which bounds the memory
+_NEIGHBOURS = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dx, dy) != (0, 0)]
+_NEVER = -1e3  # score of a candidate that is there already
+
+
+def likely_cells(
+    source: NativeFeatures,
+    target: NativeFeatures,
+    guided: np.ndarray,
+    scales: np.ndarray,
+    *,
+    similar: int,
+    kept: int,
+) -> np.ndarray:
+    """Indices (n, kept), row by row, of the source's likeliest cells for each of the target's n.
+
+    guided: (n, G) further candidates, beside the `similar` most similar cells. scales: inverse
+    temperatures of the cosines at strides 16 and 8 (`Engine.correlation_scales`); with one of them
+    stride 16 alone is compared.
+    """
+    candidates, scores = _candidates(source, target, guided, scales, similar)
+    beliefs = propagate(candidates, scores, source.coarse.shape[1], target.coarse.shape[:2])
+    best = np.argsort(-beliefs, 1, kind="stable")[:, :kept]
+    return np.take_along_axis(candidates, best, 1)
+
+
+def propagate(
+    candidates: np.ndarray, scores: np.ndarray, columns: int, grid: tuple[int, int]
+) -> np.ndarray:
+    """Log-probabilities (n, K) of each cell's candidates after belief propagation.
+
+    candidates: (n, K) indices, row by row, of the source's cells; scores: (n, K) log-likelihoods;
+    columns: of the source; grid: (rows, columns) of the target, n cells in all.
+    """
+    y, x = np.divmod(candidates, columns)
+    points = np.stack([x, y], -1).astype(np.float32)
+    index = np.arange(len(candidates)).reshape(grid)
+
+    def support(offset: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells with a neighbour at the offset, those neighbours, and how well each candidate of
+        the one (m, K) agrees with each of the other (m, K, K)."""
+        dx, dy = offset
+        own = index[max(0, -dy) : len(index) - max(0, dy), max(0, -dx) : grid[1] - max(0, dx)]
+        cells, neighbours = own.ravel(), (own + dy * grid[1] + dx).ravel()
+        shifted = points[cells] + np.array(offset, np.float32)
+        apart = shifted[:, :, None] - points[neighbours][:, None]
+        squared = apart[..., 0] ** 2 + apart[..., 1] ** 2
+        agreement = np.exp(-squared / (2 * _REACH**2)) / (2 * math.pi * _REACH**2)
+        return cells, neighbours, agreement
+
+    supports = in_threads(support, _NEIGHBOURS)
+    beliefs = _log_softmax(scores)
+    for _ in range(_PASSES):
+        probability, total = np.exp(beliefs), scores.copy()
+        for cells, neighbours, agreement in supports:
+            messages = (agreement @ probability[neighbours][:, :, None])[..., 0]
+            total[cells] += _WEIGHT * np.log(_FLOOR + messages)
+        beliefs = _log_softmax(total)
+    return beliefs
+
+
+def _candidates(
+    source: NativeFeatures,
+    target: NativeFeatures,
+    guided: np.ndarray,
+    scales: np.ndarray,
+    similar: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Candidates (n, K) of each of the target's cells, and their log-likelihoods (n, K): the dual
+    softmax over cosines at stride 16, up to a constant of the cell, and the cosines at stride 8."""
+    own, other = (
+        features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
+    )
+    children1, children2 = _children(source.middle), _children(target.middle)
+    parts = [slice(i, i + _CHUNK) for i in range(0, len(other), _CHUNK)]
+    similar = min(similar, len(own))
+
+    def evidence(rows: slice) -> np.ndarray:
+        cosines: np.ndarray = scales[0] * (other[rows] @ own.T)
+        return cosines
+
+    # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
+    sums = in_threads(lambda rows: np.exp(evidence(rows) - scales[0]).sum(0), parts)
+    rivals = np.log(np.sum(sums, 0))
+
+    def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        scores = 2 * evidence(rows) - rivals
+        found = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)
+        likelihood = np.take_along_axis(scores, found, 1)
+        if len(scales) > 1:
+            cosines = children2[rows] @ children1[found].reshape(
+                len(found), -1, children1.shape[2]
+            ).transpose(0, 2, 1)
+            four = cosines.reshape(len(found), 4, -1, 4)
+            likelihood += 2 * scales[1] * four.max(3).mean(1)
+        return found, likelihood
+
+    found = in_threads(compare, parts)
+    candidates, scores = (np.concatenate(values) for values in zip(*found, strict=True))
+    return candidates, np.where(_repeated(candidates), _NEVER, scores)
+
+
+def _largest(values: np.ndarray, count: int) -> np.ndarray:
+    """Columns (n, count) of the largest values of each row, which are overwritten."""
+    found = np.empty((len(values), count), np.int64)
+    # Faster than a partition for as few as are asked for.
+    for column in found.T:
+        column[:] = values.argmax(1)
+        np.put_along_axis(values, column[:, None], -np.inf, 1)
+    return found
+
+
+def _repeated(candidates: np.ndarray) -> np.ndarray:
+    """Which of each row's candidates stand in it before: (n, K) bool."""
+    order = np.argsort(candidates, 1, kind="stable")
+    ordered = np.take_along_axis(candidates, order, 1)
+    same = np.zeros(candidates.shape, bool)
+    same[:, 1:] = ordered[:, 1:] == ordered[:, :-1]
+    repeated = np.empty_like(same)
+    np.put_along_axis(repeated, order, same, 1)
+    return repeated
+
+
+def _children(middle: np.ndarray) -> np.ndarray:
+    """The features of stride 8 (2 h, 2 w, C) by cells of stride 16: (h * w, 4, C)."""
+    height, width, channels = middle.shape
+    split = middle.reshape(height // 2, 2, width // 2, 2, channels).transpose(0, 2, 1, 3, 4)
+    return split.reshape(-1, 4, channels)
+
+
+def _log_softmax(scores: np.ndarray) -> np.ndarray:
+    shifted = scores - scores.max(1, keepdims=True)
+    logarithms: np.ndarray = shifted - np.log(np.exp(shifted).sum(1, keepdims=True))
+    return logarithms

@@ -1,0 +1,116 @@
+"""The search of rotation and scale, on pictures whose rotation and scale are known."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from dgc_pose.image import Image, resize
+from dgc_pose.matching.search import likely_views, matching_distribution, mean_entropy
+from dgc_pose.matching.view import View
+from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+
+
+@cache
+def _engine() -> TorchEngine:
+    return load_torch_engine("dgcm-lite0", torch.device("cpu"))
+
+
+@cache
+def _scene() -> np.ndarray:
+    """Rectangles of all sizes: something to see at every scale, and upright edges."""
+    rng = np.random.default_rng(3)
+    pixels = np.full((480, 640, 3), 128, np.uint8)
+    for side in np.geomspace(200, 6, 700):
+        x, y = rng.uniform((-40, -40), (640, 480))
+        w, h = side * rng.uniform(0.4, 1.6, 2)
+        colour = tuple(int(c) for c in rng.integers(0, 256, 3))
+        cv2.rectangle(pixels, (int(x), int(y)), (int(x + w), int(y + h)), colour, -1)
+    return pixels
+
+
+def _window(side: float) -> np.ndarray:
+    """The middle of the scene, at 320x240."""
+    view = View.window((round(640 * side), round(480 * side)), (319.5, 239.5), 0.0, 1.0)
+    return resize(view.cut(_scene()), (320, 240))
+
+
+def test_equal_views_need_no_search() -> None:
+    image = Image(_scene())
+    assert likely_views(_engine(), image, Image(image.pixels[8:, 5:].copy())) is None
+
+
+@pytest.mark.parametrize("angle", [75.0, 190.0])
+def test_a_rotation_is_found(angle: float) -> None:
+    image = Image(_scene())
+    rotated = Image(View.whole(image.size, angle).cut(image.pixels))
+    views = likely_views(_engine(), image, rotated)
+    assert views is not None
+    assert views[0] == View.whole(image.size)
+    assert abs((views[1].angle_deg + angle + 180) % 360 - 180) <= 20
+    corners = views[1].to_view(np.array([[0, 0], rotated.size]))
+    assert (corners > -2).all() and (corners < np.array(views[1].size) + 2).all()
+
+
+@pytest.mark.parametrize("closer", [1, 2])
+def test_a_part_is_found_in_the_whole(closer: int) -> None:
+    """One image shows the middle third of the other."""
+    images = [Image(resize(_scene(), (320, 240))), Image(_window(1 / 3))]
+    first, second = images if closer == 2 else images[::-1]
+    views = likely_views(_engine(), first, second)
+    assert views is not None
+    wide, close = views if closer == 2 else views[::-1]
+    assert close == View.whole((320, 240))
+    assert wide.centre == pytest.approx((159.5, 119.5), abs=25)
+    extent = np.array(wide.size) / wide.scale
+    assert (extent > (320 / 3.5, 240 / 3.5)).all() and (extent < (320, 240)).all()
+    assert views[1].angle_deg == 0
+
+
+def _features(seed: int, rows: int, columns: int) -> NativeFeatures:
+    rng = np.random.default_rng(seed)
+    levels = [rng.standard_normal((k * rows, k * columns, 8), np.float32) for k in (1, 2, 4)]
+    unit = [level / np.linalg.norm(level, axis=-1, keepdims=True) for level in levels]
+    return NativeFeatures(*unit, (100, 100))
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_the_distribution_is_the_dual_softmax(levels: int) -> None:
+    source, target = _features(0, 3, 4), _features(1, 2, 5)
+    inside = np.array([[1, 1, 0, 1, 1], [0, 1, 1, 1, 1]], bool)
+    scales = np.array([6.0, 9.0], np.float32)[:levels]
+    logits = np.zeros((12, 8))
+    for i, (y1, x1) in enumerate(np.ndindex(3, 4)):
+        for j, (y2, x2) in enumerate(np.argwhere(inside)):
+            logits[i, j] = 6 * source.coarse[y1, x1] @ target.coarse[y2, x2]
+            best = [
+                max(
+                    float(
+                        source.middle[2 * y1 + a, 2 * x1 + b]
+                        @ target.middle[2 * y2 + c, 2 * x2 + d]
+                    )
+                    for a in (0, 1)
+                    for b in (0, 1)
+                )
+                for c in (0, 1)
+                for d in (0, 1)
+            ]
+            logits[i, j] += 9 * np.mean(best) if levels == 2 else 0
+    product = (
+        np.exp(logits) / np.exp(logits).sum(0) * np.exp(logits) / np.exp(logits).sum(1)[:, None]
+    )
+    found = matching_distribution(source, target, inside, scales)
+    np.testing.assert_allclose(np.exp(found), product / product.sum(0), rtol=1e-3, atol=1e-5)
+
+
+def test_entropy_is_one_for_chance_and_zero_for_certainty() -> None:
+    assert mean_entropy(np.full((9, 4), -math.log(9))) == pytest.approx(1.0)
+    certain = np.where(np.eye(5, dtype=bool), 0.0, -200.0)
+    assert mean_entropy(certain) == pytest.approx(0.0, abs=1e-9)
+    assert mean_entropy(np.zeros((1, 3))) == mean_entropy(np.zeros((4, 0))) == 1.0

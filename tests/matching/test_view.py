@@ -1,0 +1,62 @@
+"""Views: where points of an image go, and which pixels a view shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dgc_pose.matching.view import View
+from dgc_pose.pixels import pixel_grid
+
+
+def _ramp(width: int, height: int) -> np.ndarray:
+    """An image whose colours say where they are: red is 2 x, green 2 y, blue full."""
+    grid = pixel_grid((width, height))
+    return np.dstack([2 * grid, np.full((height, width), 255)]).astype(np.uint8)
+
+
+@pytest.mark.parametrize("quarter_turns", [0, 1, 2, 3])
+def test_quarter_turns_are_those_of_numpy(quarter_turns: int) -> None:
+    image = np.random.default_rng(0).integers(0, 256, (7, 5, 3), dtype=np.uint8)
+    view = View.whole((5, 7), 90.0 * quarter_turns)
+    rotated = np.rot90(image, quarter_turns)
+    assert view.size == (rotated.shape[1], rotated.shape[0])
+    assert np.array_equal(view.cut(image), rotated)
+    points = np.array([[0, 0], [4, 0], [2, 6], [3, 1]])
+    x, y = view.to_view(points).round().astype(int).T
+    assert np.array_equal(rotated[y, x], image[points[:, 1], points[:, 0]])
+
+
+@given(st.floats(-720, 720), st.floats(0.1, 5), st.floats(-300, 300), st.integers(1, 500))
+def test_points_return(angle: float, scale: float, x: float, side: int) -> None:
+    view = View.window((side, 40), (x, 7.0), angle, scale)
+    points = np.array([[0.0, 0.0], [120.0, -30.0]])
+    np.testing.assert_allclose(view.to_image(view.to_view(points)), points, atol=1e-6)
+    np.testing.assert_allclose(view.to_view(np.array(view.centre)), (np.array(view.size) - 1) / 2)
+
+
+@pytest.mark.parametrize("angle", [0.0, 33.0, 90.0, 200.0])
+@pytest.mark.parametrize("scale", [0.4, 1.0, 1.7])
+def test_a_view_shows_what_its_points_say(angle: float, scale: float) -> None:
+    view = View.window((60, 40), (50.0, 45.0), angle, scale)
+    shown = view.cut(_ramp(110, 100)).astype(float)
+    points = view.to_image(pixel_grid(view.size))
+    inner = ((points > 4) & (points < (105, 95))).all(-1)
+    assert inner.sum() > 0.9 * inner.size
+    np.testing.assert_allclose(shown[inner][:, :2], 2 * points[inner], atol=3)
+
+
+def test_a_window_of_whole_pixels_is_cut_as_it_is() -> None:
+    image = np.random.default_rng(1).integers(0, 256, (40, 60, 3), dtype=np.uint8)
+    view = View.window((21, 10), (30.0, 14.5), 0.0, 1.0)
+    assert np.array_equal(view.cut(image), image[10:20, 20:41])
+
+
+def test_outside_the_image_is_one_colour_and_known() -> None:
+    view = View.whole((64, 48), 45.0)
+    shown, inside = view.cut(_ramp(64, 48)), view.inside((64, 48), view.size)
+    assert 0.35 < inside.mean() < 0.55  # 64 x 48 of the square of side (64 + 48) / sqrt(2)
+    assert (shown[inside][:, 2] > 180).all()
+    assert not inside[0, 0] and tuple(shown[0, 0]) == (124, 116, 104)
