@@ -100,10 +100,13 @@ def run_batch(
     one had other settings, or if the input is unusable; OSError if the disk is full.
     """
     start = time.perf_counter()
+    # Absolute, as a resumed batch has it: the reasons of bad images name it.
+    source = replace(source, root=source.root.resolve())
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
         "weights": matcher.weights,
         "weights_sha256": _weights_hash(matcher.weights),
+        "runtime": matcher.runtime,
         "matching": asdict(matcher.matching),
         "refinement": None if matcher.refinement is None else asdict(matcher.refinement),
         "estimation": asdict(estimation),

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
+_MOST_SKEW = (
+    1e-5  # over the focal length: rounding in a calibration, below 0.01 pixels in the image
+)
 # COLMAP's configuration of a pair by our status. Pairs of another status are not written.
 CONFIGURATIONS: Mapping[str, str] = {
     "ok": "CALIBRATED",
@@ -92,7 +95,7 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
 
     assert camera.size is not None
     K = camera.K
-    if abs(K[0, 1]) > 1e-9 * K[0, 0]:
+    if abs(K[0, 1]) > _MOST_SKEW * K[0, 0]:
         raise InputError(f"{name}: its K has a skew of {K[0, 1]:g}, which COLMAP cannot hold")
     lens = camera.distortion
     made = pycolmap.Camera.create_from_model_name(

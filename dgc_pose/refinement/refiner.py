@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,8 +11,8 @@ from dgc_pose.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import textured
-from dgc_pose.refinement.align import Aligned, align, spread
-from dgc_pose.refinement.consistency import LocalMatches, consistent
+from dgc_pose.refinement.align import align, spread
+from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.options import AlignmentOptions
 from dgc_pose.refinement.source import MapMatches, MatchSource
 
@@ -82,6 +83,13 @@ class Refiner(Matcher):
         local = consistent(found, options.neighbours)
         if len(local.index) < options.min_matches:
             return None
+        rest = Matches(
+            found.points1[local.index],
+            local.points2,
+            found.confidence[local.index],
+            found.error_px,
+            found.key_points,
+        )
         if options.align:
             aligned = align(
                 image1.pixels,
@@ -99,37 +107,22 @@ class Refiner(Matcher):
                 ALIGNED_ERROR_PX * aligned.pixel,
                 found.key_points,
             )
-            refined = textured(refined, image1, image2)
-            if len(refined) >= options.min_aligned:
-                return refined
-            completed = textured(_completed(found, local, aligned, good), image1, image2)
-            return completed if len(completed) >= options.min_matches else None
-        unmoved = Matches(
-            found.points1[local.index],
-            local.points2,
-            found.confidence[local.index],
-            found.error_px,
-            found.key_points,
-        )
-        unmoved = textured(unmoved, image1, image2)
-        if len(unmoved) < options.min_matches:
+            sharp = textured(refined, image1, image2)
+            if len(sharp) >= options.min_aligned:
+                return sharp
+            rest = _completed(rest, np.searchsorted(local.index, aligned.index[good]), refined)
+        rest = textured(rest, image1, image2)
+        if len(rest) < options.min_matches:
             return None
-        return unmoved.subset(
-            spread(unmoved.points2, unmoved.confidence, image2.size, options.max_matches)
-        )
+        return rest.subset(spread(rest.points2, rest.confidence, image2.size, options.max_matches))
 
 
-def _completed(found: Matches, local: LocalMatches, aligned: Aligned, good: np.ndarray) -> Matches:
-    """The matches that were to be aligned: those that were, and the others as they were found.
+def _completed(rest: Matches, rows: np.ndarray, aligned: Matches) -> Matches:
+    """Matches as they were found, but for those `rows` that were aligned.
 
     Patches of views far apart often differ too much. What is left of them is more accurate, but too
     little to tell a pose from chance; both together have the error of those found.
     """
-    rows = np.searchsorted(local.index, aligned.index)
-    return Matches(
-        np.where(good[:, None], aligned.points1, found.points1[aligned.index]),
-        np.where(good[:, None], aligned.points2, local.points2[rows]),
-        np.where(good, aligned.zncc.clip(0, 1), found.confidence[aligned.index]),
-        found.error_px,
-        found.key_points,
-    )
+    points1, points2 = rest.points1.copy(), rest.points2.copy()
+    points1[rows], points2[rows] = aligned.points1, aligned.points2
+    return replace(rest, points1=points1, points2=points2)

@@ -113,20 +113,25 @@ def test_a_finished_batch_is_not_done_again(photos: tuple[Path, list[View]], who
 def test_the_process_is_killed_and_the_command_resumes(
     photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
 ) -> None:
-    """SIGKILL while the command works, as soon as its first part is there."""
+    """SIGKILL while the command works, as soon as its first part is there; with a relative path."""
     out = tmp_path / "out"
-    arguments = ["batch", str(photos[0]), "--out", str(out), "--pairs", "exhaustive"]
+    arguments = ["batch", photos[0].name, "--out", str(out), "--pairs", "exhaustive"]
     options = ["--K", K_text(), "--weights", "sift", "--runs", "1", "--iterations", "300"]
     code = "from dgc_pose.cli.main import main; main()"
     command = [sys.executable, "-c", code, *arguments, *options, "--workers", "1"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    here = photos[0].parent
+    process = subprocess.Popen(
+        command, cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     deadline = time.monotonic() + 120
     while not list(out.glob("parts/*.h5")) and process.poll() is None:
         assert time.monotonic() < deadline
         time.sleep(0.005)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    done = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*command, "--resume"], cwd=here, capture_output=True, text=True, check=True
+    )
     assert "poses of 6 pairs" in done.stdout
     assert f"bad image {BROKEN}" in done.stderr
     assert_same_result(whole, out)
