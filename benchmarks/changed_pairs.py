@@ -25,11 +25,20 @@ class ImageChange:
     """What image 2 is changed by. Raises InputError, naming the field, on a value out of range."""
 
     roll: float = option(  # counter-clockwise
-        0.0, "Roll image 2 by so many degrees, the whole of it on black.", metavar="DEG", min=-360, max=360)
+        0.0,
+        "Roll image 2 by so many degrees, the whole of it on black.",
+        metavar="DEG",
+        min=-360,
+        max=360,
+    )
     roll_at_random: bool = option(False, "Roll image 2 of each pair by 30 to 330 degrees.")
     shrink: float = option(1.0, "Make image 2 so many times smaller.", metavar="F", min=1, max=100)
     crop: float = option(
-        1.0, "Keep the middle of image 2, the sides so many times shorter.", metavar="F", min=1
+        1.0,
+        "Keep the middle of image 2, the sides so many times shorter.",
+        metavar="F",
+        min=1,
+        max=100,
     )
     roll_seed: int = option(0, "Seed of the rolls at random.", min=0, max=MAX_SEED)
 
