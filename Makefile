@@ -11,7 +11,7 @@ PACKAGING := setup.cfg pyproject.toml constraints.txt
 # As the command sets it (cli/main.py), so that the tests bear a busy machine.
 export GOMP_SPINCOUNT ?= 10000
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test lint fuzz docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
@@ -29,6 +29,12 @@ lint: $(VENV)/.installed-dev
 	cd $(INSTALLED) && MYPYPATH=. $(BIN)/mypy --config-file $(CURDIR)/setup.cfg \
 		--cache-dir $(CURDIR)/.mypy_cache -p dgc_pose
 	cd $(INSTALLED) && PYTHONPATH=. $(BIN)/lint-imports --config $(CURDIR)/setup.cfg
+
+# Damaged files for every reader for so long, then every command with bad values.
+MINUTES ?= 10
+fuzz: $(VENV)/.installed-dev
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.trial --minutes $(MINUTES)
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.commands
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict

@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
 from dgc_pose.camera import Camera
 from dgc_pose.image import Image, resize_by
-from dgc_pose.options import check_options, option
+from dgc_pose.options import MAX_SEED, check_options, option
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,22 @@ class ImageChange:
     """What image 2 is changed by. Raises InputError, naming the field, on a value out of range."""
 
     roll: float = option(  # counter-clockwise
-        0.0, "Roll image 2 by so many degrees, the whole of it on black.", metavar="DEG"
+        0.0,
+        "Roll image 2 by so many degrees, the whole of it on black.",
+        metavar="DEG",
+        min=-360,
+        max=360,
     )
     roll_at_random: bool = option(False, "Roll image 2 of each pair by 30 to 330 degrees.")
-    shrink: float = option(1.0, "Make image 2 so many times smaller.", metavar="F", min=1)
+    shrink: float = option(1.0, "Make image 2 so many times smaller.", metavar="F", min=1, max=100)
     crop: float = option(
-        1.0, "Keep the middle of image 2, the sides so many times shorter.", metavar="F", min=1
+        1.0,
+        "Keep the middle of image 2, the sides so many times shorter.",
+        metavar="F",
+        min=1,
+        max=100,
     )
-    roll_seed: int = option(0, "Seed of the rolls at random.")
+    roll_seed: int = option(0, "Seed of the rolls at random.", min=0, max=MAX_SEED)
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -11,6 +11,7 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
@@ -22,7 +23,9 @@ class FitChoice:
     """What is collected and fitted."""
 
     data: Path = option(help="Folder of the data that the plan names.")
-    out: Path = option(help="Folder of the stored matches and of the results.")
+    out: Path = option(
+        help="Folder of the stored matches and of the results.", type=OutputFolder(path_type=Path)
+    )
     plan: Path | None = option(
         None, "JSON list of scenes and their parts; default: the project's own.", metavar="PATH"
     )

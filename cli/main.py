@@ -27,6 +27,8 @@ from dgc_pose.errors import DgcPoseError, reason
 FAULT = 1  # of dgc-pose itself
 UNUSABLE_INPUT = 2
 PIPE = 13  # SIGPIPE, which Windows has not
+# How libraries say that memory is lacking, in errors of many classes.
+NO_MEMORY = ("allocate memory", "out of memory", "failed to map segment", "Unable to allocate")
 LONGEST = 1000  # characters of a message
 INTERRUPTED = 130  # what shells report after SIGINT
 # Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
@@ -137,7 +139,7 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
             return "there is not enough memory for this", UNUSABLE_INPUT
     if "embedded null" in str(error):
         return "a path cannot hold a zero byte", UNUSABLE_INPUT
-    if "can't allocate memory" in str(error) or "out of memory" in str(error):
+    if any(words in str(error) for words in NO_MEMORY):
         return "there is not enough memory for this", UNUSABLE_INPUT
     kind = type(error).__name__
     return f"{kind}: {reason(error)} (an error of dgc-pose; --debug shows the trace)", FAULT

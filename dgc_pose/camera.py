@@ -18,7 +18,7 @@ from dgc_pose.array_files import read_array
 from dgc_pose.arrays import as_numpy
 from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.inputs import read_text
+from dgc_pose.inputs import read_as, read_text
 from dgc_pose.pixels import rescale
 
 # If the principal point is farther from the middle, as a share of the image's side, K may belong to
@@ -192,13 +192,16 @@ def _listed(numbers: np.ndarray) -> str:
 def _read_matrix(path: Path, name: str) -> np.ndarray:
     """The numbers of a file, (3, 3) if they are nine; commas and line breaks are as blanks."""
     try:
-        if path.suffix == ".npy":
-            matrix = read_array(path)
-        else:
-            text = read_text(path, limit=_MAX_FILE_BYTES).replace(",", " ")
-            matrix = np.loadtxt(io.StringIO(text), ndmin=2) if text.strip() else np.empty((0, 0))
-        return matrix.reshape(3, 3) if matrix.size == 9 else matrix
-    except (InputError, OSError, ValueError) as error:
+        with read_as("a matrix", path):
+            if path.suffix == ".npy":
+                matrix = read_array(path)
+            else:
+                text = read_text(path, limit=_MAX_FILE_BYTES).replace(",", " ")
+                matrix = np.loadtxt(io.StringIO(text), ndmin=2)
+            if not matrix.size:
+                raise InputError(f"{path} is empty")
+            return matrix.reshape(3, 3) if matrix.size == 9 else matrix
+    except (InputError, OSError) as error:
         raise InputError(f"{name}: {path} is not a file with a 3x3 matrix") from error
 
 

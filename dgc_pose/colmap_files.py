@@ -5,13 +5,16 @@ from __future__ import annotations
 import shutil
 import struct
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from dgc_pose import colmap_camera
 from dgc_pose.camera import Camera
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason
+from dgc_pose.inputs import require_regular
+from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
@@ -53,10 +56,11 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
                 Path(folder, source.name).write_bytes(_NOTHING[ending])
         model = pycolmap.Reconstruction()
         try:
-            model.read_text(folder) if ending == ".txt" else model.read_binary(folder)
+            with quiet():
+                model.read_text(folder) if ending == ".txt" else model.read_binary(folder)
             cameras = {int(key): camera_of(own) for key, own in model.cameras.items()}
-        except (ValueError, RuntimeError, IndexError) as error:
-            raise InputError(f"{path}: not COLMAP's cameras ({_line(error)})") from None
+        except (ValueError, RuntimeError, IndexError, MemoryError, OverflowError) as error:
+            raise InputError(f"{path}: not COLMAP's cameras ({reason(error)})") from None
     if not cameras:
         raise InputError(f"{path}: no cameras in this file")
     return cameras, {image.name: int(image.camera_id) for image in model.images.values()}
@@ -71,17 +75,29 @@ def read_database(path: Path) -> DatabaseContent:
 
     if not path.is_file():
         raise InputError(f"{path}: no such database")
+    require_regular(path)
     with tempfile.TemporaryDirectory() as folder:
         # Opening a database of an older COLMAP changes it, so a copy is opened.
         copy = Path(folder, "database.db")
         shutil.copyfile(path, copy)
         try:
-            with pycolmap.Database.open(copy) as database:
+            with quiet(), pycolmap.Database.open(copy) as database:
                 cameras = {own.camera_id: own for own in database.read_all_cameras()}
                 images = database.read_all_images()
                 keys, _ = database.read_all_matches()
-        except (RuntimeError, ValueError) as error:
-            raise InputError(f"{path}: not a COLMAP database ({_line(error)})") from None
+        except (RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:
+            raise InputError(f"{path}: not a COLMAP database ({reason(error)})") from None
+    try:
+        return _content(cameras, images, keys)
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
+        raise InputError(f"{path}: not a COLMAP database ({reason(error)})") from None
+
+
+def _content(
+    cameras: Mapping[int, Any], images: Sequence[Any], keys: Sequence[int]
+) -> DatabaseContent:
+    import pycolmap
+
     names = {image.image_id: image.name for image in images}
     pairs = [pycolmap.pair_id_to_image_pair(key) for key in keys]
     return DatabaseContent(
@@ -93,7 +109,3 @@ def read_database(path: Path) -> DatabaseContent:
         tuple(sorted(names.values())),
         tuple(sorted((names[first], names[second]) for first, second in pairs)),
     )
-
-
-def _line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

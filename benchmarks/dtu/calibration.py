@@ -62,7 +62,9 @@ def read_cam(path: Path) -> View:
     if not np.allclose(extrinsic[3], [0, 0, 0, 1], atol=ROTATION_TOLERANCE):
         raise InputError(f"{path}: the last row of the extrinsic matrix must be 0 0 0 1")
     # Through P, as in the other layouts: the same matrices give the same view to the bit.
-    view = decompose(K @ extrinsic[:3], str(path))
+    with np.errstate(over="ignore", invalid="ignore"):  # not finite: `decompose` says so
+        P = K @ extrinsic[:3]
+    view = decompose(P, str(path))
     if not np.allclose(view.R, extrinsic[:3, :3], atol=ROTATION_TOLERANCE):
         raise InputError(
             f"{path}: the matrices are no camera: the extrinsic 3x3 must be a rotation and the "

@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import re
 from collections.abc import Mapping
@@ -26,6 +25,7 @@ from dgc_pose.camera import Camera, camera_for, guess_camera, parse_camera
 from dgc_pose.colmap_camera import Distortion
 from dgc_pose.colmap_files import read_model_cameras
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_as, read_json, read_text
 
 _OPENCV = ("k1", "k2", "p1", "p2")  # of transforms.json, in COLMAP's order
 _KITTI_LINE = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")
@@ -106,17 +106,16 @@ def _colmap(path: Path, guess: bool) -> Calibration:
 
 
 def _csv_cameras(path: Path) -> dict[str, Camera]:
-    try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a table ({error})") from None
+    lines = read_text(path, "a table of cameras").splitlines()
+    with read_as("a table of cameras", path):
+        rows = list(csv.DictReader(lines))
     cameras = {}
     for number, row in enumerate(rows, start=2):
         try:
             fx, fy, cx, cy = (float(row[key]) for key in ("fx", "fy", "cx", "cy"))
             size = (int(row["width"]), int(row["height"])) if row.get("width") else None
             cameras[row["name"]] = Camera(_matrix(fx, fy, cx, cy), size)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{path}:{number}: expected the columns name,fx,fy,cx,cy[,width,height] "
                 f"({_line(error)})"
@@ -127,15 +126,15 @@ def _csv_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _transforms(path: Path) -> Calibration:
+    data = read_json(path, "a transforms.json")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
         common = _nerf_camera(data)
         named = {}
         for frame in data["frames"]:
             camera = _nerf_camera({**data, **frame})
             if camera is not None:
                 named.update(dict.fromkeys(_nerf_names(frame["file_path"]), camera))
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: not a transforms.json ({_line(error)})") from None
     if common is None and not named:
         raise InputError(f"{path}: no focal length in this transforms.json")
@@ -176,8 +175,8 @@ def _nerf_names(file_path: str) -> set[str]:
 def _kitti_lines(path: Path) -> dict[int, Camera]:
     """The cameras of a KITTI file by number; none if it is another file."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (UnicodeDecodeError, OSError):
+        lines = read_text(path).splitlines()
+    except (InputError, OSError):
         return {}
     cameras = {}
     for number, line in enumerate(lines, start=1):

@@ -11,6 +11,7 @@ import numpy as np
 
 from dgc_pose.camera import Camera, as_camera
 from dgc_pose.errors import InputError
+from dgc_pose.inputs import read_text
 
 Names = tuple[str, str]
 
@@ -34,10 +35,7 @@ def read_pair_list(path: Path) -> PairList:
     with # are passed over. Raises InputError, with the path and the line, for anything else, for
     an image paired with itself and for a list without pairs; OSError if the file cannot be read.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: a list of pairs is text, and this is not") from None
+    text = read_text(path, "a list of pairs")
     is_table = path.suffix.lower() == ".csv"
     pairs: dict[frozenset[str], Names] = {}
     cameras: dict[str, Camera] = {}

@@ -13,6 +13,7 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files import finite_or_none
+from dgc_pose.inputs import read_as, require_regular
 
 BAD_INPUT = "bad_input"  # status of a pair with an image or camera that cannot be used
 _PER_WRITE = 4096  # rows of a Parquet table held in memory
@@ -151,11 +152,12 @@ def read_rows(path: Path) -> Iterator[PairRow]:
         except (arrow.ArrowException, OSError) as error:
             raise InputError(f"{path}: not a whole Parquet file ({error})") from None
         return
-    with path.open(encoding="utf-8") as stream:
+    require_regular(path)
+    with read_as("a table of poses", path), path.open(encoding="utf-8") as stream:
         for number, line in enumerate(stream, start=1):
             try:
                 data = json.loads(line)
-            except ValueError:
+            except (ValueError, RecursionError):
                 raise InputError(f"{path}:{number}: not a whole line of JSON") from None
             yield parse_row(data, f"{path}:{number}")
 

@@ -46,6 +46,7 @@ from dgc_pose.batch.work import (
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import write_text
+from dgc_pose.inputs import read_json
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 
@@ -135,10 +136,7 @@ def read_batch(out: Path) -> Batch:
     plan = read_plan(out)
     if not (out / SUMMARY).is_file():
         raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
-    try:
-        summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
-    except ValueError:
-        raise InputError(f"{out / SUMMARY}: not the summary of a batch") from None
+    summary = read_json(out / SUMMARY, "the summary of a batch")
     rows = list(read_rows(rows_path(out, plan)))
     if len(rows) != len(plan.pairs):
         raise InputError(

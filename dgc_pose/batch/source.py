@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import PIL.Image
-
 from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.pair_files import read_pair_list
 from dgc_pose.camera import Camera
 from dgc_pose.colmap_files import read_database
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.image import load_image
+from dgc_pose.image import image_size
 
 _ENDINGS = (
     *(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".ppm", ".pgm"),
@@ -93,7 +91,7 @@ def survey(source: Source, calibration: Calibration) -> Survey:
     sizes: set[tuple[int, int]] = set()
     for name in source.names:
         try:
-            size = _size(source.root / name)
+            size = image_size(source.root / name)
         except ImageError as error:
             bad[name] = str(error)
             continue
@@ -112,12 +110,3 @@ def survey(source: Source, calibration: Calibration) -> Survey:
             f"one K for images of several sizes ({listed}): give a file with a K for each image"
         )
     return Survey(cameras, bad)
-
-
-def _size(path: Path) -> tuple[int, int]:
-    """(width, height) by the header. Raises ImageError if the image cannot be read."""
-    try:
-        with PIL.Image.open(path) as header:
-            return header.size
-    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError):
-        return load_image(path).size  # says what is wrong with it, or reads what Pillow does not

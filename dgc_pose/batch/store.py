@@ -25,8 +25,9 @@ from dgc_pose.batch.matches_file import group_name, open_matches, write_matches
 from dgc_pose.batch.rows import PairRow, parse_row, row_data, write_jsonl, write_parquet
 from dgc_pose.batch.work import Matched
 from dgc_pose.camera import Camera
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason
 from dgc_pose.files import replaced, write_text
+from dgc_pose.inputs import read_json
 
 RowFormat = Literal["jsonl", "parquet"]
 PLAN, SUMMARY, MATCHES, PARTS = "plan.json", "summary.json", "matches.h5", "parts"
@@ -86,7 +87,7 @@ def read_plan(out: Path) -> Plan:
     if not path.is_file():
         raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no {PLAN})")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = read_json(path, "the plan of a batch")
         images = data["images"]
         return Plan(
             Path(data["root"]),
@@ -101,8 +102,8 @@ def read_plan(out: Path) -> Plan:
             np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
             data["settings"],
         )
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not the plan of a batch ({error})") from None
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise InputError(f"{path}: not the plan of a batch ({reason(error)})") from None
 
 
 def require_same(plan: Plan, settings: Mapping[str, Any], out: Path) -> None:

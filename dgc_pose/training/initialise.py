@@ -50,6 +50,8 @@ def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> Non
     if not isinstance(net.pyramid, EfficientPyramid):
         raise WeightsError(f"{weights}: {net.config.name} has no EfficientNet-Lite0")
     state = load_checkpoint(Path(weights), images.device)
+    if not isinstance(state, dict):
+        raise WeightsError(f"{weights}: not weights of EfficientNet-Lite0")
     try:
         load_backbone(net.pyramid, state, images)
     except (KeyError, RuntimeError, TypeError, AttributeError, ValueError) as error:

@@ -6,7 +6,9 @@ puts the good file back.
 
 from __future__ import annotations
 
+import json
 import shutil
+import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +18,12 @@ import dense_scene
 import dtu_layout
 import numpy as np
 import PIL.Image
+import pycolmap
 import torch
 from fuzz import mutators
 
+from dgc_pose.batch.calibration import read_calibration
+from dgc_pose.batch.pair_files import read_pair_list
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
 from dgc_pose.benchmarks.homographies import find_homography_pairs
@@ -28,6 +33,7 @@ from dgc_pose.benchmarks.samples import draw_sample, read_sample, sample_path, w
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.camera import guess_camera, parse_camera
+from dgc_pose.colmap_files import read_database
 from dgc_pose.image import Image, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.matching.files import FileMatcher
@@ -263,6 +269,37 @@ def _make_photos(folder: Path) -> None:
         cv2.imwrite(str(folder / f"{k}.{'jpg' if k % 2 else 'png'}"), _pixels((8, 6)))
 
 
+def _make_batch_cameras(folder: Path) -> None:
+    (folder / "table.csv").write_text("name,fx,fy,cx,cy,width,height\na.png,9,9,4,3,10,8\n")
+    frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
+    nerf = {"fl_x": 9.0, "fl_y": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(nerf))
+    projection = " ".join(map(str, [9, 0, 4, 0, 0, 9, 3, 0, 0, 0, 1, 0]))
+    (folder / "calib.txt").write_text(f"P0: {projection}\nP1: {projection}\n")
+    for name in ("text", "binary"):
+        (folder / name).mkdir()
+    (folder / "text/cameras.txt").write_text("1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n")
+    values = struct.pack("<4d", 9, 9, 5, 4)
+    (folder / "binary/cameras.bin").write_bytes(struct.pack("<QIiQQ", 1, 1, 1, 10, 8) + values)
+
+
+def _make_batch_lists(folder: Path) -> None:
+    (folder / "plain.txt").write_text("a.png b.png\n# c\na.png c.png\n")
+    (folder / "table.csv").write_text("name1,name2\na.png,b.png\n")
+    _make_pair_lists(folder)
+
+
+def _make_database(folder: Path) -> None:
+    with pycolmap.Database.open(folder / "own.db") as database:
+        camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 9.0, 10, 8)
+        camera.has_prior_focal_length = True
+        database.write_camera(camera, use_camera_id=True)
+        for number in (1, 2):
+            image = pycolmap.Image(name=f"{number}.png", camera_id=1, image_id=number)
+            database.write_image(image, use_image_id=True)
+        database.write_matches(1, 2, np.array([[0, 0], [1, 1]], np.uint32))
+
+
 DOORS = (
     Door("images", _make_images, _read_image, _IMAGES, 4.0),
     Door("guessed cameras", _make_guess, lambda _, path: guess_camera(path), _IMAGES, 0.5),
@@ -309,6 +346,20 @@ DOORS = (
         _make_run,
         lambda folder, _: RunStore(folder, PairScore, _KEYS, {"batch": 1}, resume=True),
         {".csv": mutators.TEXT, ".json": mutators.JSON},
+    ),
+    Door("batch lists", _make_batch_lists, lambda _, path: read_pair_list(path), _TEXTS),
+    Door(
+        "batch cameras",
+        _make_batch_cameras,
+        lambda _, path: read_calibration(str(path)),
+        {**_TEXTS, ".json": mutators.JSON, ".bin": mutators.BYTES},
+    ),
+    Door(
+        "databases",
+        _make_database,
+        lambda _, path: read_database(path),
+        {".db": mutators.BYTES},
+        0.2,
     ),
     Door("samples", _make_sample, _read_a_sample, {".json": mutators.JSON}),
     Door("homographies", _make_homographies, _read_homographies, _TEXTS),

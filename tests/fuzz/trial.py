@@ -145,7 +145,7 @@ def child(folder: Path, doors: Sequence[Door], seed: int) -> None:
                 fault = fault or f"{memory / 2**20:.0f} MiB"
             answer = {"refused": refused, "seconds": seconds, "memory": memory, "fault": fault}
             answers.write(json.dumps(answer) + "\n")
-        answers.write(json.dumps({"done": _resident()}) + "\n")
+        answers.write(json.dumps({"done": resident()}) + "\n")
 
 
 def _forget_peak() -> None:
@@ -160,7 +160,7 @@ def _peak() -> float:
     return _status("VmHWM")
 
 
-def _resident() -> float:
+def resident() -> float:
     """Bytes."""
     return _status("VmRSS")
 
@@ -254,6 +254,8 @@ def run(
                 first = result.inputs[door]
                 for answer in reader.read(door, first, count):
                     result.add(door, answer)
+                    if tell and answer["fault"]:
+                        print(f"FAULT {door} {answer['number']}: {answer['fault']}", flush=True)
                 if not reader.alive:
                     reader.close()
                     reader = Child(command)
