@@ -116,4 +116,6 @@ def test_the_command_compares_on_the_pairs_of_a_list(tmp_path):
     assert answer.output.startswith("1 pairs; 5 runs of 1000 iterations")
     rows = [line.split() for line in answer.output.splitlines()[2:]]
     assert [(row[0], row[2]) for row in rows] == [("sift", "poselib"), ("sift", "findEssentialMat")]
-    assert all(float(row[4]) < 1 and float(row[5]) < 5 for row in rows)
+    # OpenCV's model is that of its best sample, not refined on the inliers.
+    for row, bound in zip(rows, (1, 5), strict=True):
+        assert float(row[4]) < bound and float(row[5]) < 5

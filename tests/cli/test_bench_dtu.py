@@ -166,7 +166,7 @@ def test_a_finished_run_is_only_shown_again(dtu, tmp_path) -> None:
     [
         (("--scenes", "six"), "--scenes takes numbers"),
         (("--scenes", "66"), "66"),
-        (("--pairs", "0"), "at least 1"),
+        (("--pairs", "0"), "must lie in [1, "),
         (("--pairs", "nowhere.csv"), "nowhere.csv"),
         (("--methods", "dis,dis"), "'dis' is named twice"),
         (("--methods", "sift/all"), "key points alone"),

@@ -36,7 +36,7 @@ def folder(tmp_path, monkeypatch):
             raise WeightsError(f"{weights}: no such weights")
         return nets[weights]
 
-    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_network", load_network)
+    monkeypatch.setattr("dgc_pose.benchmarks.map_run.load_network", load_network)
     return tmp_path
 
 

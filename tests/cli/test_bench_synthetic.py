@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
         cv2.imwrite(f"photos/{index:02d}.png", np.roll(pixels, index, 1))
     nets = {"still": MapNet(shifted(0, 0), half_sure()), "off": MapNet(shifted(300, 0))}
     monkeypatch.setattr(
-        "dgc_pose.benchmarks.methods.load_network", lambda weights, device: nets[weights]
+        "dgc_pose.benchmarks.map_run.load_network", lambda weights, device: nets[weights]
     )
     return tmp_path
 
