@@ -45,11 +45,9 @@ def draw_matches(
 ) -> ScalarMappable:
     """Draw two images side by side at one height, and a line for each match.
 
-    Args:
-        pixels1, pixels2: (H, W, 3) uint8 RGB.
-        points1, points2: (N, 2) pixels of their own image.
-        values: (N,), what the colour of a line stands for.
-        colours: of the values; None for confidences, 0 to 1. See `residual_colours`.
+    pixels1, pixels2: (H, W, 3) uint8 RGB. points1, points2: (N, 2) pixels of their own image.
+    values: (N,), what the colour of a line stands for. colours: of the values; None for
+    confidences, 0 to 1. See `residual_colours`.
 
     Returns what a colour bar needs.
     """
