@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import importlib
+import re
 import subprocess
 import sys
 from importlib.metadata import entry_points
@@ -126,6 +127,15 @@ def test_the_light_set_is_all_but_torch_with_the_same_pins(
             found = map(Requirement, requires(name) or [])
             waiting += [r for r in found if r.marker is None or r.marker.evaluate({"extra": ""})]
     assert needed <= set(light)
+
+
+def test_the_pins_by_hash_are_those_of_the_constraints() -> None:
+    def pinned(name: str) -> dict[str, str]:
+        lines = (ROOT / name).read_text().splitlines()
+        pairs = [line.split()[0].split("==") for line in lines if re.match(r"[\w.-]+==", line)]
+        return {key.lower().replace("_", "-"): version.split("+")[0] for key, version in pairs}
+
+    assert pinned("constraints-hashes.txt") == pinned("constraints.txt")
 
 
 def run_elsewhere(code: str) -> str:
