@@ -36,7 +36,7 @@ def pose_pool(
     try:
         yield lambda job: pool.submit(score, job)
     except BaseException:
-        # A job in a library's call hears nothing, and an interrupt shall not wait for it.
+        # A job inside a library's call handles no signal; an interrupt must not wait for it.
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
         raise

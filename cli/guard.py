@@ -87,7 +87,7 @@ class OutputFolder(click.ParamType):
 def guarded(command: click.Command) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
     if any(DEBUG in parameter.opts for parameter in command.params):
-        return command  # a second look-up of the same command
+        return command  # guarded already: click asks for a command more than once
     command.params += [
         click.Option(
             ["--max-pixels"],

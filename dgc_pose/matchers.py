@@ -51,9 +51,9 @@ def load_matcher(
 
     name: shipped weights ("dgcm-lite"), a path to weights (see `load_network`), "sift", or an
     optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". runtime:
-    what runs it, see `load_engine`. matching:
-    how matches are selected from a dense map. refinement: of a network's matches; None for the
-    matches of its map. SIFT and the flows are never refined here; a `Refiner` around them does it.
+    what runs it, see `load_engine`. matching: how matches are selected from a dense map.
+    refinement: of a network's matches; None for the matches of its map. SIFT and the flows are
+    never refined here; a `Refiner` around them does it.
     caches: to keep what is computed of an image from pair to pair; None to keep nothing.
 
     Raises WeightsError if weights cannot be loaded, InputError if there is no such device.

@@ -22,11 +22,12 @@ def in_threads(
     default is the number of processors. at_most: threads; 1 for work that shares a state.
 
     Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
-    the main thread, that comes through at once: work that has begun ends unheard, the rest is left.
+    the main thread, it is raised at once: results of work that has begun are discarded, and the
+    rest is not begun.
     """
     count = min(cv2.getNumThreads(), len(items), at_most or len(items))
     alone = threading.current_thread() is not threading.main_thread()
-    if count <= 1 and alone:  # only the main thread hears interrupts
+    if count <= 1 and alone:  # signals are handled in the main thread only
         return [work(item) for item in items]
     results: dict[int, Result] = {}
     errors: dict[int, BaseException] = {}

@@ -48,7 +48,7 @@ def test_shared_state_is_worked_on_by_one_thread_at_a_time() -> None:
 
 
 def test_an_interrupt_does_not_wait_for_the_work() -> None:
-    """As in a long call of a library, which hears nothing."""
+    """As in a long call of a library, which handles no signal."""
     cv2.setNumThreads(2)
     begun, ended = threading.Event(), threading.Event()
 

@@ -23,6 +23,7 @@ from dgc_pose.matching.view import View
 from dgc_pose.network.config import STRIDE
 from dgc_pose.pixels import Size, cell_centres, rescale
 from dgc_pose.runtime.engine import Engine, NativeFeatures
+from dgc_pose.runtime.start import log_softmax, match_scores
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
 _ANGLES = range(0, 360, 30)  # degrees, at equal fields of view
@@ -154,14 +155,16 @@ def matching_distribution(
     rows = np.flatnonzero(inside)
     evidence = scales[0] * (_rows(source.coarse) @ _rows(target.coarse)[rows].T)
     if len(scales) > 1:
-        children1, children2 = _children(source.middle), _children(target.middle)[:, rows]
+        children1, children2 = (
+            cells.transpose(1, 0, 2)
+            for cells in (source.middle_by_cell, target.middle_by_cell[rows])
+        )
         cosines = (
             children1.reshape(-1, children1.shape[2]) @ children2.reshape(-1, children2.shape[2]).T
         )
         four = cosines.reshape(4, len(evidence), 4, len(rows))
         evidence = evidence + scales[1] * four.max(0).mean(1)
-    scores = _log_softmax(evidence, 0) + _log_softmax(evidence, 1)
-    return _log_softmax(scores, 0)
+    return log_softmax(match_scores(evidence), 0)
 
 
 def mean_entropy(logarithms: np.ndarray) -> float:
@@ -240,16 +243,3 @@ def _median(found: list[_Candidate]) -> float:
 def _rows(level: np.ndarray) -> np.ndarray:
     """The cells of a level (h, w, C) one by one: (h * w, C)."""
     return level.reshape(-1, level.shape[2])
-
-
-def _children(middle: np.ndarray) -> np.ndarray:
-    """The features of stride 8 (2 h, 2 w, C) by cells of stride 16: (4, h * w, C)."""
-    height, width, channels = middle.shape
-    split = middle.reshape(height // 2, 2, width // 2, 2, channels).transpose(1, 3, 0, 2, 4)
-    return split.reshape(4, -1, channels)
-
-
-def _log_softmax(scores: np.ndarray, axis: int) -> np.ndarray:
-    shifted = scores - scores.max(axis, keepdims=True)
-    logarithms: np.ndarray = shifted - np.log(np.exp(shifted).sum(axis, keepdims=True))
-    return logarithms

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.runtime.start import log_softmax
 from dgc_pose.threads import in_threads
 
 # As at the coarsest level: Gaussian deviation in source cells, weight of the messages, least one.
@@ -71,13 +72,13 @@ def propagate(
         return cells, neighbours, agreement
 
     supports = in_threads(support, _NEIGHBOURS)
-    beliefs = _log_softmax(scores)
+    beliefs = log_softmax(scores, 1)
     for _ in range(_PASSES):
         probability, total = np.exp(beliefs), scores.copy()
         for cells, neighbours, agreement in supports:
             messages = (agreement @ probability[neighbours][:, :, None])[..., 0]
             total[cells] += _WEIGHT * np.log(_FLOOR + messages)
-        beliefs = _log_softmax(total)
+        beliefs = log_softmax(total, 1)
     return beliefs
 
 
@@ -93,7 +94,7 @@ def _candidates(
     own, other = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
     )
-    children1, children2 = _children(source.middle), _children(target.middle)
+    children1, children2 = source.middle_by_cell, target.middle_by_cell
     parts = [slice(i, i + _CHUNK) for i in range(0, len(other), _CHUNK)]
     similar = min(similar, len(own))
 
@@ -141,16 +142,3 @@ def _repeated(candidates: np.ndarray) -> np.ndarray:
     repeated = np.empty_like(same)
     np.put_along_axis(repeated, order, same, 1)
     return repeated
-
-
-def _children(middle: np.ndarray) -> np.ndarray:
-    """The features of stride 8 (2 h, 2 w, C) by cells of stride 16: (h * w, 4, C)."""
-    height, width, channels = middle.shape
-    split = middle.reshape(height // 2, 2, width // 2, 2, channels).transpose(0, 2, 1, 3, 4)
-    return split.reshape(-1, 4, channels)
-
-
-def _log_softmax(scores: np.ndarray) -> np.ndarray:
-    shifted = scores - scores.max(1, keepdims=True)
-    logarithms: np.ndarray = shifted - np.log(np.exp(shifted).sum(1, keepdims=True))
-    return logarithms

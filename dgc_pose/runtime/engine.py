@@ -32,6 +32,13 @@ class NativeFeatures:
     size: tuple[int, int]  # (width, height) of the image before it was resized
 
     @property
+    def middle_by_cell(self) -> np.ndarray:
+        """(h * w, 4, C') the features of stride 8 in each cell of stride 16, both row by row."""
+        height, width, channels = self.middle.shape
+        split = self.middle.reshape(height // 2, 2, width // 2, 2, channels)
+        return split.transpose(0, 2, 1, 3, 4).reshape(-1, 4, channels)
+
+    @property
     def nbytes(self) -> int:
         return self.coarse.nbytes + self.middle.nbytes + self.fine.nbytes
 

@@ -59,7 +59,7 @@ def match_evidence(
 
 def match_scores(evidence: np.ndarray) -> np.ndarray:
     """Log-likelihood of a match for each pair of cells, up to a constant (dual softmax)."""
-    scores: np.ndarray = _log_softmax(evidence, 0) + _log_softmax(evidence, 1)
+    scores: np.ndarray = log_softmax(evidence, 0) + log_softmax(evidence, 1)
     return scores
 
 
@@ -67,11 +67,11 @@ def consensus(scores: np.ndarray, passes: int, source: Grid, target: Grid) -> np
     """Log-probabilities of each target cell's source cell, after `passes` rounds of belief
     propagation; see `network.consensus`."""
     blur = _blur(source)
-    belief = _log_softmax(scores, 0)
+    belief = log_softmax(scores, 0)
     for _ in range(passes):
         messages = np.log(blur @ np.exp(belief) + np.float32(FLOOR))
         support = _sum_of_neighbours(messages.reshape(*source[::-1], *target))
-        belief = _log_softmax(scores + np.float32(WEIGHT) * support.reshape(scores.shape), 0)
+        belief = log_softmax(scores + np.float32(WEIGHT) * support.reshape(scores.shape), 0)
     return belief
 
 
@@ -95,7 +95,8 @@ def _sum_of_neighbours(messages: np.ndarray) -> np.ndarray:
     return total
 
 
-def _log_softmax(values: np.ndarray, axis: int) -> np.ndarray:
+def log_softmax(values: np.ndarray, axis: int) -> np.ndarray:
+    """Logarithms of the softmax along an axis."""
     shifted = values - values.max(axis, keepdims=True)
     shifted -= np.log(np.exp(shifted).sum(axis, keepdims=True))
     return shifted
@@ -115,7 +116,7 @@ def peaks(scores: np.ndarray, source: Grid) -> tuple[np.ndarray, np.ndarray]:
     Returns x and y in source cells (2, h2 * w2), the mean of the cells near the highest, weighted
     by their probability; and the probability (h2 * w2,) inside the window.
     """
-    probability = np.exp(_log_softmax(scores, 0))
+    probability = np.exp(log_softmax(scores, 0))
     x, y = np.divmod(np.arange(len(scores)), source[0])
     best = probability.argmax(0)
     far = np.maximum(np.abs(x[:, None] - x[best]), np.abs(y[:, None] - y[best]))

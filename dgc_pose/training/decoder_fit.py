@@ -22,7 +22,9 @@ from dgc_pose.network.statistics import normalise
 from dgc_pose.synthesis.map_pairs import MapPairs
 
 _CELLS = 2400  # most cells of a batch and level that enter the fit
-_RIDGE = {4: 3e-2, 3: 1e-3, 2: 1e-3}  # of the normalised equations; levels 0 and 1 are copied
+# The levels fitted, coarse to fine, each with its ridge on the normalised equations; others are
+# copied.
+_RIDGE = {4: 3e-2, 3: 1e-3, 2: 1e-3}
 
 
 @dataclass
@@ -42,7 +44,6 @@ def fit_decoders(net: DGCNet, trained: DGCNet, batches: Iterable[MapPairs], seed
     backbone shares, are copied. Both networks must pass on the same states. Raises WeightsError if
     the decoders differ in more than the inputs of their first convolutions.
     """
-    levels = (4, 3, 2)
     for level in range(COARSEST + 1):
         _copy(net, trained, level)
     equations: dict[int, _Equations] = {}
@@ -52,15 +53,15 @@ def fit_decoders(net: DGCNet, trained: DGCNet, batches: Iterable[MapPairs], seed
         new = [net.features(image) for image in images]
         old = [trained.features(image) for image in images]
         state: Tensor | None = None
-        for level in levels:
+        for level in _RIDGE:
             inputs, values, wanted, state = _both(net, trained, level, new, old, state)
             dilation = _first(net, level).dilation
             columns = unfold(inputs, 3, dilation, padding=dilation).movedim(1, 2).flatten(0, 1)
             difference = (wanted - values).flatten(2).movedim(1, 2).flatten(0, 1)
             chosen = torch.randperm(len(columns), generator=generator)[:_CELLS]
             _add(equations, level, columns[chosen], difference[chosen])
-    for level in levels:
-        _solve(_first(net, level), equations[level], _RIDGE[level])
+    for level, ridge in _RIDGE.items():
+        _solve(_first(net, level), equations[level], ridge)
 
 
 def _both(
@@ -130,7 +131,7 @@ def _copy(net: DGCNet, trained: DGCNet, level: int) -> None:
     state = trained.get_submodule(name).state_dict()
     first = "conv0.0.weight"
     given, own = state[first], _first(net, level).weight
-    if level >= min(_RIDGE):
+    if level in _RIDGE:
         # The last channels are the state before, and, at levels 3 and 2, the local correlation.
         same = net.config.map_channels
         if level != COARSEST:
