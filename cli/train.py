@@ -39,6 +39,11 @@ class TrainFiles:
     real_share: float | None = option(
         None, "Share of the pairs from --rgbd; default: 0.25 with --rgbd.", min=0, max=1
     )
+    real_pairs: Literal["near", "far"] = option(
+        "near",
+        "Which frames make a pair: near, up to 60 degrees apart; far, up to 90, and far views "
+        "likelier than near ones.",
+    )
     precision: Literal["auto", "float32", "bfloat16"] = option(
         "auto", "Precision of the convolutions; auto: bfloat16 if the processor supports it."
     )
@@ -51,12 +56,13 @@ class TrainFiles:
 
     def load_real(self) -> DepthScenes | None:
         """The frames that train; the rest of each sequence is held back."""
-        from dgc_pose.synthesis.depth_scenes import hold_back, load_depth_scenes
+        from dgc_pose.synthesis.depth_scenes import PAIR_CHOICES, hold_back, load_depth_scenes
         from dgc_pose.synthesis.posed_depth import read_rgbd
 
         if not self.rgbd:
             return None
-        return load_depth_scenes([hold_back(read_rgbd(folder))[0] for folder in self.rgbd])
+        scenes = [hold_back(read_rgbd(folder))[0] for folder in self.rgbd]
+        return load_depth_scenes(scenes, PAIR_CHOICES[self.real_pairs])
 
 
 @click.command()

@@ -37,9 +37,23 @@ class PairChoice:
     # Between the cameras, of the target's median depth.
     baseline: tuple[float, float] = option((0.03, 1.5), min=0)
     rotation_deg: float = option(60.0, above=0, max=180)  # at most
+    # Pairs for each frame of a scene, at most; drawn in proportion to the change of view, as most
+    # pairs of a walk are near. None: all.
+    per_frame: int | None = option(None, min=1)
 
     def __post_init__(self) -> None:
         check_options(self)
+
+
+PAIR_CHOICES = {
+    "near": PairChoice(),
+    "far": PairChoice((0.15, 0.97), (0.03, 2.5), rotation_deg=90.0, per_frame=40),
+}
+# A pair's chance: degrees of rotation, plus so many for a baseline of one median depth (at most 1.5
+# of them count), over _VIEW_CHANGE_DEG, within _CHANCE.
+_BASELINE_DEG = 40.0
+_VIEW_CHANGE_DEG = 30.0
+_CHANCE = (0.15, 2.0)
 
 
 @dataclass(frozen=True)
@@ -101,7 +115,24 @@ def _load_scene(
     depth = depth / unit
     cam_from_world[:, :3, 3] /= unit
     pairs, poses = _choose(depth, K, cam_from_world, choice)
+    if choice.per_frame is not None and len(pairs) > choice.per_frame * len(frames):
+        drawn = _draw(poses, choice.per_frame * len(frames))
+        pairs, poses = pairs[drawn], poses[drawn]
     return DepthScenes(images, depth.half(), K.float(), pairs, poses.float())
+
+
+def _draw(poses: Tensor, count: int) -> Tensor:
+    """Indices of so many of the poses (P, 3, 4), in order, drawn without replacement."""
+    baseline = poses[:, :, 3].norm(dim=1).clamp(max=1.5)
+    change = (_rotation_deg(poses) + _BASELINE_DEG * baseline) / _VIEW_CHANGE_DEG
+    generator = torch.Generator().manual_seed(len(poses))
+    return torch.multinomial(change.clamp(*_CHANCE), count, generator=generator).sort().values
+
+
+def _rotation_deg(poses: Tensor) -> Tensor:
+    """Angles (P,) of poses (P, 3 or 4, 4)."""
+    cosine = (poses[:, :3, :3].diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
+    return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
 
 
 def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -219,8 +250,7 @@ def _choose(
         sees &= in_front & ((there / moved[..., 2].clamp(min=1e-6) - 1).abs() < _AGREES)
         overlap = sees.sum(1) / total
         baseline = relative[:, :3, 3].norm(dim=1) / z[known].median()
-        cosine = (relative[:, :3, :3].diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
-        rotation = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
+        rotation = _rotation_deg(relative)
         fits = (overlap >= choice.overlap[0]) & (overlap <= choice.overlap[1])
         fits &= (baseline >= choice.baseline[0]) & (baseline <= choice.baseline[1])
         fits &= rotation <= choice.rotation_deg
