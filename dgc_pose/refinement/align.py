@@ -22,6 +22,8 @@ from dgc_pose.threads import in_threads
 
 _CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
+_CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels beyond, which the block and its gradients reach
+_STRIP = 256  # rows measured at a time: of a large image all take hundreds of MiB
 _ITERATIONS = 8
 _STEP = 1.5  # pixels at most of one iteration
 _CHUNK = 256  # patches at a time, which stay in the processor's cache
@@ -154,14 +156,24 @@ def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np
 
     grey: (H, W) float32. points: (N, 2), pixels.
     """
-    strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK)
     axis = np.arange(-_CORNER_RADIUS, _CORNER_RADIUS + 1)
     near = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
     limit = (grey.shape[1] - 1, grey.shape[0] - 1)
-    pixels = (np.rint(points).astype(np.int64)[:, None] + near).clip(0, limit)
-    values = strength[pixels[..., 1], pixels[..., 0]]
-    rows, best = np.arange(len(points)), values.argmax(1)
-    return pixels[rows, best].astype(np.float64), values[rows, best]
+    middle = np.rint(points).astype(np.int64)
+    corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
+    strip = middle[:, 1].clip(0, limit[1]) // _STRIP
+    for number in np.unique(strip):
+        rows = np.flatnonzero(strip == number)
+        pixels = (middle[rows, None] + near).clip(0, limit)
+        low = (pixels.min((0, 1)) - _CORNER_MARGIN).clip(0)
+        high = pixels.max((0, 1)) + _CORNER_MARGIN + 1
+        part = grey[low[1] : high[1], low[0] : high[0]]
+        values = cv2.cornerMinEigenVal(part, _CORNER_BLOCK)[
+            pixels[..., 1] - low[1], pixels[..., 0] - low[0]
+        ]
+        each, best = np.arange(len(rows)), values.argmax(1)
+        corners[rows], strength[rows] = pixels[each, best], values[each, best]
+    return corners, strength
 
 
 def spread(

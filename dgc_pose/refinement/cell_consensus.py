@@ -55,8 +55,8 @@ def propagate(
     candidates: (n, K) indices, row by row, of the source's cells; scores: (n, K) log-likelihoods;
     columns: of the source; grid: (rows, columns) of the target, n cells in all.
     """
-    y, x = np.divmod(candidates, columns)
-    points = np.stack([x, y], -1).astype(np.float32)
+    y, x = np.divmod(candidates.astype(np.int32), np.int32(columns))
+    gauss = _gaussian()
     index = np.arange(len(candidates)).reshape(grid)
 
     def support(offset: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,11 +65,10 @@ def propagate(
         dx, dy = offset
         own = index[max(0, -dy) : len(index) - max(0, dy), max(0, -dx) : grid[1] - max(0, dx)]
         cells, neighbours = own.ravel(), (own + dy * grid[1] + dx).ravel()
-        shifted = points[cells] + np.array(offset, np.float32)
-        apart = shifted[:, :, None] - points[neighbours][:, None]
-        squared = apart[..., 0] ** 2 + apart[..., 1] ** 2
-        agreement = np.exp(-squared / (2 * _REACH**2)) / (2 * math.pi * _REACH**2)
-        return cells, neighbours, agreement
+        squared = (x[cells][:, :, None] + dx - x[neighbours][:, None]) ** 2
+        squared += (y[cells][:, :, None] + dy - y[neighbours][:, None]) ** 2
+        # Cells are whole: an exponential of each square, not of each pair of candidates.
+        return cells, neighbours, gauss[np.minimum(squared, len(gauss) - 1)]
 
     supports = in_threads(support, _NEIGHBOURS)
     beliefs = log_softmax(scores, 1)
@@ -80,6 +79,13 @@ def propagate(
             total[cells] += _WEIGHT * np.log(_FLOOR + messages)
         beliefs = log_softmax(total, 1)
     return beliefs
+
+
+def _gaussian() -> np.ndarray:
+    """How well two candidates agree, by their squared distance in cells: float32; the last is 0."""
+    squared = np.arange(round(210 * _REACH**2), dtype=np.float32)  # exp(-105) is 0 in float32
+    agreement: np.ndarray = np.exp(-squared / (2 * _REACH**2)) / (2 * math.pi * _REACH**2)
+    return agreement
 
 
 def _candidates(

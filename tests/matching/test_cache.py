@@ -40,6 +40,17 @@ def test_one_value_beyond_the_limit_is_kept_alone() -> None:
     assert cache.held_bytes == 2
 
 
+def test_what_is_dropped_is_told() -> None:
+    told: list[bytes] = []
+    cache: BoundedCache[str, bytes] = BoundedCache(lambda key, value: 10, 30, told.append)
+    for key in ("a", "b", "c", "d"):
+        cache.get(key, key.encode)
+    assert told == [b"a"]
+    cache.drop(lambda key: key in "ac")
+    assert told == [b"a", b"c"] and cache.held_bytes == 20
+    assert cache.get("c", lambda: b"new") == b"new"
+
+
 def _images(count: int) -> list[Image]:
     rng = np.random.default_rng(0)
     pixels = rng.integers(0, 256, (count, 90, 120, 3), dtype=np.uint8)
