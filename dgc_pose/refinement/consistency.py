@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from dgc_pose.geometry.neighbours import nearest
 from dgc_pose.matches import Matches
 
 _ROUNDS = 4  # of reweighting, the tolerance shrinking from round to round
@@ -37,10 +37,10 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     points1, points2 = points1[finite], points2[finite]
     if len(points1) <= neighbours:
         return LocalMatches(points1[:0], points2[:0], np.zeros((0, 2, 2)), finite[:0])
-    distance, nearest = cKDTree(points2).query(points2, k=neighbours + 1)
-    offsets = points2[nearest] - points2[:, None]
+    distance, index = nearest(points2, neighbours + 1)
+    offsets = points2[index] - points2[:, None]
     design = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], -1)  # (N, k + 1, 3)
-    nearest1 = points1[nearest]
+    nearest1 = points1[index]
     tolerance = _TOLERANCE * matches.error_px
     reach = distance[:, -1:] + tolerance
     distance1 = np.linalg.norm(nearest1 - np.median(nearest1, 1, keepdims=True), axis=-1)
@@ -55,7 +55,7 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     affinity = fit[:, :2].transpose(0, 2, 1)
     stretch = np.linalg.svd(affinity, compute_uv=False)
     kept = (
-        (residual[:, 0] < 2 * tolerance)
+        (np.linalg.norm(fit[:, 2] - points1, axis=1) < 2 * tolerance)
         & ((residual < 2 * tolerance).sum(1) >= _LEAST_SUPPORT)
         & (stretch[:, 1] > _STRETCH[0])
         & (stretch[:, 0] < _STRETCH[1])
