@@ -5,8 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-_EXACT_TREE = {"algorithm": 4, "leaf_max_size": 10}  # FLANN's single k-d tree
-_ALL_LEAVES = {"checks": -1}  # that may hold a nearer point
+_Parameters = dict[str, bool | int | float | str]
+_EXACT_TREE: _Parameters = {"algorithm": 4, "leaf_max_size": 10}  # FLANN's single k-d tree
+_ALL_LEAVES: _Parameters = {"checks": -1}  # that may hold a nearer point
 
 
 def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -33,7 +33,7 @@ def quaternion_wxyz(R: np.ndarray) -> np.ndarray:
 
 
 def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
-    """The rotation R (3, 3) with the least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976).
+    """The rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976).
 
     With fewer than two directions one of those that there are.
     """
