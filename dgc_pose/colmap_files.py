@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import struct
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dgc_pose import colmap_camera
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError, reason
+from dgc_pose.files import scratch_folder
 from dgc_pose.inputs import require_regular
 from dgc_pose.stderr import quiet
 
@@ -45,7 +45,7 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
     """
     import pycolmap
 
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         ending = path.suffix
         for name in ("cameras", "images", "points3D"):
             # pycolmap reads whole models alone. The points are of no use, and may be large.
@@ -76,7 +76,7 @@ def read_database(path: Path) -> DatabaseContent:
     if not path.is_file():
         raise InputError(f"{path}: no such database")
     require_regular(path)
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         # Opening a database of an older COLMAP changes it, so a copy is opened.
         copy = Path(folder, "database.db")
         shutil.copyfile(path, copy)

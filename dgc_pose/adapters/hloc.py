@@ -7,7 +7,7 @@ features.h5 has `<image>/keypoints` (float32, (0, 0) the centre of the first pix
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import h5py
 import numpy as np
@@ -29,6 +29,12 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
     for names in shared.pairs:
         if any(len(name.split()) != 1 for name in names):
             raise InputError(f"hloc's pairs file cannot hold the names {names}: no blanks")
+    groups: dict[PurePosixPath, str] = {}
+    for name in shared.key_points:
+        path = PurePosixPath(name.lstrip("/"))  # as HDF5 takes it
+        other = groups.setdefault(path, name)
+        if other != name or ".." in path.parts or any(one in groups for one in path.parents):
+            raise InputError(f"hloc's features cannot hold the image name {name!r}")
     folder.mkdir(parents=True, exist_ok=True)
     with (
         replaced(folder / FEATURES) as features,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dgc_pose.errors import DgcPoseError
+from dgc_pose.files import scratch_folder
 
 if TYPE_CHECKING:
     import pycolmap
@@ -36,7 +36,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
 
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     pycolmap.set_random_seed(options.seed)
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         try:
             if options.mapper == "incremental":
                 models = pycolmap.incremental_mapping(
