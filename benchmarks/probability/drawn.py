@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
+from dgc_pose.colmap_library import pycolmap
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.synthesis.posed_depth import PosedFrame, read_rgbd

@@ -147,7 +147,7 @@ class PartStore:
         self.folder.mkdir(exist_ok=True)
         for path in self._parts():
             try:
-                indices = _read_part(path)
+                indices = read_part(path)
             except (InputError, OSError):
                 path.unlink()
                 continue
@@ -232,7 +232,7 @@ class _Part:
         return cls(file, *_parse_rows(file, path))
 
 
-def _read_part(path: Path) -> list[int]:
+def read_part(path: Path) -> list[int]:
     """The pairs of a part. Raises InputError or OSError if it is not whole."""
     if path.suffix != ".h5":
         raise InputError(f"{path}: left half-written by a kill")

@@ -46,7 +46,7 @@ def write_database(
 
     Raises InputError if COLMAP cannot hold a camera.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as temporary:
@@ -68,7 +68,7 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 
     matches: (M, 2) uint32, indices of key points, all of them inliers.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     geometry = pycolmap.TwoViewGeometry()
     name = CONFIGURATIONS[row.status]
@@ -91,7 +91,7 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
     Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew, or two
     focal lengths in a model of one.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     assert camera.size is not None
     K = camera.K
@@ -120,7 +120,7 @@ def _write_images(
     guessed: frozenset[str],
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera."""
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     known: dict[tuple[object, ...], int] = {}
     ids = {}
@@ -150,6 +150,6 @@ def _write_images(
 
 
 def _transaction(database: pycolmap.Database) -> pycolmap.DatabaseTransaction:
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     return pycolmap.DatabaseTransaction(database)

@@ -32,7 +32,7 @@ class MappingError(DgcPoseError):
 
 def map_database(database: Path, images: Path, options: MappingOptions) -> pycolmap.Reconstruction:
     """The model with the most images. Raises MappingError if there is none."""
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     pycolmap.set_random_seed(options.seed)
@@ -54,7 +54,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
 
 
 def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions:
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     made = pycolmap.IncrementalPipelineOptions()
     made.min_model_size = _LEAST_IMAGES
@@ -69,7 +69,7 @@ def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions
 
 
 def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     made = pycolmap.GlobalPipelineOptions()
     made.min_model_size = _LEAST_IMAGES
