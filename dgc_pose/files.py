@@ -213,6 +213,20 @@ def replaced_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(left, ignore_errors=True)
 
 
+def require_room(path: Path, size: int = 2**20) -> None:
+    """Raise OSError, with the path, unless so many bytes can be written beside it.
+
+    For libraries that end the process, or say nothing, when a disk is full. After such a library
+    has written, the default shows whether it could: what failed was less.
+    """
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:  # without a name: nothing is left
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
     """A folder for temporary files, which is removed in the end.

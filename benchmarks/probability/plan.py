@@ -45,7 +45,8 @@ class Source:
 
     def __post_init__(self) -> None:
         check_options(self)
-        if not isinstance(self.name, str) or Path(self.name).name != self.name or "\0" in self.name:
+        is_name = isinstance(self.name, str) and self.name not in ("", ".", "..")
+        if not is_name or Path(self.name).name != self.name or "\0" in self.name:
             raise InputError(f"name must be that of a file, not {self.name!r}")
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
 
-import h5py
 import numpy as np
 
-from dgc_pose.batch.matches_file import group_name
+from dgc_pose.batch.matches_file import group_name, new_file
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.files import replaced
@@ -41,12 +40,12 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
         replaced(folder / MATCHES) as matches,
         replaced(folder / PAIRS) as pairs,
     ):
-        with h5py.File(features, "w") as file:
+        with new_file(features) as file:
             for name, points in shared.key_points.items():
                 group = file.create_group(name)
                 group.create_dataset("keypoints", data=points.astype(np.float32))
                 group.create_dataset("scores", data=np.ones(len(points), np.float32))
-        with h5py.File(matches, "w") as file:
+        with new_file(matches) as file:
             for (name0, name1), index in shared.pairs.items():
                 group = file.create_group(group_name(name0, name1))
                 matches0 = np.full(len(shared.key_points[name0]), _NONE, dtype=np.int32)

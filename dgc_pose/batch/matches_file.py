@@ -55,6 +55,19 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
         group.create_dataset(dataset, data=getattr(matches, field))
 
 
+@contextmanager
+def new_file(path: Path) -> Iterator[Any]:
+    """An HDF5 file that is made in memory and written at once: HDF5 cannot bear a full disk."""
+    with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    try:
+        path.write_bytes(image)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 def read_matches(group: h5py.Group) -> PairMatches:
     """The matches of a group. Raises InputError if they are none."""
     where = f"{group.file.filename}: {group.name}"

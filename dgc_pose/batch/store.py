@@ -22,12 +22,12 @@ import h5py
 import numpy as np
 
 from dgc_pose.batch.calibration import camera_data, parse_camera_data
-from dgc_pose.batch.matches_file import group_name, open_matches, write_matches
+from dgc_pose.batch.matches_file import group_name, new_file, open_matches, write_matches
 from dgc_pose.batch.rows import PairRow, parse_row, row_data, write_jsonl, write_parquet
 from dgc_pose.batch.work import Matched
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files import replaced, write_text
+from dgc_pose.files import replaced, require_room, write_text
 from dgc_pose.inputs import read_as, read_json
 
 RowFormat = Literal["jsonl", "parquet"]
@@ -164,7 +164,7 @@ class PartStore:
         """Put a finished block on disk."""
         path = self.folder / f"{done.indices[0]:09d}.h5"
         with replaced(path) as temporary:
-            with h5py.File(temporary, "w") as file:
+            with new_file(temporary) as file:
                 file["indices"] = np.array(done.indices)
                 file["rows"] = np.frombuffer(_rows_json(done), dtype=np.uint8)
                 for index, found in zip(done.indices, done.matches, strict=True):
@@ -178,6 +178,8 @@ class PartStore:
         table, matches = rows_path(self.out, self.plan), self.out / MATCHES
         bad = dict(self.plan.bad)
         with replaced(table) as staged_table, replaced(matches) as staged_matches:
+            size = sum(part.stat().st_size for part in self._parts())
+            require_room(self.out / MATCHES, size + 2**20)
             with h5py.File(staged_matches, "w") as target:
                 rows = self._rows(target, bad)
                 write = write_jsonl if table.suffix == ".jsonl" else write_parquet

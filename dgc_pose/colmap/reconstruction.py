@@ -14,7 +14,7 @@ from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
 from dgc_pose.colmap.mapping import MappingOptions, map_database
 from dgc_pose.errors import InputError
-from dgc_pose.files import only_writer, replaced, replaced_folder, write_text
+from dgc_pose.files import only_writer, replaced, replaced_folder, require_room, write_text
 
 if TYPE_CHECKING:
     import pycolmap
@@ -69,8 +69,10 @@ def reconstruct(
         found = map_database(database, batch.plan.root, options.mapping)
         with replaced_folder(out / MODEL) as folder:
             found.write_binary(folder)
+            require_room(out / MODEL)  # COLMAP says nothing of a full disk
         with replaced(out / POINTS) as temporary:
             found.export_PLY(temporary)
+            require_room(out / POINTS)
     return as_model(found), exported
 
 
