@@ -69,23 +69,34 @@ def _by_pillow(data: bytes, complete: bool) -> Header | None:
 
     Not through PIL.Image.open, which refuses 179 million pixels and more: phones take such images.
     """
-    PIL.Image.init()
+    PIL.Image.preinit()  # of the frequent formats: it takes a tenth of the time of all
+    name = _accepted(data)
+    if name is None:
+        PIL.Image.init()
+        name = _accepted(data)
+    if name is None:
+        return None
+    factory, _ = PIL.Image.OPEN[name]
+    if name == "JPEG":  # the registered factory also reads blocks of several images
+        from PIL.JpegImagePlugin import JpegImageFile as factory
+    try:
+        image: PIL.Image.Image = factory(io.BytesIO(data), "")
+    except Exception:
+        if name in ("TIFF", "JPEG2000", "PPM"):
+            return None  # variants that OpenCV decodes
+        raise
+    header = Header(name, image.size, _orientation(image))
+    if complete:
+        image.verify()  # the checksums of a PNG
+    return header
+
+
+def _accepted(data: bytes) -> str | None:
+    """The format, of those that Pillow has made ready, that the data begin as."""
     for name in _FORMATS:
-        factory, accept = PIL.Image.OPEN.get(name, (None, None))
-        if factory is None or accept is None or accept(data[:16]) is not True:
-            continue
-        if name == "JPEG":  # the registered factory also reads blocks of several images
-            from PIL.JpegImagePlugin import JpegImageFile as factory
-        try:
-            image: PIL.Image.Image = factory(io.BytesIO(data), "")
-        except Exception:
-            if name in ("TIFF", "JPEG2000", "PPM"):
-                return None  # variants that OpenCV decodes
-            raise
-        header = Header(name, image.size, _orientation(image))
-        if complete:
-            image.verify()  # the checksums of a PNG
-        return header
+        _, accept = PIL.Image.OPEN.get(name, (None, None))
+        if accept is not None and accept(data[:16]) is True:
+            return name
     return None
 
 

@@ -10,7 +10,12 @@ _CHUNK = 30000  # rows at a time: cv2.remap makes no image with a side of 32768 
 
 def bilinear(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Values (N, P[, C]) of an image (H, W[, C]) at points (N, P, 2), its edge repeated."""
-    x, y = np.moveaxis(points.astype(np.float32), -1, 0)
+    return bilinear_at(image, points[..., 0], points[..., 1])
+
+
+def bilinear_at(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """As `bilinear`, of points by their coordinates, (N, P) each."""
+    x, y = (np.ascontiguousarray(axis, np.float32) for axis in (x, y))
     values = np.empty((*x.shape, *image.shape[2:]), image.dtype)
     for i in range(0, len(x), _CHUNK):
         rows = slice(i, i + _CHUNK)

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.benchmarks.dtu.dataset import open_dataset
+from dgc_pose.benchmarks.dtu.view_pairs import (
+    ViewPairOptions,
+    draw,
+    find_view_pairs,
+    listed_pair,
+)
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
 from dgc_pose.colmap_library import pycolmap
@@ -25,6 +33,8 @@ _LEAST_BASELINE = 0.08  # of the depth; the direction of a shorter one is the po
 _PROBE = 24  # depths along the longer side by which overlap is counted
 _FRAMES = 60  # of a sequence, evenly chosen; all pairs of them are looked at
 _AGREES = 0.05  # of the depth
+_DTU_ROTATION = 60.0  # degrees
+_DTU_OVERLAP = 0.2  # of the space at DTU's depths
 
 
 def drawn_rgbd(folder: Path, count: int, seed: int) -> list[Pair]:
@@ -78,6 +88,19 @@ def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
     return _chosen(found, np.array(common), _COMMON, count, seed)
 
 
+def drawn_dtu(folder: Path, count: int, seed: int) -> list[Pair]:
+    """Pairs of DTU, evenly over the rotations; names are relative to `folder`. Raises as
+    `open_dataset` does."""
+    dataset = open_dataset(folder)
+    options = ViewPairOptions(
+        pairs=count, max_rotation=_DTU_ROTATION, min_overlap=_DTU_OVERLAP, seed=seed
+    )
+    return [
+        _relative_to(folder, listed_pair(dataset, pair))
+        for pair in draw(find_view_pairs(dataset, options), options)
+    ]
+
+
 def _chosen(
     pairs: Sequence[Pair], overlaps: np.ndarray, edges: Sequence[float], count: int, seed: int
 ) -> list[Pair]:
@@ -100,6 +123,11 @@ def _chosen(
         chosen += [int(own.pop()) for own in bins if own]
     chosen = chosen[: count - len(apart)] + apart.tolist()
     return [pairs[k] for k in sorted(chosen)]
+
+
+def _relative_to(folder: Path, pair: Pair) -> Pair:
+    name1, name2 = (path.relative_to(folder).as_posix() for path in (pair.path1, pair.path2))
+    return replace(pair, name1=name1, name2=name2, root=folder)
 
 
 def _pair(

@@ -9,6 +9,7 @@ never on both sides. Kinds:
   the first folder of its image's name.
 - `rgbd`: a folder of posed RGB-D frames; pairs are drawn from it (`drawn.py`).
 - `sparse`: a COLMAP text model with its images.
+- `dtu`: a folder of DTU in any layout; pairs up to 60 degrees apart.
 - `rendered`: `path` is a folder of photographs as textures.
 - `unrelated`: `path` is a list of folders; two photographs of different prefixes or folders.
 - `textureless`: drawn images without structure, alone and beside photographs of `path`.
@@ -27,7 +28,7 @@ from dgc_pose.inputs import read_text
 from dgc_pose.options import check_options, option
 
 Part = Literal["fit", "calibrate", "report"]
-SourceKind = Literal["list", "rgbd", "sparse", "rendered", "unrelated", "textureless"]
+SourceKind = Literal["list", "rgbd", "sparse", "dtu", "rendered", "unrelated", "textureless"]
 DEFAULT_PLAN = "plan.json"  # beside this file
 
 

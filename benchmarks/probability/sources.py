@@ -12,7 +12,7 @@ import numpy as np
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs, write_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth, require_images
 from dgc_pose.benchmarks.probability.blank import BLANKS, blank
-from dgc_pose.benchmarks.probability.drawn import drawn_rgbd, drawn_sparse
+from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import Source
 from dgc_pose.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
@@ -22,6 +22,7 @@ from dgc_pose.image import Image, load_image
 _SUFFIXES = {".jpg", ".jpeg", ".png"}
 _RENDERED_SIZE = 640  # pixels a side
 _BLANK_SIZE = (640, 480)
+_DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,9 @@ def _listed(source: Source, path: Path, lists: Path) -> list[Pair]:
         return pairs[:: max(1, -(-len(pairs) // source.pairs))]
     known = lists / f"{source.name}.txt"
     if not known.is_file():
-        draw = drawn_rgbd if source.kind == "rgbd" else drawn_sparse
         lists.mkdir(parents=True, exist_ok=True)
         with replaced(known) as stage:
-            write_pairs(stage, draw(path, source.pairs, source.seed))
+            write_pairs(stage, _DRAWN[source.kind](path, source.pairs, source.seed))
     return read_pairs(known, path)
 
 

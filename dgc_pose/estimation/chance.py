@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import gammaln
 
 from dgc_pose.estimation.backend import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -49,4 +48,4 @@ def log10_false_alarms(count: int, inliers: int, chance: float) -> float:
 
 
 def _log_choose(count: int, chosen: int) -> float:
-    return float(gammaln(count + 1) - gammaln(chosen + 1) - gammaln(count - chosen + 1))
+    return math.lgamma(count + 1) - math.lgamma(chosen + 1) - math.lgamma(count - chosen + 1)

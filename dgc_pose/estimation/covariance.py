@@ -9,10 +9,12 @@ spread is measured by leaving out one block after the other (the delete-a-group 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from scipy.special import gammaincinv
 
 from dgc_pose.estimation.backend import MINIMAL
+from dgc_pose.estimation.chi_square import chi_square_quantile
 from dgc_pose.estimation.model import Model, error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
@@ -67,9 +69,8 @@ def error_radius_deg(covariance: np.ndarray, share: float = 0.9) -> float:
     mean, squares = eigenvalues.sum(), (eigenvalues**2).sum()
     if mean == 0:
         return 0.0
-    # The chi-square's quantile; importing scipy.stats for it would take half a second.
-    quantile = squares / mean * 2 * float(gammaincinv(mean**2 / squares / 2, share))
-    return min(float(np.degrees(np.sqrt(quantile))), 180.0)
+    quantile = squares / mean * chi_square_quantile(mean**2 / squares, share)
+    return min(math.degrees(math.sqrt(quantile)), 180.0)
 
 
 def error_slopes(

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
 from dgc_pose.estimation.covariance import error_radius_deg
@@ -15,7 +14,7 @@ from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.rivals import DISTINCT_DEG
 from dgc_pose.geometry.epipolar import sampson_distance
-from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.geometry.triangulation import (
     depths,
     epipolar_angles,
@@ -141,10 +140,7 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     for _ in range(_ROTATION_ROUNDS):
         if kept.sum() < 2:
             break
-        # The least squares depend on the rays through this matrix alone, and three rows are quicker
-        # to align than all rays.
-        correlation = rays1[kept].T @ rays2[kept]
-        R = Rotation.align_vectors(correlation, np.eye(3))[0].as_matrix()
+        R = aligning_rotation(rays1[kept], rays2[kept])
         distance = np.linalg.norm(rays1 @ R.T - rays2, axis=1)
         following = distance <= max(2 * problem.threshold, float(np.median(distance)))
         if np.array_equal(following, kept):

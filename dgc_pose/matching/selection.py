@@ -92,8 +92,10 @@ def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.nd
     rows, columns = rows[order], columns[order]
     side = math.sqrt(len(rows) / most)
     while True:
-        blocks = rows // side * keep.shape[1] + columns // side
-        _, first = np.unique(blocks, return_index=True)
+        blocks = (rows // side * keep.shape[1] + columns // side).astype(np.int64)
+        first = np.full(keep.size, -1)
+        first[blocks[::-1]] = np.arange(len(rows))[::-1]  # of equal indices the last one counts
+        first = first[first >= 0]
         if len(first) <= most:
             break
         side *= 1.05

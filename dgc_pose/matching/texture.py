@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
+from dgc_pose.arrays import quantiles
 from dgc_pose.image import Image, resize_by
 from dgc_pose.matches import Matches
 from dgc_pose.pixels import rescale
@@ -95,7 +96,7 @@ def noise_level(grey: np.ndarray) -> float:
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1]
-    return float(np.quantile(np.abs(response), 0.75)) / (1.1503 * 6)
+    return quantiles(np.abs(response), 0.75)[0] / (1.1503 * 6)
 
 
 def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +110,8 @@ def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         cv2.GaussianBlur(product, (0, 0), _WINDOW, borderType=cv2.BORDER_REPLICATE)
         for product in (x * x, y * y, x * y)
     )
-    mean, half = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    mean, difference = (xx + yy) / 2, (xx - yy) / 2
+    half = np.sqrt(difference * difference + xy * xy)
     return mean - half, mean + half
 
 
@@ -131,5 +133,5 @@ def _content(grey: np.ndarray) -> slice:
 def _varied(row: np.ndarray) -> bool:
     if len(row) == 0:
         return False
-    low, high = np.quantile(row, (_BAR_SHARE, 1 - _BAR_SHARE))
-    return bool(high - low > _BAR_RANGE)
+    low, high = quantiles(row, _BAR_SHARE, 1 - _BAR_SHARE)
+    return high - low > _BAR_RANGE

@@ -17,7 +17,7 @@ import numpy as np
 from dgc_pose.image import resize_by
 from dgc_pose.pixels import rescale
 from dgc_pose.refinement.consistency import LocalMatches
-from dgc_pose.sampling import bilinear
+from dgc_pose.sampling import bilinear_at
 from dgc_pose.threads import in_threads
 
 _CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner
@@ -27,7 +27,6 @@ _STEP = 1.5  # pixels at most of one iteration
 _CHUNK = 256  # patches at a time, which stay in the processor's cache
 _STILL = 0.02  # pixels of a step after which a patch is not moved again
 _SETTLED = 0.1  # pixels: the last step of an alignment that has converged
-_HALVES = np.array([[0.5, 0.0], [0.0, 0.5]])  # pixels, for central differences
 _NOISE = 1.0  # grey levels, added to the contrast of a patch
 _FLAT = np.sqrt(2) * _NOISE  # contrast, with that, of a patch that has none of its own
 _SIMILAR = 1.5  # scale between the images up to which neither is shrunk
@@ -101,17 +100,15 @@ def _align(
     max_matches: int,
 ) -> Aligned:
     """As `align`, of images of similar scale; max_shift along each axis."""
-    grey1, grey2 = (
-        cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY).astype(np.float32) for pixels in (pixels1, pixels2)
-    )
+    grey1, grey2 = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (pixels1, pixels2))
     corners, strength = nearby_corners(grey2, matches.points2)
     chosen = spread(corners, strength, (pixels2.shape[1], pixels2.shape[0]), max_matches)
     corners, affinity = corners[chosen], matches.affinity[chosen]
     moved = corners - matches.points2[chosen]
     start = matches.points1[chosen] + np.einsum("nij,nj->ni", affinity, moved)
     return _aligned(
-        grey1,
-        grey2,
+        grey1.astype(np.float32),
+        grey2.astype(np.float32),
         LocalMatches(start, corners, affinity, matches.index[chosen]),
         radius,
         max_shift,
@@ -152,16 +149,19 @@ def _aligned(
 def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The strongest corner (N, 2) within a few pixels of each point, and its strength (N,).
 
-    grey: (H, W) float32. points: (N, 2), pixels.
+    grey: (H, W) uint8 or float32. points: (N, 2), pixels.
     """
     strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK)
-    axis = np.arange(-_CORNER_RADIUS, _CORNER_RADIUS + 1)
-    near = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-    limit = (grey.shape[1] - 1, grey.shape[0] - 1)
-    pixels = (np.rint(points).astype(np.int64)[:, None] + near).clip(0, limit)
-    values = strength[pixels[..., 1], pixels[..., 0]]
-    rows, best = np.arange(len(points)), values.argmax(1)
-    return pixels[rows, best].astype(np.float64), values[rows, best]
+    height, width = grey.shape
+    near = np.arange(-_CORNER_RADIUS, _CORNER_RADIUS + 1)
+    x, y = np.rint(points).astype(np.int64).T[:, :, None] + near
+    x, y = x.clip(0, width - 1), y.clip(0, height - 1)
+    values = strength[y[:, :, None], x[:, None]].reshape(len(points), -1)
+    best = values.argmax(1)
+    rows = np.arange(len(points))
+    row, column = np.divmod(best, len(near))
+    corners = np.stack([x[rows, column], y[rows, row]], -1)
+    return corners.astype(np.float64), values[rows, best]
 
 
 def spread(
@@ -172,11 +172,12 @@ def spread(
     strength: (N,). size: (width, height) of the image of the points.
     """
     order = np.argsort(-strength, kind="stable")
+    x, y = points[order].T
     side = 1.0
     while True:
-        blocks = (points[order] // side) @ (1, size[0] // side + 1)
-        _, first = np.unique(blocks, return_index=True)
-        if len(first) <= most:
+        blocks = np.floor(x / side) + np.floor(y / side) * (size[0] // side + 1)
+        if np.count_nonzero(np.diff(np.sort(blocks))) < most:
+            _, first = np.unique(blocks, return_index=True)
             return np.sort(order[first])
         side *= 1.1
 
@@ -193,34 +194,46 @@ def _shift(
 
     grey: (H, W) float32. affinity: (N, 2, 2), of offsets in image 2 to offsets in image 1.
     """
-    axis = np.arange(-radius, radius + 1.0)
+    axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
     offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)  # (P, 2)
     weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
     weights /= weights.sum()
-    around2 = points2[:, None] + offsets
-    template, contrast = _standardised(bilinear(grey2, around2), weights)
-    slopes = [bilinear(grey2, around2 + half) - bilinear(grey2, around2 - half) for half in _HALVES]
-    jacobian = np.stack(slopes, -1) / contrast[..., None]  # (N, P, 2)
-    weighted = jacobian * weights[:, None]
-    hessian = jacobian.transpose(0, 2, 1) @ weighted + 1e-6 * np.eye(2)
-    gain = np.linalg.inv(hessian).astype(np.float32) @ weighted.transpose(0, 2, 1)  # (N, 2, P)
-    around1 = (offsets @ affinity.transpose(0, 2, 1)).astype(np.float32)
+    template, contrast = _standardised(_window(grey2, points2, axis, axis), weights)
+    across, down = _window(grey2, points2, halves, axis), _window(grey2, points2, axis, halves)
+    slopes = (
+        np.diff(across.reshape(-1, len(axis), len(halves)), axis=2),
+        np.diff(down.reshape(-1, len(halves), len(axis)), axis=1),
+    )
+    jacobian = np.stack(slopes, 1).reshape(-1, 2, len(offsets)) / contrast[..., None]
+    weighted = jacobian * weights
+    hessian = weighted @ jacobian.transpose(0, 2, 1) + 1e-6 * np.eye(2)
+    gain = np.linalg.inv(hessian).astype(np.float32) @ weighted  # (N, 2, P)
+    # The coordinates apart: NumPy is slow along an axis of two.
+    around_x, around_y = (affinity.transpose(1, 0, 2) @ offsets.T).astype(np.float32)
     points1 = points1.copy()
     zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
     for _ in range(_ITERATIONS):
         moving = np.flatnonzero(length >= _STILL)
         if len(moving) == 0:
             break
-        around = points1[moving, None].astype(np.float32) + around1[moving]
-        patch, own = _standardised(bilinear(grey1, around), weights)
+        centres = points1[moving].astype(np.float32)
+        x, y = around_x[moving] + centres[:, :1], around_y[moving] + centres[:, 1:]
+        patch, own = _standardised(bilinear_at(grey1, x, y), weights)
+        expected = template[moving]
         flat = np.minimum(own, contrast[moving])[:, 0] < _FLAT
-        zncc[moving] = np.where(flat, np.nan, (patch * template[moving]) @ weights)
-        step = (gain[moving] @ (patch - template[moving])[..., None])[..., 0]
+        zncc[moving] = np.where(flat, np.nan, (patch * expected) @ weights)
+        step = (gain[moving] @ (patch - expected)[..., None])[..., 0]
         length[moving] = np.linalg.norm(step, axis=1)
         step *= np.minimum(1, _STEP / np.maximum(length[moving], 1e-9))[:, None]
         # The template moved by `step` equals the patch, so the patch moves back by it.
         points1[moving] -= (affinity[moving] @ step[..., None])[..., 0]
     return points1, zncc, length
+
+
+def _window(grey: np.ndarray, points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values (N, Y * X) of an image around points (N, 2), at offsets x (X,) of each of y (Y,)."""
+    columns, rows = (offset.ravel() for offset in np.meshgrid(x, y))
+    return bilinear_at(grey, points[:, :1] + columns, points[:, 1:] + rows)
 
 
 def _standardised(patches: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from dgc_pose.geometry.neighbours import nearest
 from dgc_pose.matches import Matches
 
 _ROUNDS = 4  # of reweighting, the tolerance shrinking from round to round
@@ -37,28 +37,39 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     points1, points2 = points1[finite], points2[finite]
     if len(points1) <= neighbours:
         return LocalMatches(points1[:0], points2[:0], np.zeros((0, 2, 2)), finite[:0])
-    distance, nearest = cKDTree(points2).query(points2, k=neighbours + 1)
-    offsets = points2[nearest] - points2[:, None]
-    design = np.concatenate([offsets, np.ones((*offsets.shape[:2], 1))], -1)  # (N, k + 1, 3)
-    nearest1 = points1[nearest]
+    distance, index = nearest(points2, neighbours + 1)
+    # The matches last in all arrays: NumPy is slow along short axes.
+    found1, found2 = (np.take(points.T, index.T, axis=1) for points in (points1, points2))
+    offsets = found2 - points2.T[:, None]
+    design = np.concatenate([offsets, np.ones_like(offsets[:1])])  # (3, k + 1, N)
     tolerance = _TOLERANCE * matches.error_px
-    reach = distance[:, -1:] + tolerance
-    distance1 = np.linalg.norm(nearest1 - np.median(nearest1, 1, keepdims=True), axis=-1)
+    reach = distance[:, -1] + tolerance
+    distance1 = _length(found1 - np.median(found1, 1, keepdims=True))
     weights = 1 / (1 + (distance1 / (3 * reach)) ** 2)
     # Ridge towards zero slope: keeps the fit finite for neighbours on a line or at one point.
     ridge = 1e-3 * (np.eye(3) * (1, 1, 0)) * tolerance**2
     for remaining in reversed(range(_ROUNDS)):
-        weighted = (design * weights[..., None]).transpose(0, 2, 1)
-        fit = np.linalg.solve(weighted @ design + ridge, weighted @ nearest1)  # (N, 3, 2)
-        residual = np.linalg.norm(design @ fit - nearest1, axis=-1)
+        weighted = design * weights
+        normal = np.einsum("ikn,jkn->ijn", weighted, design).transpose(2, 0, 1) + ridge
+        right = np.einsum("ikn,ckn->icn", weighted, found1).transpose(2, 0, 1)
+        fit = np.ascontiguousarray(np.linalg.solve(normal, right).transpose(1, 2, 0))  # (3, 2, N)
+        residual = _length((fit[:, :, None] * design[:, None]).sum(0) - found1)
         weights = 1 / (1 + (residual / (tolerance * (1 + 2 * remaining))) ** 2) ** 2
-    affinity = fit[:, :2].transpose(0, 2, 1)
-    stretch = np.linalg.svd(affinity, compute_uv=False)
+    (xx, yx), (xy, yy), fitted = fit
+    # Half the sum and half the difference of the singular values; this is negative if mirrored.
+    middle, half = np.hypot(xx + yy, yx - xy) / 2, np.hypot(xx - yy, yx + xy) / 2
     kept = (
-        (residual[:, 0] < 2 * tolerance)
-        & ((residual < 2 * tolerance).sum(1) >= _LEAST_SUPPORT)
-        & (stretch[:, 1] > _STRETCH[0])
-        & (stretch[:, 0] < _STRETCH[1])
-        & (np.linalg.det(affinity) > 0)  # no visible surface is mirrored
+        (_length(fitted - points1.T) < 2 * tolerance)
+        & ((residual < 2 * tolerance).sum(0) >= _LEAST_SUPPORT)
+        & (middle - half > _STRETCH[0])  # no visible surface is mirrored
+        & (middle + half < _STRETCH[1])
     )
-    return LocalMatches(fit[kept, 2], points2[kept], affinity[kept], finite[kept])
+    affinity = fit[:2, :, kept].transpose(2, 1, 0)
+    return LocalMatches(fitted.T[kept], points2[kept], affinity, finite[kept])
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    """Of vectors (2, ...): (...)."""
+    x, y = vectors
+    length: np.ndarray = np.sqrt(x * x + y * y)
+    return length

@@ -39,6 +39,7 @@ _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
 _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
+_WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
@@ -200,31 +201,41 @@ def subcell_points(
     The target's point is the cell's centre; the source's is the mean of the cells within one of the
     most similar in a window, weighted by the softmax of their cosines.
     """
-    halves1 = _between_cells(fine1)
-    axis = np.arange(-_RADIUS, _RADIUS + 1)
-    window = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-    around = 2 * cells1[:, None] + window
-    limit = (halves1.shape[1] - 1, halves1.shape[0] - 1)
-    inside = (around >= 0).all(-1) & (around <= limit).all(-1)
-    around = around.clip(0, limit)
-    cells = around[..., 1] * halves1.shape[1] + around[..., 0]
-    rows1 = np.concatenate(halves1)
-    x, y = 2 * cells2.T
-    pairs = fine2[y, x] + fine2[y, x + 1], fine2[y + 1, x] + fine2[y + 1, x + 1]
-    wanted = (pairs[0] + pairs[1]) * np.float32(0.25)  # `_between_cells` where it is needed
+    rows, columns, channels = fine1.shape
+    x, y = np.meshgrid(_WINDOW, _WINDOW)
+    window = np.stack([x.ravel(), y.ravel()], -1)
+    # Points between the cells, where four of them meet: their cosines are the mean of the four's.
+    x1, y1 = (2 * cells1[:, axis, None] + np.arange(-_RADIUS, _RADIUS + 2) for axis in (0, 1))
+    inside = _inside(y1, rows)[:, :, None] & _inside(x1, columns)[:, None]
+    cells = (columns * y1.clip(0, rows - 1))[:, :, None] + x1.clip(0, columns - 1)[:, None]
+    cells = cells.reshape(len(cells), -1)
+    rows1 = fine1.reshape(-1, channels)
+    x2, y2 = 2 * cells2.T
+    pairs = fine2[y2, x2] + fine2[y2, x2 + 1], fine2[y2 + 1, x2] + fine2[y2 + 1, x2 + 1]
+    wanted = (pairs[0] + pairs[1]) * np.float32(0.25)
 
     def compare(part: slice) -> np.ndarray:
-        """Cosines (m, P) of each match's window."""
+        """Cosines (m, cells) of each match's window."""
         return (rows1[cells[part]] @ wanted[part, :, None])[..., 0]
 
-    cosines = np.concatenate(in_threads(compare, _parts(len(cells), _WINDOWS)))
-    cosines[~inside] = -np.inf
+    single = np.concatenate(in_threads(compare, _parts(len(cells), _WINDOWS)))
+    single = single.reshape(-1, 2 * _RADIUS + 2, 2 * _RADIUS + 2)
+    pairs = single[:, :, 1:] + single[:, :, :-1]
+    cosines = np.where(inside, (pairs[:, 1:] + pairs[:, :-1]) * np.float32(0.25), -np.inf)
+    cosines = cosines.reshape(-1, len(window))
     best = window[cosines.argmax(1)]
     far = np.abs(window - best[:, None]).max(-1) > 1
     sharp = _SHARPNESS * (cosines - cosines.max(1, keepdims=True)).astype(np.float64)
     weights = np.where(far, 0.0, np.exp(sharp))
     weights /= weights.sum(1, keepdims=True)
     return 2 * cells1 + 0.5 + weights @ window, 2 * cells2 + 0.5
+
+
+def _inside(cells: np.ndarray, side: int) -> np.ndarray:
+    """Which of successive cells (N, n) have, with the next one, a point between them within a level
+    of `side` cells: (N, n - 1) bool."""
+    found: np.ndarray = (cells[:, :-1] >= 0) & (cells[:, 1:] < side)
+    return found
 
 
 def to_pixels(cells: np.ndarray, level: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -262,14 +273,6 @@ def _xy(index: np.ndarray, level: np.ndarray) -> np.ndarray:
     """Indices (M,), row by row, of a level's cells as x and y (M, 2)."""
     rows, columns = np.divmod(index, level.shape[1])
     return np.stack([columns, rows], -1)
-
-
-def _between_cells(features: np.ndarray) -> np.ndarray:
-    """Features (h, w, C) half a cell right of and below each cell: (h - 1, w - 1, C)."""
-    pairs = features[:, 1:] + features[:, :-1]
-    between: np.ndarray = pairs[1:] + pairs[:-1]
-    between *= 0.25
-    return between
 
 
 def _parts(count: int, size: int) -> list[slice]:

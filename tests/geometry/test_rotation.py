@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.geometry.rotation import quaternion_wxyz, rotation_angle_deg
+from dgc_pose.geometry.rotation import aligning_rotation, quaternion_wxyz, rotation_angle_deg
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -31,3 +31,20 @@ def test_a_quaternion_is_the_rotation_of_its_matrix(seed):
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     np.testing.assert_allclose(R, expected, atol=1e-12)
+
+
+@given(seeds)
+@settings(max_examples=50, deadline=None)
+def test_the_aligning_rotation_is_scipys(seed):
+    rng = np.random.default_rng(seed)
+    rays1 = rng.normal(size=(20, 3))
+    rays2 = rays1 @ Rotation.random(random_state=seed).as_matrix().T + rng.normal(size=(20, 3))
+    expected = Rotation.align_vectors(rays2, rays1)[0].as_matrix()
+    np.testing.assert_allclose(aligning_rotation(rays1, rays2), expected, atol=1e-9)
+
+
+def test_mirrored_rays_are_aligned_by_a_rotation():
+    rays = np.random.default_rng(3).normal(size=(10, 3))
+    R = aligning_rotation(rays, rays * (1, 1, -1))
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1)

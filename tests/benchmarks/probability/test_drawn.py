@@ -6,9 +6,10 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from dtu_layout import WRITERS, grey_scan
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.probability.drawn import drawn_rgbd, drawn_sparse
+from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 
@@ -105,3 +106,15 @@ def test_a_model_with_distortion_and_a_folder_without_a_model_are_refused(tmp_pa
     _model(tmp_path / "bent", camera_model="OPENCV")
     with pytest.raises(InputError, match="OPENCV has distortion"):
         drawn_sparse(tmp_path / "bent", 5, seed=0)
+
+
+@pytest.mark.parametrize("layout", sorted(WRITERS))
+def test_dtu_pairs_have_their_poses_in_every_layout(tmp_path, layout):
+    scan = grey_scan([0, 20, 50, 90])
+    WRITERS[layout](tmp_path, scan)
+    drawn = drawn_dtu(tmp_path, 10, 0)
+    # Of the differences 20 50 90 30 70 40 those up to 60 degrees.
+    rotations = [rotation_error_deg(pair.R, np.eye(3)) for pair in drawn]
+    assert sorted(rotations) == pytest.approx([20, 30, 40, 50])
+    for pair in drawn:
+        assert pair.root == tmp_path and pair.path1.is_file() and pair.path2.is_file()
