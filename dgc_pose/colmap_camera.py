@@ -98,7 +98,8 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 def _matrix(camera: pycolmap.Camera) -> np.ndarray:
     """K (3, 3), pixels, (0, 0) the centre of the top-left pixel."""
     K = np.array(camera.calibration_matrix())
-    K[:2, 2] -= 0.5
+    with np.errstate(invalid="ignore"):  # NaN of a damaged file, which is refused later
+        K[:2, 2] -= 0.5
     return K
 
 

@@ -54,7 +54,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import only_writer, write_text
 from dgc_pose.inputs import read_json
 
-_SUMMARY = {  # what is read again
+_SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
     **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
     **dict.fromkeys(("bad_images", "by_status"), dict),
     "seconds": (int, float),

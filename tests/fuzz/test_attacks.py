@@ -212,6 +212,14 @@ def _camera_bin(folder: Path) -> Path:
     return folder / "cameras.bin"
 
 
+def test_a_signalling_nan_in_a_camera_prints_nothing(tmp_path: Path, recwarn) -> None:
+    path = _camera_bin(tmp_path)
+    path.write_bytes(path.read_bytes()[:-16] + b"\xc2\xe5\xf1\x7fd\xf5'H)\xc1\xba:\xecE\xf0\x7f")
+    with pytest.raises(InputError):
+        read_model_cameras(path)
+    assert not recwarn.list
+
+
 IMAGE = struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 0, 1) + b"a.png\0"
 
 
