@@ -54,6 +54,7 @@ SUBCOMMANDS = {
     "bench-reconstruct": "Score reconstructions on known cameras.",
     "bench-estimators": "Compare the robust estimators.",
     "bench-speed": "Show where the time of a pair goes.",
+    "bench-runtimes": "Compare the answers of ONNX Runtime and torch.",
     "dtu-pairs": "Make a pair list from DTU's calibration.",
     "train": "Train a network on photographs.",
     "info": "Show versions, weights, devices and threads.",
