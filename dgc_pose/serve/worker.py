@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.errors import DgcPoseError, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
@@ -149,8 +149,9 @@ def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server ends it
     try:
         target = make()
-    except (DgcPoseError, OSError) as error:
-        pipe.send(("refused", " ".join(str(error).split())))
+    except Exception as error:  # of any library: without its object the process has no use
+        told = str(error) if isinstance(error, (DgcPoseError, OSError)) else reason(error)
+        pipe.send(("refused", " ".join(told.split())))
         return
     if memory is not None:
         _bound_memory(memory)
