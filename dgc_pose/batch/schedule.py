@@ -7,11 +7,10 @@ each other. If all images fit, each is encoded once by each worker.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 BLOCK = 16  # pairs handed to a worker at a time, and stored together
 
@@ -23,18 +22,40 @@ def tile_order(pairs: np.ndarray, count: int, capacity: int) -> np.ndarray:
     """
     if len(pairs) == 0:
         return np.zeros(0, dtype=np.int64)
-    first, second = pairs.T
-    ones = np.ones(2 * len(pairs), dtype=np.int8)
-    ends = np.concatenate([first, second]), np.concatenate([second, first])
-    order = reverse_cuthill_mckee(csr_matrix((ones, ends), (count, count)), symmetric_mode=True)
     rank = np.empty(count, dtype=np.int64)
-    rank[order] = np.arange(count)
+    rank[_reverse_cuthill_mckee(pairs, count)] = np.arange(count)
     low, high = np.sort(rank[pairs], axis=1).T
     side = max(1, capacity // 2)
     tile1, tile2 = low // side, high // side
     # Back and forth along the rows of tiles: a row begins with the tile that the last one ended at.
     column = np.where(tile1 % 2 == 0, tile2, -tile2)
     return np.lexsort((low, high, column, tile1))
+
+
+def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
+    """The images in an order in which those that are paired are near each other.
+
+    Breadth first from an image of few partners, those of fewest partners first. Without SciPy, so
+    that a batch needs none (`requirements-light.txt`).
+    """
+    partners: list[set[int]] = [set() for _ in range(count)]
+    for one, other in pairs.tolist():
+        partners[one].add(other)
+        partners[other].add(one)
+    by_degree = sorted(range(count), key=lambda image: len(partners[image]))
+    order: list[int] = []
+    reached = [False] * count
+    for start in by_degree:
+        waiting = deque(() if reached[start] else (start,))
+        reached[start] = True
+        while waiting:
+            image = waiting.popleft()
+            order.append(image)
+            for other in sorted(partners[image], key=lambda one: (len(partners[one]), one)):
+                if not reached[other]:
+                    reached[other] = True
+                    waiting.append(other)
+    return order[::-1]
 
 
 def blocks_of(order: Sequence[int], size: int = BLOCK) -> list[list[int]]:

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
-from dgc_pose.errors import DgcPoseError, reason
+from dgc_pose.errors import DgcPoseError, missing_package, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
@@ -169,6 +169,10 @@ def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None
         except MemoryError:
             pipe.send(("refused", "this takes more memory than the server gives"))
         except Exception as error:
+            missing = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
+            if missing is not None:
+                pipe.send(("refused", missing))
+                continue
             traceback.print_exc(file=sys.stderr)
             pipe.send(("failed", f"the server failed: {type(error).__name__}"))
 
