@@ -14,6 +14,7 @@ from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
+from dgc_pose.files import replaced, require_no_input
 from dgc_pose.image import load_image, resize_by
 
 
@@ -40,13 +41,19 @@ class PosedViews:
         )
 
     def resized(self, scale: float, folder: Path) -> PosedViews:
-        """Copies of the images by area means, as PNG in `folder`, with their cameras."""
+        """Copies of the images by area means, as PNG in `folder`, with their cameras.
+
+        Raises InputError if a copy would replace an image; OSError if it cannot be written.
+        """
         cameras, poses = {}, {}
+        copies = [folder / Path(name).with_suffix(".png") for name in self.cameras]
+        require_no_input(copies, [self.root / name for name in self.cameras])
         for name, camera in self.cameras.items():
             small = resize_by(load_image(self.root / name).pixels, scale)
             new = str(Path(name).with_suffix(".png"))
             (folder / new).parent.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(folder / new), small[:, :, ::-1])
+            with replaced(folder / new) as stage:
+                stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
             cameras[new] = camera.resized((small.shape[1], small.shape[0]))
             poses[new] = self.poses[name]
         return PosedViews(folder, cameras, poses)

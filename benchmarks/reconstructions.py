@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +18,13 @@ from dgc_pose.batch.work import MatcherSettings
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.colmap.mapping import MappingError, MappingOptions, map_database
-from dgc_pose.colmap.reconstruction import Model, ReconstructionOptions, as_model, reconstruct
+from dgc_pose.colmap.reconstruction import (
+    DATABASE,
+    Model,
+    ReconstructionOptions,
+    as_model,
+    reconstruct,
+)
 from dgc_pose.colmap.sift import sift_database
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.metrics.pose import rotation_error_deg
@@ -132,7 +137,7 @@ def rotation_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np
 
 def position_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np.ndarray:
     """Distances (N,) of the positions after the best similarity, the truth's unit."""
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     found = np.stack([model.centre(name) for name in names])
     true = np.stack([views.centre(name) for name in names])
@@ -182,7 +187,7 @@ def score_table(scores: Sequence[ReconstructionScore]) -> str:
 
 
 def _by_sift(views: PosedViews, out: Path, options: MappingOptions) -> Model:
-    shutil.rmtree(out)
-    out.mkdir()
-    sift_database(out / "database.db", views.root, views.cameras, options.threads)
-    return as_model(map_database(out / "database.db", views.root, options))
+    database = out / DATABASE
+    database.unlink(missing_ok=True)
+    sift_database(database, views.root, views.cameras, options.threads)
+    return as_model(map_database(database, views.root, options))

@@ -32,7 +32,12 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
 
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
-@click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
+@click.option(
+    "--out",
+    type=OutputFolder("summary.json", "images", path_type=Path),
+    required=True,
+    metavar="DIR",
+)
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),

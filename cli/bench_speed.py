@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -25,7 +24,7 @@ from dgc_pose.benchmarks.speed import (
 )
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import RUNTIME_HELP, split_names
-from dgc_pose.files import staged
+from dgc_pose.files import scratch_folder, staged
 from dgc_pose.image import load_image
 from dgc_pose.matchers import refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
@@ -91,13 +90,13 @@ def bench_speed(
 
     Without images it takes the bundled pair, enlarged to 1600x1200.
     """
-    with staged(json_path) as stage, tempfile.TemporaryDirectory() as folder:
+    with staged(json_path) as stage, scratch_folder() as folder:
         if threads is not None:
             torch.set_num_threads(threads)
             cv2.setNumThreads(threads)
         configs = {f"{name}, random": preset(name) for name in split_names(networks)}
         dense = load_dense_matcher(weights, device="cpu", runtime=runtime)
-        pair = bundled_setup(Path(folder)) if image1 is None else given_setup(image1, image2, k)
+        pair = bundled_setup(folder) if image1 is None else given_setup(image1, image2, k)
         nets = {dense.name: load_network(weights)}
         for name, config in configs.items():
             torch.manual_seed(0)

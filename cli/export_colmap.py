@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,11 +13,16 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFile, OutputFolder, overwrites
 from dgc_pose.errors import InputError
+from dgc_pose.files import require_no_input
 from dgc_pose.options import check_options, option
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.export import Exported, ExportOptions
+
+
+HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
 
 
 @dataclass(frozen=True)
@@ -79,22 +85,18 @@ def images_bar() -> Iterator[Callable[[int, int], None]]:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "--database", type=click.Path(path_type=Path), metavar="DB", help="The database to write."
-)
+@click.option("--database", type=OutputFile("db"), metavar="DB", help="The database to write.")
 @click.option(
     "--hloc",
-    type=click.Path(path_type=Path),
+    type=OutputFolder(*HLOC, path_type=Path),
     metavar="DIR",
     help="Write features.h5, matches.h5 and pairs.txt there, as hloc's reconstruction reads them.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace what is there.")
 @dataclass_options(SharingChoice, "sharing")
 def export_colmap(
     folder: Path,
-    database: Path | None,
+    database: str | None,
     hloc: Path | None,
-    overwrite: bool,
     sharing: SharingChoice,
 ) -> None:
     """Write the matches and poses of a batch as a COLMAP database.
@@ -108,14 +110,17 @@ def export_colmap(
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")
-    for path in (database, hloc):
-        if path is not None and path.exists() and not overwrite:
-            raise InputError(f"{path} is there already: --overwrite replaces it")
+    if database is not None and os.path.exists(database) and not overwrites():
+        raise InputError(f"{database} is there already: --overwrite replaces it")
     batch = read_batch(folder)
+    written = [] if database is None else [Path(database)]
+    written += [] if hloc is None else [hloc / name for name in HLOC]
+    images = [batch.plan.root / name for name in batch.plan.names]
+    require_no_input(written, [*folder.iterdir(), *images])
     with images_bar() as progress:
         shared, pairs = share(batch, sharing.options, progress)
     if database is not None:
-        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, database))}")
+        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
     if hloc is not None:
         write_hloc(hloc, shared)
         click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")

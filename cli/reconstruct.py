@@ -21,7 +21,7 @@ from dgc_pose.options import option
 if TYPE_CHECKING:
     from dgc_pose.colmap.reconstruction import Model
 
-PICTURE = "picture.png"
+BATCH, PICTURE = "batch", "picture.png"
 EXHAUSTIVE_UP_TO = 20  # images
 
 
@@ -63,15 +63,21 @@ def reconstruct(
     Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
     the folder of the batch.
     """
+    from dgc_pose.batch.store import PLAN
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MappingOptions
 
-    known = [name for name in reconstruction.OUTPUTS if (out / name).exists()]
+    known = [name for name in (*reconstruction.OUTPUTS, PICTURE) if (out / name).exists()]
     if known and not work.resume:
         raise InputError(f"{out / known[0]} is there already: --resume goes on, and replaces it")
+    if known and not (out / BATCH / PLAN).is_file():
+        raise InputError(
+            f"{out / known[0]} is there already, and {out} holds no batch to go on with"
+        )
+    reconstruction.require_model_folder(out / reconstruction.MODEL)
     start = time.perf_counter()
     batch = work_through(
-        source, out / "batch", inputs, work, matcher, estimation, default_pairs=_default_pairs
+        source, out / BATCH, inputs, work, matcher, estimation, default_pairs=_default_pairs
     )
     report(batch)
     matched = time.perf_counter()

@@ -5,11 +5,9 @@ from __future__ import annotations
 import secrets
 import signal
 import socket
-import tempfile
 import threading
 import webbrowser
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -20,6 +18,7 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import pose_data
 from dgc_pose.errors import InputError
+from dgc_pose.files import scratch_folder
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.options import check_options, option
 from dgc_pose.serve.options import ServeOptions
@@ -69,7 +68,7 @@ def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
     factory = EstimatorFactory(matcher.load, pose_data, weights)
     token = secrets.token_urlsafe(24)
-    with socket.socket() as bound, tempfile.TemporaryDirectory(prefix="dgc-pose-") as folder:
+    with socket.socket() as bound, scratch_folder() as folder:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             bound.bind((HOST, address.port))
@@ -78,7 +77,7 @@ def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int
             raise InputError(f"port {address.port} of {HOST}: {error.strerror}") from None
         port = bound.getsockname()[1]
         server = Server(
-            factory, example, Path(folder), token=token, hosts=own_hosts(port), options=limits
+            factory, example, folder, token=token, hosts=own_hosts(port), options=limits
         )
         config = uvicorn.Config(
             server.app,

@@ -83,7 +83,7 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 
     Raises ImageError if the image cannot be read.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     try:
         require_regular(path, ImageError)
@@ -98,13 +98,14 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 def _matrix(camera: pycolmap.Camera) -> np.ndarray:
     """K (3, 3), pixels, (0, 0) the centre of the top-left pixel."""
     K = np.array(camera.calibration_matrix())
-    K[:2, 2] -= 0.5
+    with np.errstate(invalid="ignore"):  # NaN of a damaged file, which is refused later
+        K[:2, 2] -= 0.5
     return K
 
 
 def _model(name: str) -> pycolmap.Camera:
     """A camera of this model with arbitrary parameters."""
-    import pycolmap  # on first use: only COLMAP's cameras need it
+    from dgc_pose.colmap_library import pycolmap  # on first use: only COLMAP's cameras need it
 
     known = [known for known in pycolmap.CameraModelId.__members__ if known != "INVALID"]
     camera = pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1) if name in known else None

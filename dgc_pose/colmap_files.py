@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import struct
-import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from dgc_pose import colmap_camera
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.inputs import require_regular
+from dgc_pose.files import scratch_folder
+from dgc_pose.inputs import TEXT_BYTES, open_regular, read_as, read_bytes, require_regular
 from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
 
+_IMAGES, _IMAGE = struct.Struct("<Q"), struct.Struct("<I7dI")  # of images.bin: numbers, an image
+_POINT = 24  # bytes of a point of an image
+_NAME, _LINE = 4096, 2**16  # the longest name, and line of an image, bytes
 _NOTHING = {".txt": b"", ".bin": struct.pack("<Q", 0)}  # a file of no images or no points
+
+
+_FAILURES = (RuntimeError, ValueError, KeyError, TypeError, MemoryError, sqlite3.Error)
 
 
 @dataclass(frozen=True)
@@ -43,17 +51,14 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
 
     Raises InputError, with the path, if a file cannot be read.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
-    with tempfile.TemporaryDirectory() as folder:
-        ending = path.suffix
-        for name in ("cameras", "images", "points3D"):
-            # pycolmap reads whole models alone. The points are of no use, and may be large.
-            source = path.with_name(name + ending)
-            if name != "points3D" and source.is_file():
-                shutil.copyfile(source, Path(folder, source.name))
-            else:
-                Path(folder, source.name).write_bytes(_NOTHING[ending])
+    ending = path.suffix
+    content = read_bytes(path, TEXT_BYTES)
+    with scratch_folder() as folder:
+        for name in ("cameras", "images", "points3D"):  # pycolmap reads whole models alone
+            own = content if name == "cameras" else _NOTHING[ending]
+            (folder / f"{name}{ending}").write_bytes(own)
         model = pycolmap.Reconstruction()
         try:
             with quiet():
@@ -63,7 +68,56 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
             raise InputError(f"{path}: not COLMAP's cameras ({reason(error)})") from None
     if not cameras:
         raise InputError(f"{path}: no cameras in this file")
-    return cameras, {image.name: int(image.camera_id) for image in model.images.values()}
+    images = path.with_name(f"images{ending}")
+    if not images.is_file():
+        return cameras, {}
+    with open_regular(images) as stream, read_as("COLMAP's images", images):
+        return cameras, _read_text(stream) if ending == ".txt" else _read_binary(stream)
+
+
+# The images are read here: pycolmap's reader of a binary file that is cut within a name never ends,
+# and it reads the points too, which are most of the file.
+
+
+def _read_binary(stream: BinaryIO) -> dict[str, int]:
+    """The number of the camera by image name, from an images.bin."""
+    found: dict[str, int] = {}
+    (count,) = _IMAGES.unpack(stream.read(_IMAGES.size))
+    for _ in range(count):
+        camera = _IMAGE.unpack(stream.read(_IMAGE.size))[-1]
+        name = b""
+        while not name.endswith(b"\0"):
+            letter = stream.read(1)
+            if not letter or len(name) > _NAME:
+                raise ValueError("a name without an end")
+            name += letter
+        (points,) = _IMAGES.unpack(stream.read(_IMAGES.size))
+        if points and not _skipped(stream, _POINT * points):
+            raise ValueError("points are missing")
+        found[name[:-1].decode()] = camera
+    return found
+
+
+def _skipped(stream: BinaryIO, count: int) -> bool:
+    """Whether so many bytes, at least one, were there to be passed over."""
+    end = stream.tell() + count
+    if end > 2**62:
+        return False
+    stream.seek(end - 1)
+    return len(stream.read(1)) == 1
+
+
+def _read_text(stream: BinaryIO) -> dict[str, int]:
+    """The same from an images.txt: two lines an image, the second of its points."""
+    found: dict[str, int] = {}
+    while line := stream.readline(_LINE):
+        words = line.decode().strip().split(maxsplit=9)
+        if words and not words[0].startswith("#"):
+            if len(words) < 10:
+                raise ValueError("an image without a name")
+            found[words[9]] = int(words[8])
+            stream.readline()
+    return found
 
 
 def read_database(path: Path) -> DatabaseContent:
@@ -71,21 +125,22 @@ def read_database(path: Path) -> DatabaseContent:
 
     Raises InputError, with the path, if it is none that this version of pycolmap reads.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     if not path.is_file():
         raise InputError(f"{path}: no such database")
     require_regular(path)
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         # Opening a database of an older COLMAP changes it, so a copy is opened.
         copy = Path(folder, "database.db")
         shutil.copyfile(path, copy)
         try:
+            _require_plain(copy)
             with quiet(), pycolmap.Database.open(copy) as database:
                 cameras = {own.camera_id: own for own in database.read_all_cameras()}
                 images = database.read_all_images()
                 keys, _ = database.read_all_matches()
-        except (RuntimeError, ValueError, KeyError, TypeError, MemoryError) as error:
+        except _FAILURES as error:
             raise InputError(f"{path}: not a COLMAP database ({reason(error)})") from None
     try:
         return _content(cameras, images, keys)
@@ -93,10 +148,23 @@ def read_database(path: Path) -> DatabaseContent:
         raise InputError(f"{path}: not a COLMAP database ({reason(error)})") from None
 
 
+def _require_plain(path: Path) -> None:
+    """Raise ValueError unless a database holds nothing but tables of stored columns: views, virtual
+    tables and generated columns are programs, which need not come to an end."""
+    with closing(sqlite3.connect(path)) as database:
+        for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
+            if kind not in ("table", "index") or str(sql).upper().startswith("CREATE VIRTUAL"):
+                raise ValueError(f"a {kind} {name} that computes")
+            if kind == "table":
+                columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
+                if any(hidden for (hidden,) in columns):
+                    raise ValueError(f"a column of {name} that is computed")
+
+
 def _content(
     cameras: Mapping[int, Any], images: Sequence[Any], keys: Sequence[int]
 ) -> DatabaseContent:
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     names = {image.image_id: image.name for image in images}
     pairs = [pycolmap.pair_id_to_image_pair(key) for key in keys]

@@ -9,6 +9,9 @@ import math
 import os
 import platform
 import re
+import shutil
+import stat
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,7 +25,7 @@ try:
 except ImportError:  # not on Windows
     fcntl = None  # type: ignore[assignment]
 
-Kind = Literal["json", "npz", "png", "jpg", "webp", "tif", "svg", "pdf", "eps", "csv", "text"]
+Kind = Literal["json", "npz", "png", "jpg", "webp", "tif", "svg", "pdf", "eps", "csv", "text", "db"]
 
 # How the content of each kind of file begins; of csv and text see `holds`.
 _STARTS: dict[str, tuple[bytes, ...]] = {
@@ -35,6 +38,7 @@ _STARTS: dict[str, tuple[bytes, ...]] = {
     "svg": (b"<?xml", b"<svg"),
     "pdf": (b"%PDF",),
     "eps": (b"%!PS",),
+    "db": (b"SQLite format 3\0",),
 }
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _HOST = re.sub(r"\W", "-", platform.node())[:24]  # process numbers are those of one machine
@@ -144,13 +148,13 @@ def _create(path: str, target: Path) -> Path:
 
 
 def _clear(target: Path, stem: str) -> None:
-    """Remove what killed runs on this machine left of an output."""
-    for file in sorted(target.parent.glob(f".{glob.escape(stem)}.{_HOST}.*.partial")):
-        number = file.name.split(".")[-2]
+    """Remove what killed runs on this machine left of an output, a file or a folder."""
+    for left in sorted(target.parent.glob(f".{glob.escape(stem)}.{_HOST}.*.partial")):
+        number = left.name.split(".")[-2]
         if number.isdecimal() and not _is_running(int(number)):
             with suppress(OSError):
-                file.unlink()
-                _log.warning("%s: removed, left by a run that was killed", file)
+                shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+                _log.warning("%s: removed, left by a run that was killed", left)
 
 
 def _is_running(process: int) -> bool:
@@ -186,6 +190,68 @@ def replaced(path: Path) -> Iterator[Path]:
     """
     with staged(str(path)) as stage:
         yield stage(str(path))
+
+
+@contextmanager
+def replaced_folder(path: Path) -> Iterator[Path]:
+    """A temporary folder beside `path` that takes its place if the block ends without an error.
+
+    What killed runs left of it is removed. The caller sees to it that the old folder may go.
+    """
+    _clear(path, path.name)
+    new, old = (
+        path.with_name(f".{path.name}.{_HOST}.{part}{os.getpid()}.partial") for part in ("", "old.")
+    )
+    new.mkdir()
+    try:
+        yield new
+        if path.exists():
+            os.replace(path, old)
+        os.replace(new, path)
+    finally:
+        for left in (new, old):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def require_room(path: Path, size: int = 2**20) -> None:
+    """Raise OSError, with the path, unless so many bytes can be written beside it.
+
+    For libraries that end the process, or say nothing, when a disk is full. After such a library
+    has written, the default shows whether it could: what failed was less.
+    """
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:  # without a name: nothing is left
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A folder for temporary files, which is removed in the end.
+
+    What killed runs of this user on this machine left is removed too. A lock tells that a folder is
+    in use, which is also seen where process numbers are not.
+    """
+    start = f"dgc-pose.{_HOST}."
+    for left in sorted(Path(tempfile.gettempdir()).glob(f"{start}*")):
+        number = left.name.removeprefix(start).partition(".")[0]
+        if number.isdecimal() and _is_ours(left) and not _is_running(int(number)):
+            with suppress(OSError, InputError), only_writer(left):
+                shutil.rmtree(left)
+    with tempfile.TemporaryDirectory(prefix=f"{start}{os.getpid()}.") as name:
+        with only_writer(Path(name)):
+            yield Path(name)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether this is a folder, not a link to one, of the present user."""
+    try:
+        status = path.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(status.st_mode) and hasattr(os, "getuid") and status.st_uid == os.getuid()
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from dgc_pose.errors import DgcPoseError, InputError, reason
 
@@ -43,6 +43,13 @@ def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputEr
     `read_bytes` does."""
     with _opened(path, error) as descriptor:
         return _read(descriptor, count, path)
+
+
+@contextmanager
+def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> Iterator[BinaryIO]:
+    """A regular file to read piece by piece. Raises as `read_bytes` does."""
+    with _opened(path, error) as descriptor, open(descriptor, "rb", closefd=False) as stream:
+        yield stream
 
 
 @contextmanager

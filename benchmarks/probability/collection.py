@@ -9,18 +9,20 @@ a collection with other weights is refused.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.array_files import read_arrays
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.plan import Part, Source
 from dgc_pose.benchmarks.probability.sources import PlannedPair
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.files import replaced, write_text
+from dgc_pose.inputs import read_as, read_json
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
 
@@ -63,7 +65,9 @@ def read_engine(out: Path, method: str) -> dict[str, str | None]:
     path = out / "matches" / method / _ENGINE
     if not path.is_file():
         raise InputError(f"{path}: nothing is collected for {method}")
-    engine: dict[str, str | None] = json.loads(path.read_text(encoding="utf-8"))
+    engine = read_json(path, "what a collection was matched with")
+    if not isinstance(engine, dict):
+        raise InputError(f"{path}: not what a collection was matched with")
     return engine
 
 
@@ -113,8 +117,12 @@ def _write(path: Path, pair: PlannedPair, made: PosedPair, found: MatchResult) -
 
 
 def _read(path: Path, source: Source) -> StoredPair:
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = dict(archive)
+    arrays = read_arrays(path)
+    with read_as("a stored pair", path):
+        return _stored(path, source, arrays)
+
+
+def _stored(path: Path, source: Source, arrays: Mapping[str, np.ndarray]) -> StoredPair:
     camera1, camera2 = (
         Camera(arrays[f"K{n}"], (int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])))
         for n in (1, 2)
@@ -142,7 +150,7 @@ def _arrays(prefix: str, matches: Matches) -> dict[str, object]:
     }
 
 
-def _matches(prefix: str, arrays: dict[str, np.ndarray]) -> Matches:
+def _matches(prefix: str, arrays: Mapping[str, np.ndarray]) -> Matches:
     return Matches(
         arrays[f"{prefix}points1"],
         arrays[f"{prefix}points2"],

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import (
@@ -19,6 +18,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
 )
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
+from dgc_pose.colmap_library import pycolmap
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.synthesis.posed_depth import PosedFrame, read_rgbd

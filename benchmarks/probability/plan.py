@@ -23,7 +23,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason
+from dgc_pose.inputs import read_text
 from dgc_pose.options import check_options, option
 
 Part = Literal["fit", "calibrate", "report"]
@@ -45,6 +46,9 @@ class Source:
 
     def __post_init__(self) -> None:
         check_options(self)
+        is_name = isinstance(self.name, str) and self.name not in ("", ".", "..")
+        if not is_name or Path(self.name).name != self.name or "\0" in self.name:
+            raise InputError(f"name must be that of a file, not {self.name!r}")
 
 
 def read_plan(path: Path | None) -> list[Source]:
@@ -55,12 +59,12 @@ def read_plan(path: Path | None) -> list[Source]:
     text = (
         files("dgc_pose.benchmarks.probability").joinpath(DEFAULT_PLAN).read_text("utf-8")
         if path is None
-        else path.read_text(encoding="utf-8")
+        else read_text(path, "a plan")
     )
     try:
         found = [_source(entry) for entry in json.loads(text)]
-    except (ValueError, TypeError, KeyError, AttributeError, InputError) as error:
-        raise InputError(f"{path or DEFAULT_PLAN}: not a plan ({error})") from None
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path or DEFAULT_PLAN}: not a plan ({reason(error)})") from None
     names = [source.name for source in found]
     twice = {name for name in names if names.count(name) > 1}
     if twice or not names:

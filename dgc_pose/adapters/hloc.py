@@ -7,12 +7,11 @@ features.h5 has `<image>/keypoints` (float32, (0, 0) the centre of the first pix
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
-import h5py
 import numpy as np
 
-from dgc_pose.batch.matches_file import group_name
+from dgc_pose.batch.matches_file import group_name, new_file
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.files import replaced
@@ -29,18 +28,24 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
     for names in shared.pairs:
         if any(len(name.split()) != 1 for name in names):
             raise InputError(f"hloc's pairs file cannot hold the names {names}: no blanks")
+    groups: dict[PurePosixPath, str] = {}
+    for name in shared.key_points:
+        path = PurePosixPath(name.lstrip("/"))  # as HDF5 takes it
+        other = groups.setdefault(path, name)
+        if other != name or ".." in path.parts or any(one in groups for one in path.parents):
+            raise InputError(f"hloc's features cannot hold the image name {name!r}")
     folder.mkdir(parents=True, exist_ok=True)
     with (
         replaced(folder / FEATURES) as features,
         replaced(folder / MATCHES) as matches,
         replaced(folder / PAIRS) as pairs,
     ):
-        with h5py.File(features, "w") as file:
+        with new_file(features) as file:
             for name, points in shared.key_points.items():
                 group = file.create_group(name)
                 group.create_dataset("keypoints", data=points.astype(np.float32))
                 group.create_dataset("scores", data=np.ones(len(points), np.float32))
-        with h5py.File(matches, "w") as file:
+        with new_file(matches) as file:
             for (name0, name1), index in shared.pairs.items():
                 group = file.create_group(group_name(name0, name1))
                 matches0 = np.full(len(shared.key_points[name0]), _NONE, dtype=np.int32)

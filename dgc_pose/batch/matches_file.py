@@ -16,7 +16,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from dgc_pose.errors import InputError
+from dgc_pose.array_files import ARRAY_BYTES
+from dgc_pose.errors import InputError, reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +55,63 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
         group.create_dataset(dataset, data=getattr(matches, field))
 
 
+@contextmanager
+def new_file(path: Path) -> Iterator[Any]:
+    """An HDF5 file that is made in memory and written at once: HDF5 cannot bear a full disk."""
+    with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    try:
+        path.write_bytes(image)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 def read_matches(group: h5py.Group) -> PairMatches:
     """The matches of a group. Raises InputError if they are none."""
+    where = f"{group.file.filename}: {group.name}"
     try:
-        arrays = {field: np.asarray(group[name]) for name, field in _DATASETS.items()}
-    except (KeyError, OSError) as error:
-        raise InputError(f"{group.file.filename}: {group.name}: no whole matches") from error
-    if not arrays["points1"].shape == arrays["points2"].shape == (len(arrays["scores"]), 2):
-        raise InputError(f"{group.file.filename}: {group.name}: datasets of different lengths")
+        arrays = {field: _array(group, name) for name, field in _DATASETS.items()}
+    except Exception:  # of HDF5, for damaged files almost any
+        raise InputError(f"{where}: no whole matches") from None
+    shape = (len(arrays["scores"]),) if arrays["scores"].ndim == 1 else ()
+    if not arrays["points1"].shape == arrays["points2"].shape == (*shape, 2) != (2,):
+        raise InputError(f"{where}: datasets of different lengths")
+    if arrays["inliers"].shape != shape:
+        raise InputError(f"{where}: datasets of different lengths")
+    if not all(np.isfinite(arrays[name]).all() for name in ("points1", "points2", "scores")):
+        raise InputError(f"{where}: numbers that are not finite")
     return PairMatches(**arrays)
+
+
+def find_group(file: Any, name: str) -> Any:
+    """The group `name1/name2` of an open file, None if there is none.
+
+    Links to other files and places are not followed: they could lead anywhere.
+    """
+    found = file
+    for part in name.split("/"):
+        try:
+            if not isinstance(found.get(part, getlink=True), h5py.HardLink):
+                return None
+            found = found[part]
+        except Exception:  # of HDF5, for damaged files almost any
+            return None
+        if not isinstance(found, h5py.Group):
+            return None
+    return found
+
+
+def _array(group: h5py.Group, name: str) -> np.ndarray:
+    """A data set of numbers of this file itself, not too large; raises anything else."""
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise ValueError("a link")
+    data = group[name]
+    kind = "b" if name == "inliers" else "f"
+    if data.external or data.is_virtual or data.dtype.kind != kind or data.nbytes > ARRAY_BYTES:
+        raise ValueError("not numbers of this file")
+    return np.asarray(data[()])
 
 
 @contextmanager
@@ -73,11 +122,7 @@ def open_matches(path: Path) -> Iterator[Any]:
         raise InputError(f"{path}: no such file")
     try:
         file = h5py.File(path, "r")
-    except OSError as error:
-        raise InputError(f"{path}: cut short, or no HDF5 file ({_line(error)})") from None
+    except Exception as error:
+        raise InputError(f"{path}: cut short, or no HDF5 file ({reason(error)})") from None
     with file:
         yield file
-
-
-def _line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__

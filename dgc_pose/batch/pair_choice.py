@@ -12,6 +12,7 @@ from dgc_pose.errors import InputError
 
 Way = Literal["exhaustive", "sequential", "auto"]
 _COUNTED = ("sequential", "auto")
+_DIGITS = 10  # of a number of images
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ def parse_pair_choice(text: str) -> PairChoice:
     way, colon, number = text.partition(":")
     if way == "exhaustive" and not colon:
         return PairChoice("exhaustive")
-    if way in _COUNTED and number.isdecimal():
+    if way in _COUNTED and number.isdecimal() and len(number) < _DIGITS:
         return PairChoice("sequential" if way == "sequential" else "auto", int(number))
     raise InputError(
         f"--pairs must be exhaustive, sequential:W or auto:K, not {text!r}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -16,6 +17,8 @@ from dgc_pose.files import finite_or_none
 from dgc_pose.inputs import read_as, require_regular
 
 BAD_INPUT = "bad_input"  # status of a pair with an image or camera that cannot be used
+_COUNTS = {"R": 9, "t": 3}  # of numbers
+_LONGEST = 2**20  # characters of a row in JSON
 _PER_WRITE = 4096  # rows of a Parquet table held in memory
 
 
@@ -103,9 +106,26 @@ def parse_row(data: Mapping[str, Any], where: str) -> PairRow:
             field.name: tuple(value) if isinstance(value := data[field.name], list) else value
             for field in fields(PairRow)
         }
-        return PairRow(**values)
     except (KeyError, TypeError):
         raise InputError(f"{where}: not a row of a batch") from None
+    for field in fields(PairRow):
+        if not _fits(values[field.name], str(field.type), field.name):
+            raise InputError(f"{where}: {field.name} is not that of a row of a batch")
+    return PairRow(**values)
+
+
+def _fits(value: object, kind: str, name: str) -> bool:
+    """Whether a value of JSON is one of a field's type; numbers must be finite."""
+    if value is None:
+        return kind.endswith("| None")
+    if isinstance(value, tuple):
+        count = _COUNTS.get(name)
+        inner = "str" if name == "warnings" else "float"
+        return count in (None, len(value)) and all(_fits(one, inner, "") for one in value)
+    if kind.startswith("float"):
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        return is_number and math.isfinite(value)  # type: ignore[arg-type]
+    return type(value) is {"str": str, "bool": bool, "int": int}.get(kind)
 
 
 def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
@@ -154,7 +174,8 @@ def read_rows(path: Path) -> Iterator[PairRow]:
         return
     require_regular(path)
     with read_as("a table of poses", path), path.open(encoding="utf-8") as stream:
-        for number, line in enumerate(stream, start=1):
+        lines = iter(lambda: stream.readline(_LONGEST), "")
+        for number, line in enumerate(lines, start=1):
             try:
                 data = json.loads(line)
             except (ValueError, RecursionError):

@@ -7,7 +7,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,13 @@ import numpy as np
 
 from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
-from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
+from dgc_pose.batch.matches_file import (
+    PairMatches,
+    find_group,
+    group_name,
+    open_matches,
+    read_matches,
+)
 from dgc_pose.batch.pair_choice import PairChoice, most_similar, pairs_of
 from dgc_pose.batch.rows import BAD_INPUT, PairRow, read_rows
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
@@ -45,9 +51,14 @@ from dgc_pose.batch.work import (
 )
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files import write_text
+from dgc_pose.files import only_writer, write_text
 from dgc_pose.inputs import read_json
 
+_SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
+    **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
+    **dict.fromkeys(("bad_images", "by_status"), dict),
+    "seconds": (int, float),
+}
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 
 
@@ -75,9 +86,10 @@ class Batch:
         with open_matches(self.folder / MATCHES) as file:
             for row in self.rows:
                 name = group_name(row.name1, row.name2)
-                if name not in file:
+                group = find_group(file, name)
+                if group is None:
                     raise InputError(f"{self.folder / MATCHES}: no matches of {name}")
-                yield row, read_matches(file[name])
+                yield row, read_matches(group)
 
 
 def run_batch(
@@ -112,10 +124,13 @@ def run_batch(
         "estimation": asdict(estimation),
         "format": options.format,
     }
-    plan = _known_plan(out, settings, options.resume)
-    if plan is None and choice is None and source.pairs is None:
-        raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
-    if plan is None or not (out / SUMMARY).is_file():
+    with _own_folder(out):
+        plan = _known_plan(out, settings, options.resume)
+        if plan is None and choice is None and source.pairs is None:
+            raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
+        if plan is not None and (out / SUMMARY).is_file():
+            PartStore(out, plan)  # removes parts that a kill left
+            return read_batch(out)
         with ExitStack() as stack:
             found = _first_plan(source, calibration, settings) if plan is None else plan
             run = _lazy_workers(start_workers, found, matcher, estimation, options, stack)
@@ -127,7 +142,23 @@ def run_batch(
         bad = store.assemble()
         _summarise(out, plan, bad, worked, time.perf_counter() - start)
         store.close()
-    return read_batch(out)
+        return read_batch(out)
+
+
+@contextmanager
+def _own_folder(out: Path) -> Iterator[None]:
+    """The folder to this process alone; made if missing, and removed if nothing is written."""
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
+    made = [path for path in (out, *out.parents) if not path.exists()]
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        with only_writer(out):
+            yield
+    finally:
+        with suppress(OSError):  # it holds something
+            for path in made:
+                path.rmdir()
 
 
 def read_batch(out: Path) -> Batch:
@@ -137,6 +168,7 @@ def read_batch(out: Path) -> Batch:
     if not (out / SUMMARY).is_file():
         raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
     summary = read_json(out / SUMMARY, "the summary of a batch")
+    _require_summary(summary, out / SUMMARY)
     rows = list(read_rows(rows_path(out, plan)))
     if len(rows) != len(plan.pairs):
         raise InputError(
@@ -145,11 +177,17 @@ def read_batch(out: Path) -> Batch:
     return Batch(out, plan, rows, summary)
 
 
+def _require_summary(data: Any, path: Path) -> None:
+    """Raise InputError unless this is the summary of a batch, as far as it is read again."""
+    if not isinstance(data, dict) or not all(
+        isinstance(data.get(name), kind) for name, kind in _SUMMARY.items()
+    ):
+        raise InputError(f"{path}: not the summary of a batch")
+
+
 def _known_plan(out: Path, settings: Mapping[str, Any], resume: bool) -> Plan | None:
     if not (out / PLAN).is_file():
-        if out.exists() and (
-            not out.is_dir() or any(not path.name.startswith(".") for path in out.iterdir())
-        ):
+        if any(not path.name.startswith(".") for path in out.iterdir()):
             raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
         return None
     if not resume:

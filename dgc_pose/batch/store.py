@@ -10,28 +10,30 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
+import re
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import h5py
 import numpy as np
 
 from dgc_pose.batch.calibration import camera_data, parse_camera_data
-from dgc_pose.batch.matches_file import group_name, open_matches, write_matches
+from dgc_pose.batch.matches_file import group_name, new_file, open_matches, write_matches
 from dgc_pose.batch.rows import PairRow, parse_row, row_data, write_jsonl, write_parquet
 from dgc_pose.batch.work import Matched
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files import replaced, write_text
-from dgc_pose.inputs import read_json
+from dgc_pose.files import replaced, require_room, write_text
+from dgc_pose.inputs import read_as, read_json
 
 RowFormat = Literal["jsonl", "parquet"]
 PLAN, SUMMARY, MATCHES, PARTS = "plan.json", "summary.json", "matches.h5", "parts"
 _VERSION = 1
+_PART = re.compile(r"(\.?)\d{9,}\.h5(\..*\.partial)?")  # also one that a kill left half-written
 _OPEN_PARTS = 64  # while the result is put together
 
 
@@ -86,10 +88,12 @@ def read_plan(out: Path) -> Plan:
     path = out / PLAN
     if not path.is_file():
         raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no {PLAN})")
+    data = read_json(path, "the plan of a batch")
     try:
-        data = read_json(path, "the plan of a batch")
         images = data["images"]
-        return Plan(
+        if data["settings"]["format"] not in get_args(RowFormat):
+            raise ValueError("a format of rows that is none")
+        plan = Plan(
             Path(data["root"]),
             {
                 one["name"]: parse_camera_data(one["camera"])
@@ -102,7 +106,12 @@ def read_plan(out: Path) -> Plan:
             np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
             data["settings"],
         )
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+        if not all(isinstance(name, str) for name in (*plan.names, *plan.bad.values())):
+            raise ValueError("names that are no texts")
+        if len(plan.pairs) and not 0 <= plan.pairs.min() <= plan.pairs.max() < len(plan.names):
+            raise ValueError("pairs of images that are not listed")
+        return plan
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
         raise InputError(f"{path}: not the plan of a batch ({reason(error)})") from None
 
 
@@ -133,17 +142,13 @@ class PartStore:
         self._where: dict[int, Path] = {}  # the part of each pair that is done
         self.finished = (out / SUMMARY).is_file()
         if self.finished:
-            shutil.rmtree(self.folder, ignore_errors=True)
+            self.close()
             return
         self.folder.mkdir(exist_ok=True)
-        for path in sorted(self.folder.iterdir()):
+        for path in self._parts():
             try:
-                if path.suffix != ".h5":
-                    raise InputError("left half-written by a kill")
-                with open_matches(path) as file:
-                    indices = np.asarray(file["indices"]).tolist()
-                    _parse_rows(file, path)
-            except (InputError, KeyError, OSError, ValueError):
+                indices = read_part(path)
+            except (InputError, OSError):
                 path.unlink()
                 continue
             self._where.update(dict.fromkeys(indices, path))
@@ -159,7 +164,7 @@ class PartStore:
         """Put a finished block on disk."""
         path = self.folder / f"{done.indices[0]:09d}.h5"
         with replaced(path) as temporary:
-            with h5py.File(temporary, "w") as file:
+            with new_file(temporary) as file:
                 file["indices"] = np.array(done.indices)
                 file["rows"] = np.frombuffer(_rows_json(done), dtype=np.uint8)
                 for index, found in zip(done.indices, done.matches, strict=True):
@@ -173,6 +178,8 @@ class PartStore:
         table, matches = rows_path(self.out, self.plan), self.out / MATCHES
         bad = dict(self.plan.bad)
         with replaced(table) as staged_table, replaced(matches) as staged_matches:
+            size = sum(part.stat().st_size for part in self._parts())
+            require_room(self.out / MATCHES, size + 2**20)
             with h5py.File(staged_matches, "w") as target:
                 rows = self._rows(target, bad)
                 write = write_jsonl if table.suffix == ".jsonl" else write_parquet
@@ -181,8 +188,17 @@ class PartStore:
         return bad
 
     def close(self) -> None:
-        """Remove the parts of a finished batch."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove the parts of a finished batch, and their folder unless it holds anything else."""
+        with suppress(OSError):
+            for path in self._parts():
+                path.unlink()
+            self.folder.rmdir()
+
+    def _parts(self) -> list[Path]:
+        """The parts in the folder; files of other names are none of ours."""
+        if not self.folder.is_dir():
+            return []
+        return sorted(path for path in self.folder.iterdir() if _PART.fullmatch(path.name))
 
     def _rows(self, target: h5py.File, bad: dict[str, str]) -> Iterator[PairRow]:
         """The rows in the order of the pairs; their matches are copied on the way."""
@@ -216,6 +232,16 @@ class _Part:
     def open(cls, path: Path) -> _Part:
         file = h5py.File(path, "r")
         return cls(file, *_parse_rows(file, path))
+
+
+def read_part(path: Path) -> list[int]:
+    """The pairs of a part. Raises InputError or OSError if it is not whole."""
+    if path.suffix != ".h5":
+        raise InputError(f"{path}: left half-written by a kill")
+    with open_matches(path) as file, read_as("a part of a batch", path):
+        indices: list[int] = np.asarray(file["indices"]).tolist()
+        _parse_rows(file, path)
+    return indices
 
 
 def _rows_json(done: Matched) -> bytes:

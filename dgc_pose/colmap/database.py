@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import errno
+import os
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +16,9 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.camera import Camera
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced
+from dgc_pose.files import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
@@ -44,14 +49,13 @@ def write_database(
     names: all images; those without a camera are left out. guessed: images whose focal length is no
     prior. rows: by pair, of a status in `CONFIGURATIONS`.
 
-    Raises InputError if COLMAP cannot hold a camera.
+    Raises InputError if COLMAP cannot hold a camera; OSError if the disk is full.
     """
-    import pycolmap
-
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as temporary:
+    with replaced(path) as temporary, _without_sidecars(path, temporary):
         temporary.unlink(missing_ok=True)
-        with pycolmap.Database.open(temporary) as database, _transaction(database):
+        require_room(path, _room(shared))
+        with _opened(temporary, path) as database:
             ids = _write_images(database, names, cameras, guessed)
             for name, points in shared.key_points.items():
                 xy = (points + HALF_PIXEL).astype(np.float32)
@@ -68,7 +72,7 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 
     matches: (M, 2) uint32, indices of key points, all of them inliers.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     geometry = pycolmap.TwoViewGeometry()
     name = CONFIGURATIONS[row.status]
@@ -91,7 +95,7 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
     Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew, or two
     focal lengths in a model of one.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     assert camera.size is not None
     K = camera.K
@@ -120,7 +124,7 @@ def _write_images(
     guessed: frozenset[str],
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera."""
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     known: dict[tuple[object, ...], int] = {}
     ids = {}
@@ -149,7 +153,57 @@ def _write_images(
     return ids
 
 
-def _transaction(database: pycolmap.Database) -> pycolmap.DatabaseTransaction:
-    import pycolmap
+_SIDECARS = ("-wal", "-shm", "-journal")  # of SQLite, beside a database
 
-    return pycolmap.DatabaseTransaction(database)
+
+def _room(shared: SharedMatches) -> int:
+    """Bytes that a database and its log take at most, about."""
+    points = sum(array.size for array in shared.key_points.values())
+    matches = sum(array.size for array in shared.pairs.values())
+    rows = len(shared.key_points) + len(shared.pairs)
+    return 2 * (4 * points + 8 * matches + 1024 * rows) + 2**20
+
+
+@contextmanager
+def _opened(temporary: Path, path: Path) -> Iterator[pycolmap.Database]:
+    """A new database. Raises OSError, with `path`, if what was written is not all there.
+
+    Without a transaction of pycolmap, whose end terminates the process when a disk is full. There
+    is nothing to undo: the file has not taken its name.
+    """
+    from dgc_pose.colmap_library import pycolmap
+
+    try:
+        with quiet(), pycolmap.Database.open(temporary) as database:
+            yield database
+            count = database.num_verified_image_pairs()
+    except RuntimeError as error:
+        if "full" in str(error) or "I/O" in str(error) or "factory" in str(error):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from None
+        raise
+    with closing(sqlite3.connect(f"file:{temporary}?mode=ro&immutable=1", uri=True)) as written:
+        try:
+            found = written.execute(
+                "SELECT COUNT(*) FROM two_view_geometries WHERE rows > 0"
+            ).fetchone()[0]
+        except sqlite3.Error:
+            found = None
+    if found != count:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+@contextmanager
+def _without_sidecars(path: Path, temporary: Path) -> Iterator[None]:
+    """Remove what SQLite left beside both files: a log of the old database would be taken for one
+    of the new."""
+    try:
+        yield
+        _remove_sidecars(path)
+    finally:
+        _remove_sidecars(temporary)
+
+
+def _remove_sidecars(path: Path) -> None:
+    for ending in _SIDECARS:
+        with suppress(OSError):
+            Path(f"{path}{ending}").unlink(missing_ok=True)

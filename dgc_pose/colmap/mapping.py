@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dgc_pose.errors import DgcPoseError
+from dgc_pose.files import scratch_folder
 
 if TYPE_CHECKING:
     import pycolmap
@@ -32,11 +32,11 @@ class MappingError(DgcPoseError):
 
 def map_database(database: Path, images: Path, options: MappingOptions) -> pycolmap.Reconstruction:
     """The model with the most images. Raises MappingError if there is none."""
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     pycolmap.set_random_seed(options.seed)
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         try:
             if options.mapper == "incremental":
                 models = pycolmap.incremental_mapping(
@@ -54,7 +54,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
 
 
 def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions:
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     made = pycolmap.IncrementalPipelineOptions()
     made.min_model_size = _LEAST_IMAGES
@@ -69,7 +69,7 @@ def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions
 
 
 def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     made = pycolmap.GlobalPipelineOptions()
     made.min_model_size = _LEAST_IMAGES

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +13,15 @@ import numpy as np
 from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
 from dgc_pose.colmap.mapping import MappingOptions, map_database
-from dgc_pose.files import replaced, write_text
+from dgc_pose.errors import InputError
+from dgc_pose.files import only_writer, replaced, replaced_folder, require_room, write_text
 
 if TYPE_CHECKING:
     import pycolmap
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
+_MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 
 
 @dataclass(frozen=True)
@@ -57,17 +57,31 @@ def reconstruct(
 ) -> tuple[Model, Exported]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
 
-    Raises MappingError if no model is found; what `export_batch` raises.
+    Raises MappingError if no model is found; InputError if `sparse` holds other files than a
+    model's, or another process writes into `out`; what `export_batch` raises.
     """
     options = options or ReconstructionOptions()
+    require_model_folder(out / MODEL)
     out.mkdir(parents=True, exist_ok=True)
     database = out / DATABASE
-    exported = export_batch(batch, database, options.export, overwrite=True, progress=progress)
-    found = map_database(database, batch.plan.root, options.mapping)
-    _write_model(found, out / MODEL)
-    with replaced(out / POINTS) as temporary:
-        found.export_PLY(temporary)
+    with only_writer(out):
+        exported = export_batch(batch, database, options.export, overwrite=True, progress=progress)
+        found = map_database(database, batch.plan.root, options.mapping)
+        with replaced_folder(out / MODEL) as folder:
+            found.write_binary(folder)
+            require_room(out / MODEL)  # COLMAP says nothing of a full disk
+        with replaced(out / POINTS) as temporary:
+            found.export_PLY(temporary)
+            require_room(out / POINTS)
     return as_model(found), exported
+
+
+def require_model_folder(folder: Path) -> None:
+    """Raise InputError unless this is a folder of nothing but a model's files, or not there."""
+    if not folder.exists():
+        return
+    if not folder.is_dir() or any(path.stem not in _MODEL_FILES for path in folder.iterdir()):
+        raise InputError(f"{folder}: holds other files than those of a model, and is kept")
 
 
 def as_model(found: pycolmap.Reconstruction) -> Model:
@@ -112,15 +126,3 @@ def summary_data(
 def write_summary(out: Path, data: Mapping[str, Any]) -> None:
     """Write `summary.json`."""
     write_text(out / SUMMARY, json.dumps(data, indent=2, allow_nan=False) + "\n")
-
-
-def _write_model(model: pycolmap.Reconstruction, folder: Path) -> None:
-    """Write a model in COLMAP's binary format, instead of what is there."""
-    new = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    try:
-        new.mkdir()
-        model.write_binary(new)
-        shutil.rmtree(folder, ignore_errors=True)
-        os.replace(new, folder)
-    finally:
-        shutil.rmtree(new, ignore_errors=True)

@@ -18,7 +18,7 @@ def sift_database(
     cameras: by image name, with their sizes; the focal lengths count as known. Raises InputError if
     the file is there already, or COLMAP cannot hold a camera.
     """
-    import pycolmap
+    from dgc_pose.colmap_library import pycolmap
 
     if database.exists():
         raise InputError(f"{database} is there already")

@@ -17,8 +17,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason
 from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.inputs import read_text
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 1  # of the file
@@ -224,7 +225,7 @@ def shipped_models() -> Mapping[str, ProbabilityModel]:
 
 def read_models(path: Path) -> Mapping[str, ProbabilityModel]:
     """The models of a file. Raises InputError, with the path, if it is none."""
-    return models_of(path.read_text(encoding="utf-8"), str(path))
+    return models_of(read_text(path, "a model of the probability"), str(path))
 
 
 def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:
@@ -234,26 +235,30 @@ def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:
         if data["format"] != FORMAT:
             raise ValueError(f"format {data['format']}, not {FORMAT}")
         return {kind: _model(values) for kind, values in data["models"].items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{name}: not a model of the probability ({error})") from None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{name}: not a model of the probability ({reason(error)})") from None
 
 
 def _model(values: Mapping[str, Any]) -> ProbabilityModel:
     weights = _numbers(values["weights"], FEATURES)
     rotation, translation = (
-        ErrorModel(_numbers(part["weights"], ("own", *ERROR_FEATURES)), float(part["intercept"]))
+        ErrorModel(_numbers(part["weights"], ("own", *ERROR_FEATURES)), _finite(part["intercept"]))
         for part in (values["rotation_error"], values["translation_error"])
     )
     reference = _numbers(values["reference"], weights)
     if set(reference) != set(weights):
         raise ValueError("features without a reference")
-    return ProbabilityModel(weights, float(values["intercept"]), reference, rotation, translation)
+    return ProbabilityModel(weights, _finite(values["intercept"]), reference, rotation, translation)
 
 
 def _numbers(values: object, known: Sequence[str] | Mapping[str, object]) -> dict[str, float]:
     if not isinstance(values, dict) or not set(values) <= set(known):
         raise ValueError("unknown features")
-    found = {str(name): float(value) for name, value in values.items()}
-    if not all(map(math.isfinite, found.values())):
+    return {str(name): _finite(value) for name, value in values.items()}
+
+
+def _finite(value: Any) -> float:
+    found = float(value)
+    if not math.isfinite(found):
         raise ValueError("weights that are not finite")
     return found

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pycolmap
 
+from dgc_pose.colmap_library import pycolmap
 from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 
 

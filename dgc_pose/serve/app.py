@@ -183,7 +183,8 @@ class Server:
     async def _receive(self, request: Request, path: Path) -> None:
         """The body into a new file. Raises _TooLarge or _TooSlow."""
         length = request.headers.get("content-length", "0")
-        if not length.isdecimal() or int(length) > self.options.max_bytes:
+        # A number of thousands of digits is none for `int`.
+        if not length.isdecimal() or len(length) > 20 or int(length) > self.options.max_bytes:
             raise _TooLarge(self.options.max_megabytes)
         received = 0
         try:

@@ -80,8 +80,9 @@ def fov_matrix(fov_deg: float, size: tuple[int, int]) -> np.ndarray:
 
 
 def command(names: tuple[str, str], flags: list[str], weights: list[str]) -> str:
-    """The command that gives the same pose."""
-    return shlex.join(["dgc-pose", "estimate", *names, *flags, *weights])
+    """The command that gives the same pose. A name is never an option of it."""
+    files = [f"./{name}" if name.startswith("-") else name for name in names]
+    return shlex.join(["dgc-pose", "estimate", *files, *flags, *weights])
 
 
 def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:

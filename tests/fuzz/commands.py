@@ -21,15 +21,18 @@ from pathlib import Path
 from types import FrameType
 
 import click
+import cv2
 import dense_scene
 import numpy as np
 from click.testing import CliRunner
+from fuzz.result_doors import make_batch
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main
 
 SECONDS = 10  # of wall clock
 Case = tuple[str, ...]  # a command line
+_NUMBERED = click.types.IntParamType | click.types.FloatParamType
 
 NUMBERS = (
     "nan",
@@ -63,6 +66,7 @@ INPUTS = (
 INPUTS += ("x" * 5000, "a\0b", "\udcff.png", "huge.png", "claims.png", "junk.npy", "junk.pth")
 
 K = ("--K", dense_scene.K_TEXT)
+_BATCH = (*K, "--workers", "1", "--refine", "none", "--runs", "1")
 # A command line that would succeed, but for what a case changes; None where that takes long.
 BASE: dict[str, Sequence[str]] = {
     "estimate": ("one.png", "two.png", *K, "--refine", "none", "--runs", "1"),
@@ -76,7 +80,12 @@ BASE: dict[str, Sequence[str]] = {
     "bench-estimators": ("pairs.txt", "--methods", "sift", "--limit", "1"),
     "bench-speed": ("one.png", "two.png", "x"),
     "dtu-pairs": ("dir", "new.txt", "--scan", "1"),
-    "train": ("--photos", "dir", "--out", "new", "--steps", "1"),
+    "train": ("--photos", "photos", "--out", "new", "--steps", "1", "--validation-pairs", "1"),
+    "batch": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
+    "reconstruct": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
+    "export-colmap": ("batch", "--database", "new.db", "--sharing", "cells"),
+    "bench-reconstruct": ("photos", "--truth", "pairs.txt", "--out", "new", "--methods", "sift"),
+    "fit-probability": ("--data", "dir", "--out", "new", "--methods", "sift"),
 }
 
 
@@ -92,6 +101,12 @@ def make(folder: Path) -> None:
     (folder / "huge.png").write_bytes(png_claiming(60_000, 50_000))
     (folder / "claims.png").write_bytes(png_claiming(4, 4, chunk=2**31 - 10))
     (folder / "dir").mkdir()
+    (folder / "photos").mkdir()
+    for number in range(24):
+        small = np.random.default_rng(number).integers(0, 255, (6, 8, 3), np.uint8)
+        cv2.imwrite(f"{folder}/photos/{number}.png", cv2.resize(small, (320, 240)))
+    (folder / "batch").mkdir()
+    make_batch(folder / "batch")
     (folder / "run").mkdir()
     for name in ("results.csv", "summary.json", "pairs.csv", "checkpoint.pt"):
         (folder / "run" / name).write_text("of another run\n")
@@ -123,12 +138,12 @@ def cases() -> list[Case]:
     """All of them, in an order that does not change."""
     found: list[Case] = []
     for name in SUBCOMMANDS:
-        if name == "serve":
-            continue  # it runs until it is stopped, whatever its weights are
         command = main.get_command(click.Context(main), name)
         assert command is not None
         base = tuple(BASE.get(name, ()))
         for parameter in command.params:
+            if name == "serve" and not isinstance(parameter.type, _NUMBERED):
+                continue  # it runs until it is stopped, whatever its weights are
             if isinstance(parameter, click.Argument):
                 found += [(name, *line) for line in _arguments(parameter, base)]
                 continue
@@ -157,7 +172,7 @@ def _values(parameter: click.Parameter) -> Sequence[str]:
         return [one for one in OUTPUTS if kind.kind or one not in ("one.png", "link")]
     if isinstance(kind, OutputFolder):
         return FOLDERS
-    if isinstance(kind, click.types.IntParamType | click.types.FloatParamType):
+    if isinstance(kind, _NUMBERED):
         return NUMBERS
     if isinstance(kind, click.Choice):
         return ("", "nosuch", "9" * 5000)

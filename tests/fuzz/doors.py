@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 import struct
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -21,6 +20,8 @@ import PIL.Image
 import pycolmap
 import torch
 from fuzz import mutators
+from fuzz.door import Door
+from fuzz.result_doors import RESULT_DOORS
 
 from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.pair_files import read_pair_list
@@ -43,23 +44,6 @@ from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.synthesis.photos import load_photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
 from dgc_pose.synthesis.warp_lists import WarpList
-
-
-@dataclass(frozen=True)
-class Door:
-    """One kind of file, and how it is read."""
-
-    name: str
-    make: Callable[[Path], None]  # writes the good files
-    read: Callable[[Path, Path], object]  # of the folder and the damaged file within it
-    mutators: Mapping[str, Sequence[mutators.Mutator]]  # by the endings of the files to damage
-    weight: float = 1.0  # share of the trial; less for a slow reader
-
-    def files(self, folder: Path) -> list[Path]:
-        """The files that the trial damages."""
-        found = [path for path in folder.rglob("*") if path.suffix in self.mutators]
-        return sorted(path for path in found if path.is_file())
-
 
 _TEXTS = dict.fromkeys((".txt", ".csv", ".json", ""), mutators.TEXT)
 _IMAGES = {
@@ -280,7 +264,24 @@ def _make_batch_cameras(folder: Path) -> None:
         (folder / name).mkdir()
     (folder / "text/cameras.txt").write_text("1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n")
     values = struct.pack("<4d", 9, 9, 5, 4)
-    (folder / "binary/cameras.bin").write_bytes(struct.pack("<QIiQQ", 1, 1, 1, 10, 8) + values)
+    camera = struct.pack("<QIiQQ", 1, 1, 1, 10, 8) + values
+    (folder / "binary/cameras.bin").write_bytes(camera)
+    for name, ending, content in (
+        ("model", "txt", b"1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n"),
+        ("packed", "bin", camera),
+    ):
+        (folder / name).mkdir()
+        (folder / name / f"cameras.{ending}").write_bytes(content)
+    (folder / "model/images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n2 3 -1\n")
+    image = struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 0, 1) + b"a.png\0"
+    image += struct.pack("<QddQ", 1, 2.0, 3.0, 2**64 - 1)
+    (folder / "packed/images.bin").write_bytes(image)
+
+
+def _read_batch_cameras(folder: Path, path: Path) -> object:
+    if path.stem == "images":
+        path = path.with_name("cameras" + path.suffix)
+    return read_calibration(str(path))
 
 
 def _make_batch_lists(folder: Path) -> None:
@@ -351,15 +352,15 @@ DOORS = (
     Door(
         "batch cameras",
         _make_batch_cameras,
-        lambda _, path: read_calibration(str(path)),
+        _read_batch_cameras,
         {**_TEXTS, ".json": mutators.JSON, ".bin": mutators.BYTES},
     ),
     Door(
         "databases",
         _make_database,
         lambda _, path: read_database(path),
-        {".db": mutators.BYTES},
-        0.2,
+        {".db": mutators.SQL},
+        0.3,
     ),
     Door("samples", _make_sample, _read_a_sample, {".json": mutators.JSON}),
     Door("homographies", _make_homographies, _read_homographies, _TEXTS),
@@ -372,4 +373,5 @@ DOORS = (
         {".png": mutators.PNG, ".jpg": mutators.BYTES},
         0.2,
     ),
+    *RESULT_DOORS,
 )

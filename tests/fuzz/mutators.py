@@ -6,12 +6,14 @@ from __future__ import annotations
 import io
 import json
 import re
+import sqlite3
 import struct
 import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
@@ -114,13 +116,51 @@ def nested(data: bytes, rng: np.random.Generator) -> bytes:
         content = json.loads(data)
     except (ValueError, RecursionError):
         return tokens(data, rng)
-    odd = (None, [], {}, "x", -1, 1e308, [[1]], True, [float("nan")], 10**40)
-    if isinstance(content, dict) and content:
-        key = list(content)[rng.integers(len(content))]
-        content[key] = odd[rng.integers(len(odd))]
-    else:
-        content = odd[rng.integers(len(odd))]
-    return json.dumps(content).encode()
+    return json.dumps(_exchanged(content, rng)).encode()
+
+
+def _exchanged(content: Any, rng: np.random.Generator) -> Any:
+    """A value of JSON, at any depth, becomes another or is missing."""
+    if isinstance(content, dict | list) and content and rng.random() < 0.8:
+        keys: list[Any] = list(content) if isinstance(content, dict) else [*range(len(content))]
+        key = keys[rng.integers(len(keys))]
+        if rng.random() < 0.1:
+            del content[key]
+        else:
+            content[key] = _exchanged(content[key], rng)
+        return content
+    odd = (None, [], {}, "x", -1, 1e308, [[1]], True, [float("nan")], 10**40, "../x", 0.5, "\ud800")
+    return odd[rng.integers(len(odd))]
+
+
+def sql(data: bytes, rng: np.random.Generator) -> bytes:
+    """A value of an SQLite database becomes another, or a table a view, the file whole."""
+    connection = sqlite3.connect(":memory:")
+    try:
+        connection.deserialize(data)
+        tables = [row[0] for row in connection.execute("SELECT name FROM sqlite_master")]
+        names = [name for name in tables if not name.startswith("sqlite_")]
+        table = names[rng.integers(len(names))]
+        columns = [row[1] for row in connection.execute(f"PRAGMA table_info([{table}])")]
+        column = columns[rng.integers(len(columns))]
+        kind = rng.integers(12)
+        if kind == 0:
+            connection.execute(f"DROP TABLE [{table}]")
+        elif kind == 1:
+            connection.execute(f"ALTER TABLE [{table}] RENAME COLUMN [{column}] TO other")
+        elif kind == 2:
+            connection.execute(f"ALTER TABLE [{table}] RENAME TO other")
+            connection.execute(f"CREATE VIEW [{table}] AS SELECT * FROM other")
+        else:
+            odd = (None, "x", "", -1, 0, 2**31, 2**62, 1e308, b"", b"\0" * 7, rng.bytes(40), "\0a")
+            value = odd[rng.integers(len(odd))]
+            connection.execute(f"UPDATE [{table}] SET [{column}] = ?", (value,))
+        connection.commit()
+        return bytes(connection.serialize())
+    except (sqlite3.Error, ValueError, MemoryError, OverflowError):
+        return flip(data, rng)  # damaged already
+    finally:
+        connection.close()
 
 
 def png_chunk(data: bytes, rng: np.random.Generator) -> bytes:
@@ -188,6 +228,7 @@ BYTES: Sequence[Mutator] = (flip, overwrite, remove, repeat, cut, extend, number
 TEXT: Sequence[Mutator] = (*BYTES, tokens, tokens, tokens, lines, lines)
 JSON: Sequence[Mutator] = (*TEXT, nested, nested, nested)
 PNG: Sequence[Mutator] = (*BYTES, png_chunk, png_chunk, png_chunk, png_chunk)
+SQL: Sequence[Mutator] = (*BYTES, sql, sql, sql, sql, sql, sql, sql, sql)
 ZIP: Sequence[Mutator] = (*BYTES, member, member, member, member)
 
 

@@ -1,0 +1,23 @@
+"""pycolmap. Everything else imports it from here.
+
+Its import sets handlers of signals, also of SIGTERM: a process would then print a stack trace and
+end at once, and leave its temporary files. The handlers that were there before are set again.
+"""
+
+from __future__ import annotations
+
+import signal
+from contextlib import suppress
+
+_NAMES = ("SIGTERM", "SIGINT", "SIGHUP")
+_TAKEN = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+_before = {number: signal.getsignal(number) for number in _TAKEN}
+
+import pycolmap  # noqa: E402
+
+for _number, _handler in _before.items():
+    with suppress(ValueError):  # not in the main thread, which alone may do it
+        if _handler is not None:
+            signal.signal(_number, _handler)
+
+__all__ = ["pycolmap"]
