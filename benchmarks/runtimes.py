@@ -28,8 +28,8 @@ class Difference:
     matchability: float  # largest difference of a cell
     matches: tuple[int, int]  # by ONNX Runtime and by torch
     status: tuple[str, str]
-    rotation_deg: float | None  # None if one of them has no pose
-    translation_deg: float | None
+    # Of rotation and translation; None if one of them has no pose or no translation.
+    pose_deg: tuple[float, float] | None
 
 
 def differences(weights: str, pairs: Sequence[Pair]) -> Iterator[Difference]:
@@ -50,11 +50,9 @@ def _difference(pair: Pair, first: Trace, second: Trace) -> Difference:
     map1, map2 = first.correspondence_map, second.correspondence_map
     assert map1 is not None and map2 is not None
     one, other = first.pose, second.pose
-    rotation = translation = None
-    if one.R is not None and other.R is not None:
-        rotation = rotation_error_deg(one.R, other.R)
-    if one.t is not None and other.t is not None:
-        translation = translation_error_deg(one.t, other.t)
+    angles = None
+    if one.R is not None and one.t is not None and other.R is not None and other.t is not None:
+        angles = rotation_error_deg(one.R, other.R), translation_error_deg(one.t, other.t)
     return Difference(
         pair.name1,
         pair.name2,
@@ -62,22 +60,23 @@ def _difference(pair: Pair, first: Trace, second: Trace) -> Difference:
         float(np.abs(map1.matchability - map2.matchability).max()),
         (len(first.matches), len(second.matches)),
         (one.status, other.status),
-        rotation,
-        translation,
+        angles,
     )
 
 
 def row(found: Difference) -> str:
     """A difference on one line."""
-    angles = " ".join("-" if one is None else f"{one:.2g}" for one in _angles(found))
+    pose = "no pose"
+    if found.pose_deg is not None:
+        pose = "pose {:.2g} and {:.2g} deg".format(*found.pose_deg)
     names = f"{Path(found.name1).name} {Path(found.name2).name}"
-    return f"{names}: map {found.map_px:.1g} px, pose {angles} deg"
+    return f"{names}: map {found.map_px:.1g} px, {pose}"
 
 
 def summary(found: Sequence[Difference]) -> str:
     """Medians and largest values over the pairs; in how many the statuses differ."""
     rows = [("difference", "median", "largest")]
-    angles = [one for each in found if None not in (one := _angles(each))]
+    angles = [each.pose_deg for each in found if each.pose_deg is not None]
     columns = {
         "map, px": [each.map_px for each in found],
         "matchability": [each.matchability for each in found],
@@ -93,9 +92,3 @@ def summary(found: Sequence[Difference]) -> str:
         f"{aligned(rows)}\n{within} of {len(angles)} poses within {LIMIT_DEG} degrees; "
         f"the status differs in {other} of {len(found)} pairs"
     )
-
-
-def _angles(found: Difference) -> tuple[float, float] | tuple[None, None]:
-    if found.rotation_deg is None or found.translation_deg is None:
-        return None, None
-    return found.rotation_deg, found.translation_deg
