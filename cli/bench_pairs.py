@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,6 @@ from dgc_pose.files import staged
 from dgc_pose.matchers import SIFT
 from dgc_pose.network.stored import shipped
 from dgc_pose.options import MAX_SEED, check_options, option
-from dgc_pose.viz import plot_errors, save_figure
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,8 @@ def bench_pairs(
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
     """
+    if out is not None:
+        import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
     changed = change != ImageChange()
     if pair_list is not None and scenes.rendered is None and scenes.photos is None:
         listed = listed_pairs(pair_list, root, limit)
@@ -151,6 +153,8 @@ def bench_pairs(
 
 def _write_summary(out: str, data: str, results: Mapping[str, Sequence[PairScore]]) -> None:
     """summary.json and errors.png beside results.csv."""
+    from dgc_pose.viz import plot_errors, save_figure
+
     rotation, translation = (
         {method: np.array([getattr(one, name) for one in own]) for method, own in results.items()}
         for name in ("rotation_error_deg", "translation_folded_deg")

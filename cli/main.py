@@ -22,7 +22,7 @@ from click.shell_completion import CompletionItem
 from dgc_pose.cli.guard import DEBUG, guarded
 from dgc_pose.cli.signals import Stopped, stopped_by_signals
 from dgc_pose.cli.warnings_as_lines import plain_warnings
-from dgc_pose.errors import DgcPoseError, reason
+from dgc_pose.errors import DgcPoseError, missing_package, reason
 
 FAULT = 1  # of dgc-pose itself
 UNUSABLE_INPUT = 2
@@ -55,6 +55,7 @@ SUBCOMMANDS = {
     "bench-choice": "Measure how well auto:K chooses pairs.",
     "bench-estimators": "Compare the robust estimators.",
     "bench-speed": "Show where the time of a pair goes.",
+    "bench-runtimes": "Compare the answers of ONNX Runtime and torch.",
     "dtu-pairs": "Make a pair list from DTU's calibration.",
     "train": "Train a network on photographs.",
     "info": "Show versions, weights, devices and threads.",
@@ -136,6 +137,8 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
             return f"stopped by {error.name}", 128 + error.number
         case OSError():
             return _describe(error), UNUSABLE_INPUT
+        case ModuleNotFoundError() if (missing := missing_package(error)) is not None:
+            return missing, UNUSABLE_INPUT
         case MemoryError():
             return "there is not enough memory for this", UNUSABLE_INPUT
     if "embedded null" in str(error):

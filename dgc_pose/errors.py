@@ -21,6 +21,28 @@ class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
 
 
+# What `requirements-light.txt` leaves out: modules by the name that pip installs them by.
+_OPTIONAL = {
+    "h5py": "h5py",
+    "jinja2": "jinja2",
+    "matplotlib": "matplotlib",
+    "mpl_toolkits": "matplotlib",
+    "pycolmap": "pycolmap",
+    "scipy": "scipy",
+    "sklearn": "scikit-learn",
+    "torch": "torch",
+}
+
+
+def missing_package(failure: ModuleNotFoundError) -> str | None:
+    """What a person is told of an import that failed; None if the module is not one that may be
+    absent."""
+    name = _OPTIONAL.get((failure.name or "").split(".")[0])
+    if name is None:
+        return None
+    return f"this needs {name}, which is not installed: pip install {name}"
+
+
 def reason(failure: BaseException) -> str:
     """The first line of a library's message, shortened; the name of its class if it says little."""
     lines = str(failure).strip().splitlines()

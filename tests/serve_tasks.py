@@ -39,3 +39,7 @@ class Tasks:
 
 def no_tasks() -> Tasks:
     raise WeightsError("no such weights")
+
+
+def broken_tasks() -> Tasks:
+    raise KeyError("a library's own error")

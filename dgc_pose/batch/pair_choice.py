@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import minimum_spanning_tree
 
 from dgc_pose.errors import InputError
 
@@ -66,13 +64,26 @@ def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:
     chosen = np.zeros((count, count), dtype=bool)
     nearest = np.argsort(-others, axis=1, kind="stable")[:, : min(most, count - 1)]
     chosen[np.arange(count)[:, None], nearest] = True
-    # A dense graph's zeros are no edges: the lengths must be positive.
-    off = others[~np.eye(count, dtype=bool)]
-    length = np.where(np.isfinite(others), off.max(initial=0) - others + 1, 0)
-    tree = minimum_spanning_tree(csr_matrix(length))
-    chosen |= tree.toarray() > 0
+    for edge in _spanning_tree(others):
+        chosen[edge] = True
     chosen |= chosen.T
     return [(int(i), int(j)) for i, j in zip(*np.nonzero(np.triu(chosen, 1)), strict=True)]
+
+
+def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
+    """The edges of the tree of largest scores (N, N) that reaches every node (Prim 1957)."""
+    count = len(scores)
+    outside, nearest = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64)
+    outside[:1] = False
+    best = scores[0].copy() if count else np.zeros(0)
+    for _ in range(count - 1):
+        node = int(np.where(outside, best, -np.inf).argmax())
+        if not outside[node]:  # the scores of all others are -inf
+            node = int(outside.argmax())
+        yield int(nearest[node]), node
+        outside[node] = False
+        closer = outside & (scores[node] > best)
+        best[closer], nearest[closer] = scores[node][closer], node
 
 
 def pairs_of(choice: PairChoice, names: Sequence[str]) -> list[tuple[int, int]]:

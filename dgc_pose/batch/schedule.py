@@ -8,12 +8,10 @@ with the fewest loads is taken. If all images fit, each is loaded once by each w
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 BLOCK = 16  # pairs handed to a worker at a time, and stored together
 _TILES = (0.25, 0.5, 0.75)  # sides that are tried, of the images that fit into memory
@@ -26,12 +24,8 @@ def tile_order(pairs: np.ndarray, count: int, capacity: int) -> np.ndarray:
     """
     if len(pairs) == 0:
         return np.zeros(0, dtype=np.int64)
-    first, second = pairs.T
-    ones = np.ones(2 * len(pairs), dtype=np.int8)
-    ends = np.concatenate([first, second]), np.concatenate([second, first])
-    order = reverse_cuthill_mckee(csr_matrix((ones, ends), (count, count)), symmetric_mode=True)
     rank = np.empty(count, dtype=np.int64)
-    rank[order] = np.arange(count)
+    rank[_reverse_cuthill_mckee(pairs, count)] = np.arange(count)
     low, high = np.sort(rank[pairs], axis=1).T
     orders = [np.lexsort((high, low))]
     for share in _TILES:
@@ -57,6 +51,32 @@ def loads(pairs: np.ndarray, capacity: int) -> int:
         if len(held) > capacity:
             held.popitem(last=False)
     return count
+
+
+def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
+    """The images in an order in which those that are paired are near each other.
+
+    Breadth first from an image of few partners, those of fewest partners first. Without SciPy, so
+    that a batch needs none (`requirements-light.txt`).
+    """
+    partners: list[set[int]] = [set() for _ in range(count)]
+    for one, other in pairs.tolist():
+        partners[one].add(other)
+        partners[other].add(one)
+    by_degree = sorted(range(count), key=lambda image: len(partners[image]))
+    order: list[int] = []
+    reached = [False] * count
+    for start in by_degree:
+        waiting = deque(() if reached[start] else (start,))
+        reached[start] = True
+        while waiting:
+            image = waiting.popleft()
+            order.append(image)
+            for other in sorted(partners[image], key=lambda one: (len(partners[one]), one)):
+                if not reached[other]:
+                    reached[other] = True
+                    waiting.append(other)
+    return order[::-1]
 
 
 def blocks_of(order: Sequence[int], size: int = BLOCK) -> list[list[int]]:

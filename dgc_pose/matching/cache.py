@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
 from typing import Generic, TypeVar
+
+from dgc_pose.threads import in_threads
 
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
@@ -32,6 +35,20 @@ class BoundedCache(Generic[Key, Value]):
         self.asked = 0  # calls of `get`
         self.made = 0  # of those, how many computed the value
         self._kept: OrderedDict[Key, Value] = OrderedDict()
+
+    def get_all(
+        self, wanted: Sequence[tuple[Key, Callable[[], Value]]], *, in_turn: bool
+    ) -> list[Value]:
+        """As `get` of each. Those that the cache has not are made in threads, or else in turn."""
+        if in_turn:
+            return [self.get(key, make) for key, make in wanted]
+        missing = {key: make for key, make in wanted if key not in self._kept}
+        found = in_threads(lambda key: missing[key](), list(missing))
+        made = dict(zip(missing, found, strict=True))
+        return [
+            self.get(key, partial(made.__getitem__, key) if key in made else make)
+            for key, make in wanted
+        ]
 
     def get(self, key: Key, make: Callable[[], Value]) -> Value:
         """The value of a key; computed by `make` if it is not in the cache."""

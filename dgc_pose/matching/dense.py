@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,7 @@ class DenseMatcher(Matcher):
     def coarse_features(self, image: Image) -> np.ndarray:
         """The coarsest features of an image (cells, C) float32, of unit length over C."""
         cache = feature_cache() if self.cache is None else self.cache
-        features = self._features(image, View.whole(image.size), cache)
+        features = cache.get(*self._features(image, View.whole(image.size)))
         return np.concatenate(self.engine.coarsest(features))
 
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
@@ -111,13 +111,13 @@ class DenseMatcher(Matcher):
         cache: FeatureCache,
     ) -> list[tuple[DecodedMap, np.ndarray | None]]:
         """The map between the views of each pair, and the cycle error if the options ask for it."""
-        source, target = (
-            [
-                self._features(pair[k], both[k], cache)
-                for pair, both in zip(pairs, views, strict=True)
-            ]
+        wanted = [
+            self._features(pair[k], both[k])
             for k in (0, 1)
-        )
+            for pair, both in zip(pairs, views, strict=True)
+        ]
+        features = cache.get_all(wanted, in_turn=not self.engine.concurrent)
+        source, target = features[: len(pairs)], features[len(pairs) :]
         finest = self.options.finest
         forward = self.engine.decode(source, target, finest)
         if self.options.cycle_px is None:
@@ -128,9 +128,11 @@ class DenseMatcher(Matcher):
             for one, other, (_, view2) in zip(forward, reverse, views, strict=True)
         ]
 
-    def _features(self, image: Image, view: View, cache: FeatureCache) -> MapFeatures:
-        """The encoder's features of a view of an image."""
-        return cache.get((image, view), lambda: self.engine.encode(view.cut(image.pixels)))
+    def _features(
+        self, image: Image, view: View
+    ) -> tuple[tuple[Image, View], Callable[[], MapFeatures]]:
+        """The key of the encoder's features of a view of an image, and what makes them."""
+        return (image, view), lambda: self.engine.encode(view.cut(image.pixels))
 
     def _upright_map(
         self,

@@ -18,6 +18,7 @@ from dgc_pose.arrays import quantiles
 from dgc_pose.image import Image, resize_by
 from dgc_pose.matches import Matches
 from dgc_pose.pixels import rescale
+from dgc_pose.threads import in_threads
 
 LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
 _GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
@@ -59,6 +60,8 @@ _KEPT: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()  # as long as the
 
 def textured(matches: Matches, image1: Image, image2: Image) -> Matches:
     """The matches whose points have structure around them in both images."""
+    if not (image1 in _KEPT and image2 in _KEPT):
+        in_threads(texture, [image1] if image1 is image2 else [image1, image2])
     kept = texture(image1).at(matches.points1) & texture(image2).at(matches.points2)
     return matches if kept.all() else matches.subset(kept)
 

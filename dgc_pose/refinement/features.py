@@ -93,9 +93,12 @@ def match_features(
     long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
     """
     views = _views(correspondence_map, scale, options.long_side)
-    source, target = (
-        cache.get((image, *one), partial(_features, engine, image, *one))
-        for image, one in zip((image1, image2), views, strict=True)
+    source, target = cache.get_all(
+        [
+            ((image, *one), partial(_features, engine, image, *one))
+            for image, one in zip((image1, image2), views, strict=True)
+        ],
+        in_turn=not engine.concurrent,
     )
     view1, view2 = (view for view, _ in views)
     guided = _guided_cells(correspondence_map, source, target, view1, view2)

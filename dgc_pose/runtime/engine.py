@@ -74,6 +74,10 @@ class Engine(Protocol):
         """(levels,) float32, inverse temperatures of the cosines of the correlated levels, the
         coarsest first."""
 
+    @property
+    def concurrent(self) -> bool:
+        """Whether images are encoded faster by several threads at once than one after the other."""
+
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         """Features of an image, resized as `config.input_size` says."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,6 +45,7 @@ from dgc_pose.runtime.start import (
 
 _SCALES = "correlation_scales"  # the one weight that no graph has
 _LEVELS = len(LEVEL_SIZES)
+_MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,10 @@ class OnnxEngine:
         self._weights = folded(weights)
         self._names = _weights_of(name)["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
+
+    @property
+    def concurrent(self) -> bool:
+        return True  # each thread computes on, instead of waiting for the others at each layer
 
     @cached_property
     def fingerprint(self) -> str:
@@ -182,10 +188,11 @@ class OnnxEngine:
 
     def _session(self, graph: str) -> Session:
         key = os.getpid(), graph
-        if key not in self._sessions:
-            own = {name: self._weights[name] for name in self._names[graph]}
-            self._sessions[key] = Session(GRAPHS / self.config.name / graph, own)
-        return self._sessions[key]
+        with _MAKING:
+            if key not in self._sessions:
+                own = {name: self._weights[name] for name in self._names[graph]}
+                self._sessions[key] = Session(GRAPHS / self.config.name / graph, own)
+            return self._sessions[key]
 
 
 def load_onnx_engine(path: Path) -> OnnxEngine:

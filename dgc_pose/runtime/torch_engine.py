@@ -52,6 +52,10 @@ class TorchEngine:
     def config(self) -> NetworkConfig:
         return self.net.config
 
+    @property
+    def concurrent(self) -> bool:
+        return False  # its layers use all threads, or the GPU
+
     @cached_property
     def fingerprint(self) -> str:
         return self._weights or network_fingerprint(self.net)

@@ -13,13 +13,13 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.image import Image, load_image
 from dgc_pose.matching import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.warp import warp_image
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace, match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.decoder import data_url, shrunk, webp
 from dgc_pose.serve.store import StoredImage
 from dgc_pose.serve.worker import Report
-from dgc_pose.viz.panels import warp_image
 
 SHOWN_MATCHES = 3000  # more would slow the page down
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.errors import DgcPoseError, missing_package, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
@@ -149,8 +149,9 @@ def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server ends it
     try:
         target = make()
-    except (DgcPoseError, OSError) as error:
-        pipe.send(("refused", " ".join(str(error).split())))
+    except Exception as error:  # of any library: without its object the process has no use
+        told = str(error) if isinstance(error, (DgcPoseError, OSError)) else reason(error)
+        pipe.send(("refused", " ".join(told.split())))
         return
     if memory is not None:
         _bound_memory(memory)
@@ -168,6 +169,10 @@ def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None
         except MemoryError:
             pipe.send(("refused", "this takes more memory than the server gives"))
         except Exception as error:
+            missing = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
+            if missing is not None:
+                pipe.send(("refused", missing))
+                continue
             traceback.print_exc(file=sys.stderr)
             pipe.send(("failed", f"the server failed: {type(error).__name__}"))
 

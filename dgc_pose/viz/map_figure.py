@@ -12,8 +12,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
+from dgc_pose.matching.warp import warp_image
 from dgc_pose.viz.layout import Panel, panel_rows
-from dgc_pose.viz.panels import draw_colour_bar, draw_image, warp_image
+from dgc_pose.viz.panels import draw_colour_bar, draw_image
 
 ERROR_COLOURS = "magma"
 

@@ -15,10 +15,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 
-from dgc_pose.image import resize
-from dgc_pose.pixels import cell_centres, rescale
+from dgc_pose.matching.warp import shown_size, shrunk, warp_image
+from dgc_pose.pixels import cell_centres
 
-SHOWN_SIDE = 800  # longest side of an image in a figure, pixels
 GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
 CONFIDENCE_COLOURS = "viridis"
 RESIDUAL_COLOURS = "cool"  # cyan to magenta: both stand out from a photograph, dark or light
@@ -29,7 +28,7 @@ _BAR = (1.1, 0.12)  # width and height of a colour bar, inches
 
 def draw_image(axes: Axes, pixels: np.ndarray, title: str = "") -> None:
     """Draw an image (H, W, 3) uint8 RGB."""
-    _show(axes, _shrunk(pixels), _size(pixels), title)
+    _show(axes, shrunk(pixels), _size(pixels), title)
 
 
 def draw_matches(
@@ -56,7 +55,7 @@ def draw_matches(
     left = (1 + GAP) * width1 - 0.5  # edge of image 2
     right = left + scale * width2
     for pixels, edges in ((pixels1, (-0.5, width1 - 0.5)), (pixels2, (left, right))):
-        axes.imshow(_shrunk(pixels), extent=(*edges, height1 - 0.5, -0.5), interpolation="bilinear")
+        axes.imshow(shrunk(pixels), extent=(*edges, height1 - 0.5, -0.5), interpolation="bilinear")
     shifted = (points2 + 0.5) * scale + (left, -0.5)
     colours = colours or ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     lines = np.stack([points1, shifted], axis=1)
@@ -96,7 +95,7 @@ def draw_matchability(
     axes: Axes, pixels2: np.ndarray, matchability: np.ndarray, title: str = ""
 ) -> ScalarMappable:
     """Draw the matchability (H', W') in [0, 1] over image 2. Returns what a colour bar needs."""
-    grey = cv2.cvtColor(_shrunk(pixels2), cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY)
     colours = ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     shown = cv2.resize(matchability.astype(np.float32), grey.shape[::-1])
     shaded = colours.to_rgba(shown)[..., :3] * (0.35 + 0.65 * grey[..., None] / 255)
@@ -120,7 +119,7 @@ def draw_warp(
         matchability: (H', W') in [0, 1].
         size2: width and height of image 2, pixels.
     """
-    warped = warp_image(pixels1, correspondences, _shown_size(size2))
+    warped = warp_image(pixels1, correspondences, shown_size(size2))
     weight = np.clip(cv2.resize(matchability.astype(np.float32), warped.shape[1::-1]), 0, 1)
     paled = 255 - (0.15 + 0.85 * weight[..., None]) * (255 - warped.astype(np.float32))
     _show(axes, paled.astype(np.uint8), size2, title)
@@ -147,7 +146,7 @@ def draw_map(
         matchability: (H', W') in [0, 1]; cells below `least` are left out.
         size1: width and height of image 1, pixels.
     """
-    grey = cv2.cvtColor(_shrunk(pixels2), cv2.COLOR_RGB2GRAY) / 255
+    grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY) / 255
     _show(axes, np.repeat(0.25 + 0.6 * grey[..., None], 3, axis=2), _size(pixels2), title)
     rows, columns = matchability.shape
     x, y = np.moveaxis(cell_centres((columns, rows), _size(pixels2)), -1, 0)
@@ -178,33 +177,8 @@ def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
 
 
-def warp_image(
-    pixels1: np.ndarray, correspondences: np.ndarray, size: tuple[int, int]
-) -> np.ndarray:
-    """Image 1 sampled at the points (H', W', 2) of a map that is resized to (width, height).
-
-    White outside image 1. Returns (height, width, 3) uint8.
-    """
-    source = _shrunk(pixels1)
-    points = cv2.resize(correspondences.astype(np.float32), size)
-    x, y = np.moveaxis(rescale(points, _size(pixels1), _size(source)).astype(np.float32), -1, 0)
-    white = (255, 255, 255)
-    return cv2.remap(
-        source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=white
-    )
-
-
 def _size(pixels: np.ndarray) -> tuple[int, int]:
     return pixels.shape[1], pixels.shape[0]
-
-
-def _shown_size(size: tuple[int, int]) -> tuple[int, int]:
-    scale = min(1.0, SHOWN_SIDE / max(size))
-    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
-
-
-def _shrunk(pixels: np.ndarray) -> np.ndarray:
-    return resize(pixels, _shown_size(_size(pixels)))
 
 
 def _show(axes: Axes, picture: np.ndarray, size: tuple[float, float], title: str) -> None:

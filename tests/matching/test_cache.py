@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -49,6 +51,22 @@ def test_what_is_dropped_is_told() -> None:
     cache.drop(lambda key: key in "ac")
     assert told == [b"a", b"c"] and cache.held_bytes == 20
     assert cache.get("c", lambda: b"new") == b"new"
+
+
+@pytest.mark.parametrize("in_turn", [True, False])
+def test_of_many_each_that_is_missing_is_made_once(in_turn: bool) -> None:
+    cache, made = _cache(limit=25), []
+
+    def maker(key: str) -> Callable[[], bytes]:
+        return lambda: made.append(key) or 10 * key.encode()
+
+    cache.get("a", maker("a"))
+    keys = ["a", "b", "b", "c", "a"]
+    found = cache.get_all([(key, maker(key)) for key in keys], in_turn=in_turn)
+    assert found == [10 * key.encode() for key in keys]
+    # With room for two: c drops a, which is made again for the last.
+    assert sorted(made) == ["a", "a", "b", "c"]
+    assert cache.held_bytes <= 25
 
 
 def _images(count: int) -> list[Image]:

@@ -86,6 +86,40 @@ def test_the_bundled_pair_gets_its_pose(example):
     assert example.evaluate("document.querySelector('#map-part').hidden")
 
 
+# The answer's pose with so much more.
+CHANGED = """(() => {
+  const asked = window.fetch;
+  window.fetch = async (path, ...rest) => {
+    const answer = await asked(path, ...rest);
+    if (path !== '/poses') return answer;
+    const lines = (await answer.text()).split('\\n').map((line) => {
+      const data = line && JSON.parse(line);
+      if (data.result) Object.assign(data.result.pose, %s);
+      return line && JSON.stringify(data);
+    });
+    return new Response(lines.join('\\n'));
+  };
+})()"""
+
+
+def test_alternatives_and_the_probability_are_shown_if_there_are_any(page):
+    page.click("#example")
+    page.wait(DONE)
+    assert "probability" not in text(page, "#numbers")  # none is fitted for this matcher
+    assert page.evaluate("document.querySelector('#alternatives').hidden")
+    turned = {"R": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "t": [0.6, 0, 0.8], "num_inliers": 77}
+    others = [turned | {"probability": None}, turned | {"probability": 0.125}]
+    page.evaluate(CHANGED % json.dumps({"probability": 0.8, "alternatives": others}))
+    page.click("#example")
+    page.wait("!document.querySelector('#alternatives').hidden")
+    assert "80 %, that R and t are within 10°" in text(page, "#numbers")
+    assert text(page, "#alternatives summary").startswith("2 other poses explain the matches")
+    page.click("#alternatives summary")
+    first, second = text(page, "#alternatives ol").splitlines()
+    assert first == "rotation angle 90.00°, t (0.6000, 0.0000, 0.8000), 77 inliers"
+    assert second == first + ", probability 13 %"
+
+
 def test_the_pointer_brings_epipolar_lines(example):
     empty = drawn(example, "#view")
     example.hover("#view", (0.25, 0.5))

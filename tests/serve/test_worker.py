@@ -50,11 +50,16 @@ def test_memory_is_bounded(worker):
         worker.call("fill", 2**31, seconds=20)
 
 
-def test_an_object_that_cannot_be_made_is_a_refusal():
-    worker = Worker(serve_tasks.no_tasks)
-    with pytest.raises(Refused, match="no such weights"):
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [(serve_tasks.no_tasks, "no such weights"), (serve_tasks.broken_tasks, "a library's own")],
+)
+def test_an_object_that_cannot_be_made_is_a_refusal(make, message, capfd):
+    worker = Worker(make)
+    with pytest.raises(Refused, match=message):
         worker.call("add", 1, 1, seconds=20)
     worker.close()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():

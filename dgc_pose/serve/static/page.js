@@ -139,6 +139,7 @@ function verdict({ pose, reason }) {
     return [term, value];
   });
   at("numbers").replaceChildren(...facts);
+  alternatives(pose.alternatives);
   at("warnings").replaceChildren(...pose.warnings.filter((text) => text !== reason).map((text) => {
     const item = document.createElement("li");
     item.textContent = text;
@@ -146,14 +147,35 @@ function verdict({ pose, reason }) {
   }));
 }
 
+function alternatives(others) {
+  at("alternatives").hidden = others.length === 0;
+  const poses = others.length === 1 ? "1 other pose explains" : `${others.length} other poses explain`;
+  at("alternatives").querySelector("summary").textContent = `${poses} the matches about as well`;
+  at("alternatives").querySelector("ol").replaceChildren(...others.map((other) => {
+    const item = document.createElement("li");
+    const t = other.t.map((value) => value.toFixed(4)).join(", ");
+    const likely = other.probability == null ? "" : `, probability ${percent(other.probability)}`;
+    item.textContent = `rotation angle ${angle(other.R)}, t (${t}), ${other.num_inliers} inliers${likely}`;
+    return item;
+  }));
+}
+
+function percent(share) {
+  return `${(100 * share).toFixed(0)} %`;
+}
+
+/** Of a rotation matrix, in degrees. */
+function angle(R) {
+  const cosine = (R[0][0] + R[1][1] + R[2][2] - 1) / 2;
+  return `${(Math.acos(Math.min(1, Math.max(-1, cosine))) * 180 / Math.PI).toFixed(2)}°`;
+}
+
 function numbers(pose) {
   const found = [];
-  if (pose.R) {
-    const trace = pose.R[0][0] + pose.R[1][1] + pose.R[2][2];
-    const angle = Math.acos(Math.min(1, Math.max(-1, (trace - 1) / 2))) * 180 / Math.PI;
-    found.push(["rotation angle", `${angle.toFixed(2)}°`]);
+  if (pose.R) found.push(["rotation angle", angle(pose.R)]);
+  if (pose.probability != null) {
+    found.push(["probability", `${percent(pose.probability)}, that R and t are within 10°`]);
   }
-  if (pose.probability != null) found.push(["probability", `${(100 * pose.probability).toFixed(0)} %`]);
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
     found.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten`]);

@@ -1,0 +1,34 @@
+"""Image 1 as a map warps it."""
+
+from __future__ import annotations
+
+import dense_scene
+import numpy as np
+
+from dgc_pose.matching.warp import warp_image
+
+
+def test_the_warp_of_the_true_map_is_image_2():
+    first, second = dense_scene.pictures()
+    found = warp_image(first, dense_scene.points_in_image1(dense_scene.grid(80, 60)), (320, 240))
+    seen = dense_scene.points_in_image1(dense_scene.grid(320, 240))
+    inside = ((seen > 1) & (seen < np.array(dense_scene.SIZE) - 2)).all(-1)
+    assert inside.mean() > 0.4
+    difference = np.abs(found.astype(float) - second)[inside]
+    assert difference.mean() < 4
+    # The picture varies much more than that, so another map would show.
+    assert np.abs(first.astype(float) - second)[inside].mean() > 20
+
+
+def test_places_outside_image_1_come_out_white():
+    places = np.full((4, 4, 2), -50.0)
+    assert (warp_image(np.zeros((20, 30, 3), np.uint8), places, (8, 6)) == 255).all()
+    assert warp_image(np.zeros((20, 30, 3), np.uint8), places, (8, 6)).shape == (6, 8, 3)
+
+
+def test_the_identity_warps_a_large_image_to_its_shrunk_self():
+    flat = np.zeros((600, 2400, 3), np.uint8)
+    flat[:, 1200:] = 200
+    y, x = np.mgrid[:600:20, :2400:20] + 9.5
+    shown = warp_image(flat, np.stack([x, y], -1), (240, 60))
+    assert (shown[:, :118] == 0).all() and (shown[:, 122:] == 200).all()
