@@ -15,6 +15,7 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.errors import InputError
 from dgc_pose.files import staged
+from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.options import check_options, option
 
 
@@ -30,7 +31,8 @@ class FitChoice:
         None, "JSON list of scenes and their parts; default: the project's own.", metavar="PATH"
     )
     methods: str = option(
-        "dgcm-lite,sift", "Comma-separated networks and sift; of the networks the first is fitted."
+        f"{DEFAULT_WEIGHTS},sift",
+        "Comma-separated networks and sift; of the networks the first is fitted.",
     )
     stop_after: float | None = option(
         None,
@@ -48,12 +50,12 @@ class FitChoice:
 @click.command()
 @dataclass_options(FitChoice, "choice")
 def fit_probability(choice: FitChoice) -> None:
-    """Fit the probability that a pose is right: collect, fit, calibrate, report.
+    """Fit the probability that a pose is right: collect, fit, report.
 
     Matches of the plan's pairs are stored in --out, and the same command goes on after any kill.
-    Then the models are fitted on some scenes, calibrated on others and reported on third ones.
-    Writes probability.json, which the package reads, report.txt and reliability.png into --out.
-    Needs scikit-learn (the extra "fit").
+    Then the models are fitted and calibrated on some scenes and reported on others. Writes
+    probability.json, which the package reads, report.txt and reliability.png into --out. Needs
+    scikit-learn (the extra "fit").
     """
     from dgc_pose.benchmarks.probability.plan import read_plan
 

@@ -36,6 +36,7 @@ class StoredPair:
     name: str  # unique within a method
     scene: str
     part: Part
+    exact: bool  # the true pose is: see `Source.rough`
     truth: Truth
     matches: Matches
     map_matches: Matches | None  # an even sample of the dense map, whatever its matchability
@@ -127,12 +128,13 @@ def _stored(path: Path, source: Source, arrays: Mapping[str, np.ndarray]) -> Sto
         Camera(arrays[f"K{n}"], (int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])))
         for n in (1, 2)
     )
-    name = f"{source.name} {path.stem}"
+    name, scene = f"{source.name} {path.stem}", str(arrays["scene"])
     truth = Truth({"name": name}, camera1, camera2, arrays.get("R"), arrays.get("t"))
     return StoredPair(
         name,
-        str(arrays["scene"]),
+        scene,
         source.part,
+        scene not in source.rough,
         truth,
         _matches("", arrays),
         _matches("map_", arrays) if "map_points1" in arrays else None,

@@ -27,7 +27,7 @@ from dgc_pose.errors import InputError, reason
 from dgc_pose.inputs import read_text
 from dgc_pose.options import check_options, option
 
-Part = Literal["fit", "calibrate", "report"]
+Part = Literal["fit", "report"]
 SourceKind = Literal["list", "rgbd", "sparse", "dtu", "rendered", "unrelated", "textureless"]
 DEFAULT_PLAN = "plan.json"  # beside this file
 
@@ -43,6 +43,9 @@ class Source:
     pairs: int = option(60, min=1)  # at most
     seed: int = option(0, min=0)
     scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
+    # Scenes whose true poses are a tracker's, off by a degree or more: they tell right from wrong,
+    # but not how accurate a pose is.
+    rough: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -77,7 +80,9 @@ def read_plan(path: Path | None) -> list[Source]:
 
 def _source(entry: dict[str, Any]) -> Source:
     values = dict(entry)
-    paths = values.pop("path", [])
+    paths, rough = values.pop("path", []), values.pop("rough", [])
     return Source(
-        **values, path=tuple(Path(p) for p in ([paths] if isinstance(paths, str) else paths))
+        **values,
+        path=tuple(Path(p) for p in ([paths] if isinstance(paths, str) else paths)),
+        rough=tuple(map(str, rough)),
     )

@@ -40,6 +40,7 @@ class Record:
     source: str
     scene: str
     part: Part
+    exact: bool  # the true pose is: see `Source.rough`
     evidence: Evidence | None  # None without a model
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
@@ -78,4 +79,13 @@ def record(pair: StoredPair, options: EstimationOptions) -> Record:
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, np.asarray(truth.t))
     source = pair.name.rpartition(" ")[0]
-    return Record(pair.name, source, pair.scene, pair.part, pose.evidence, rotation, translation)
+    return Record(
+        pair.name,
+        source,
+        pair.scene,
+        pair.part,
+        pair.exact,
+        pose.evidence,
+        rotation,
+        translation,
+    )

@@ -17,10 +17,11 @@ class VerdictOptions:
     Raises InputError, naming the field, for a value out of range.
     """
 
-    # None: the gates below decide. Otherwise they only name the reason of a failure; those of
-    # matches, of a rotation and of a line decide in either case.
+    # None, or matches that no probability is fitted for (key points): the gates below decide.
+    # Otherwise they only name the reason of a failure; those of matches, of a rotation, of a
+    # line and of the cameras decide in either case.
     min_probability: float | None = option(
-        None,
+        0.5,
         "Least probability, that R and t are both within 10 degrees, of a success.",
         metavar="P",
         min=0,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -151,21 +151,28 @@ FEATURES: Mapping[str, Feature] = {
     ),
 }
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
-# What the expected error depends on besides the jackknife's own.
-ERROR_FEATURES = ("inliers", "occupied_cells", "residual", "triangulation", "rotation_angle")
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """The logarithm of the error that nine right poses in ten stay below, over the jackknife's."""
+    """The error that nine right poses in ten stay below, from the jackknife's: a power of it.
 
-    weights: Mapping[str, float]  # of `error_features`
+    Small errors of the jackknife are the most optimistic, since errors that neighbouring matches
+    have in common do not show in it.
+    """
+
+    slope: float
     intercept: float
 
-    def log_factor(self, values: Mapping[str, float]) -> float:
-        """Of the features by name."""
-        total = self.intercept + sum(w * values[name] for name, w in self.weights.items())
-        return min(max(total, -_MAX_LOG_FACTOR), _MAX_LOG_FACTOR)
+    def factor(self, error_deg: float | None) -> float:
+        """By which the jackknife's error (at nine in ten, degrees; None: unknown) is scaled."""
+        total = self.intercept + self.slope * log_error(error_deg)
+        return math.exp(min(max(total, -_MAX_LOG_FACTOR), _MAX_LOG_FACTOR))
+
+
+def log_error(error_deg: float | None) -> float:
+    """The logarithm of a jackknife's error, within the range that the model was fitted on."""
+    return _log(error_deg, 0.005, 60)
 
 
 @dataclass(frozen=True)
@@ -197,24 +204,13 @@ class ProbabilityModel:
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten."""
-        factors = [
-            math.exp(model.log_factor(error_features(evidence, part)))
-            for part, model in (
-                ("rotation", self.rotation_error),
-                ("translation", self.translation_error),
-            )
-        ]
+        factors = (
+            self.rotation_error.factor(evidence.rotation_error_90_deg),
+            self.translation_error.factor(evidence.translation_error_90_deg),
+        )
         scale = np.repeat(factors, 3)
         scaled: np.ndarray = covariance * np.outer(scale, scale)
         return scaled
-
-
-def error_features(evidence: Evidence, part: str) -> dict[str, float]:
-    """What the calibrated error of R ("rotation") or t ("translation") depends on."""
-    own = FEATURES[f"{part}_error"].value(evidence)
-    values = {"own": own, "rotation_angle": math.log1p(evidence.rotation_angle_deg)}
-    values |= {k: FEATURES[k].value(evidence) for k in ERROR_FEATURES if k in FEATURES}
-    return values
 
 
 @cache
@@ -242,7 +238,7 @@ def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:
 def _model(values: Mapping[str, Any]) -> ProbabilityModel:
     weights = _numbers(values["weights"], FEATURES)
     rotation, translation = (
-        ErrorModel(_numbers(part["weights"], ("own", *ERROR_FEATURES)), _finite(part["intercept"]))
+        ErrorModel(_finite(part["slope"]), _finite(part["intercept"]))
         for part in (values["rotation_error"], values["translation_error"])
     )
     reference = _numbers(values["reference"], weights)
@@ -251,7 +247,7 @@ def _model(values: Mapping[str, Any]) -> ProbabilityModel:
     return ProbabilityModel(weights, _finite(values["intercept"]), reference, rotation, translation)
 
 
-def _numbers(values: object, known: Sequence[str] | Mapping[str, object]) -> dict[str, float]:
+def _numbers(values: object, known: Mapping[str, object]) -> dict[str, float]:
     if not isinstance(values, dict) or not set(values) <= set(known):
         raise ValueError("unknown features")
     return {str(name): _finite(value) for name, value in values.items()}

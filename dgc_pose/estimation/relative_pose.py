@@ -89,7 +89,7 @@ def estimate_pose(
         warnings=(
             *problem.warnings,
             *verdict.warnings,
-            *_warnings(len(alternatives), found.probability, options.verdict.min_probability),
+            *_warnings(len(alternatives)),
         ),
     )
 
@@ -151,16 +151,12 @@ def _alternatives(found: Sequence[_Found], probability: float | None) -> tuple[A
     )
 
 
-def _warnings(
-    alternatives: int, probability: float | None, min_probability: float | None
-) -> Iterator[str]:
+def _warnings(alternatives: int) -> Iterator[str]:
     if alternatives:
         others = (
             "1 other pose explains" if alternatives == 1 else f"{alternatives} other poses explain"
         )
         yield f"{others} the matches about as well: see the alternatives"
-    if probability is None and min_probability is not None:
-        yield "no probability is fitted for such matches: the gates decide"
 
 
 def _refined(

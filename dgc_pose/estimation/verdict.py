@@ -33,7 +33,8 @@ def judge(
     """The verdict on a model.
 
     Without a probability, or without `options.min_probability`, the first gate that the evidence
-    fails decides. Otherwise the probability does, unless the translation is not determined at all.
+    fails decides. Otherwise the probability does, unless the translation is not determined at all
+    or most inliers lie behind a camera.
     against: what speaks against the pose, in words.
     """
     undetermined = _undetermined(evidence, options)
@@ -42,8 +43,9 @@ def judge(
         by_chance = _chance(evidence, options)
         failed = by_chance or undetermined or _implausible(evidence, options)
         return failed or _pose(evidence, options)
-    if undetermined is not None:
-        return _chance(evidence, options) or undetermined
+    impossible = undetermined or _behind(evidence, options)
+    if impossible is not None:
+        return _chance(evidence, options) or impossible
     if probability >= options.min_probability:
         return _pose(evidence, options)
     failed = _chance(evidence, options) or _implausible(evidence, options)
@@ -89,11 +91,18 @@ def _undetermined(evidence: Evidence, options: VerdictOptions) -> Verdict | None
     return None
 
 
+def _behind(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+    if evidence.cheirality_ratio >= options.min_cheirality:
+        return None
+    share = 100 * evidence.cheirality_ratio
+    reason = f"only {share:.0f} % of the inliers lie in front of both cameras"
+    return Verdict("behind_cameras", reason)
+
+
 def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
-    if evidence.cheirality_ratio < options.min_cheirality:
-        share = 100 * evidence.cheirality_ratio
-        reason = f"only {share:.0f} % of the inliers lie in front of both cameras"
-        return Verdict("behind_cameras", reason)
+    behind = _behind(evidence, options)
+    if behind is not None:
+        return behind
     error = evidence.rotation_error_90_deg
     if error is not None and error > options.max_rotation_error_deg:
         reason = (

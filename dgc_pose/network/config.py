@@ -9,7 +9,7 @@ from typing import Literal
 
 from dgc_pose.errors import InputError
 
-DEFAULT_WEIGHTS = "dgcm-lite"
+DEFAULT_WEIGHTS = "dgcm-lite0"
 INPUT_SIZE = 240  # pixels a side of both input images, if they are squared
 STRIDE = 16  # pixels of an input image per cell of the coarsest level
 LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4

@@ -17,7 +17,6 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.probability import (
     FEATURES,
-    error_features,
     match_kind,
     models_of,
     read_models,
@@ -25,7 +24,7 @@ from dgc_pose.estimation.probability import (
 )
 from dgc_pose.estimation.verdict import judge
 
-ERROR = {"weights": {"own": -0.25, "inliers": 0.1}, "intercept": 0.5}
+ERROR = {"slope": -0.25, "intercept": 0.5}
 MODEL = {
     "weights": {name: 0.5 * feature.sign for name, feature in FEATURES.items()},
     "intercept": -2.0,
@@ -117,11 +116,10 @@ def test_the_covariance_is_scaled_by_the_calibrated_error() -> None:
     root = np.random.default_rng(0).standard_normal((6, 6))
     covariance = root @ root.T * 1e-4
     scaled = model.calibrated(covariance, GOOD_EVIDENCE)
-    expected = [math.exp(0.5 - 0.25 * math.log(own) + 0.1 * math.log(300)) for own in (0.5, 1.0)]
+    expected = [math.exp(0.5 - 0.25 * math.log(own)) for own in (0.5, 1.0)]
     assert np.allclose(scaled[:3, :3], covariance[:3, :3] * expected[0] ** 2)
     assert np.allclose(scaled[3:, 3:], covariance[3:, 3:] * expected[1] ** 2)
     assert np.allclose(scaled, scaled.T) and np.linalg.eigvalsh(scaled).min() > -1e-12
-    assert error_features(GOOD_EVIDENCE, "rotation")["own"] == math.log(0.5)
 
 
 def test_the_kind_of_matches_chooses_the_model() -> None:
@@ -171,15 +169,16 @@ def test_the_probability_decides_and_not_the_gates() -> None:
 
 def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
     against = ["only 28 % of the matches are inliers", "there is little parallax"]
-    status, reason, _ = judge(_worse(cheirality_ratio=0.4), OPTIONS, 0.231, against)
-    assert status == "behind_cameras"
+    status, reason, _ = judge(_worse(occupied_cells=8), OPTIONS, 0.231, against)
+    assert status == "chance_inliers"
     assert reason == (
         "the pose is right with a probability of 23 %: only 28 % of the matches are inliers, "
         "there is little parallax"
     )
 
 
-def test_no_probability_makes_a_translation_of_a_rotation_or_a_line() -> None:
+def test_no_probability_makes_a_pose_of_a_rotation_a_line_or_points_behind() -> None:
     rotated = _worse(rotation_share=1.0, parallax=1.0)
     assert judge(rotated, OPTIONS, 0.99).status == "rotation_only"
     assert judge(_worse(collinear=True), OPTIONS, 0.99).status == "no_model"
+    assert judge(_worse(cheirality_ratio=0.4), OPTIONS, 0.99).status == "behind_cameras"

@@ -99,7 +99,7 @@ def _make_collection(folder: Path) -> None:
         arrays |= {f"{prefix}confidence": np.ones(6, np.float32), f"{prefix}error_px": 1.0}
         arrays |= {f"{prefix}key_points": True}
     np.savez_compressed(own / "scene" / "0000.npz", **arrays)
-    parts = [("x", "fit"), ("y", "calibrate"), ("z", "report")]
+    parts = [("x", "fit"), ("z", "report")]
     plan = [{"name": name, "part": part, "kind": "list", "path": "a"} for name, part in parts]
     (folder / "plan.json").write_text(json.dumps(plan))
 
@@ -111,7 +111,7 @@ def _read_collection(folder: Path, path: Path) -> object:
 
 
 def _make_models(folder: Path) -> None:
-    part = {"weights": {"own": 1.0}, "intercept": 0.5}
+    part = {"slope": -0.3, "intercept": 0.5}
     weights = {name: 0.5 for name in FEATURES}
     model = {"weights": weights, "intercept": 1.0, "reference": weights}
     model |= {"rotation_error": part, "translation_error": part}

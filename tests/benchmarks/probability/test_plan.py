@@ -13,8 +13,8 @@ from dgc_pose.errors import InputError
 EVALUATION = ("7scenes_a", "mamechun_room", "nan_room", "eunseon_desk")
 ENTRIES = [
     {"name": "a", "part": "fit", "kind": "rgbd", "path": "a"},
-    {"name": "b", "part": "calibrate", "kind": "sparse", "path": "b", "pairs": 3},
-    {"name": "c", "part": "report", "kind": "unrelated", "path": ["c", "d"]},
+    {"name": "b", "part": "fit", "kind": "sparse", "path": "b", "pairs": 3},
+    {"name": "c", "part": "report", "kind": "unrelated", "path": ["c", "d"], "rough": ["c"]},
 ]
 
 
@@ -24,10 +24,11 @@ def test_a_plan_names_its_sources(tmp_path) -> None:
     found = read_plan(path)
     assert [(one.name, one.part, one.kind) for one in found] == [
         ("a", "fit", "rgbd"),
-        ("b", "calibrate", "sparse"),
+        ("b", "fit", "sparse"),
         ("c", "report", "unrelated"),
     ]
     assert [len(one.path) for one in found] == [1, 1, 2] and found[1].pairs == 3
+    assert [one.rough for one in found] == [(), (), ("c",)]
 
 
 @pytest.mark.parametrize(
@@ -40,6 +41,7 @@ def test_a_plan_names_its_sources(tmp_path) -> None:
         [*ENTRIES, {"name": "d", "part": "fit", "kind": "film", "path": "d"}],
         [*ENTRIES, {"name": "d", "part": "fit", "kind": "rgbd", "colour": 1}],
         [*ENTRIES, {"name": "d", "part": "fit", "kind": "rgbd", "pairs": 0}],
+        [*ENTRIES, {"name": "d", "part": "fit", "kind": "rgbd", "rough": 1}],
         [*ENTRIES, 3],
     ],
 )
