@@ -49,10 +49,10 @@ from dgc_pose.batch.work import (
     Matched,
     MatcherSettings,
 )
-from dgc_pose.errors import InputError
+from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import only_writer, write_text
-from dgc_pose.inputs import read_json
+from dgc_pose.inputs import read_bytes, read_json
 
 WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
 _SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
@@ -138,14 +138,22 @@ def run_batch(
         if plan is not None and (out / SUMMARY).is_file():
             PartStore(out, plan)  # removes parts that a kill left
             return read_batch(out)
+        fresh = False
         with ExitStack() as stack:
             found = _first_plan(source, calibration, settings) if plan is None else plan
             run = _lazy_workers(start_workers, found, matcher, estimation, options, stack)
             if plan is None:
                 plan = _with_pairs(found, source, choice, run, progress)
                 write_plan(out, plan)
+                fresh = True
             store = PartStore(out, plan)
-            worked = _work(store, plan, run, options, progress)
+            try:
+                worked = _work(store, plan, run, options, progress)
+            except DgcPoseError:
+                if fresh and len(store.left) == len(plan.pairs) > 0:  # weights that are none, say
+                    store.close()
+                    (out / PLAN).unlink()
+                raise
         bad = store.assemble()
         _summarise(out, plan, bad, worked, time.perf_counter() - start)
         store.close()
@@ -333,4 +341,4 @@ def _weights_hash(weights: str) -> str | None:
 
     path = Path(str(resources.files("dgc_pose") / "weights" / f"{weights}.safetensors"))
     path = path if path.is_file() else Path(weights)
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
+    return hashlib.sha256(read_bytes(path)).hexdigest()[:16] if path.is_file() else None
