@@ -56,7 +56,7 @@ def load_matcher(
 ) -> Matcher:
     """A matcher by its name; by default what `dgc-pose estimate` uses.
 
-    name: shipped weights ("dgcm-lite"), a path to weights (see `load_network`), "sift", or an
+    name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), "sift", or an
     optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". runtime:
     what runs it, see `load_engine`. matching: how matches are selected from a dense map.
     refinement: of a network's matches; None for the matches of its map. SIFT and the flows are

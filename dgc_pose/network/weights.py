@@ -32,7 +32,7 @@ _MASK = "matchability_net."
 def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cpu") -> DGCNet:
     """A network with its weights, in evaluation mode and frozen.
 
-    weights: a shipped name ("dgcm-lite"), a .safetensors of ours, or an authors' checkpoint (.pth;
+    weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;
     `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first keys that
     differ, if it is missing, unreadable or of another network.
     """
