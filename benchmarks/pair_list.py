@@ -125,7 +125,9 @@ def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{where}: the upper left 3x3 of T is not a rotation")
     if not np.array_equal(T[3], [0, 0, 0, 1]):
         raise InputError(f"{where}: the last row of T must be 0 0 0 1")
-    if not np.linalg.norm(t) > 0:
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(t)
+    if not 0 < length < np.inf:
         raise InputError(f"{where}: T has no translation, so its direction cannot be scored")
     # The nearest rotation: rounding e in a list could show as an angle of sqrt(e) otherwise.
     U, _, Vt = np.linalg.svd(R)

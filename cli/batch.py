@@ -60,9 +60,9 @@ class WorkChoice:
         min=1,
         max=1024,
     )
-    memory: float = option(
-        1.0,
-        "GiB of images and features kept, all workers together.",
+    memory: float | None = option(
+        None,
+        "GiB of images and features kept, all workers together; default: 0.375 for each.",
         metavar="GIB",
         above=0,
         max=10**6,
@@ -134,7 +134,8 @@ def batch_options(work: WorkChoice) -> BatchOptions:
     from dgc_pose.batch.run import BatchOptions
 
     workers = work.workers or len(os.sched_getaffinity(0))
-    return BatchOptions(workers, int(work.memory * _GIB), work.format, work.resume)
+    memory = None if work.memory is None else int(work.memory * _GIB)
+    return BatchOptions(workers, memory, work.format, work.resume)
 
 
 def report(batch: Batch) -> None:

@@ -35,13 +35,14 @@ class SharingChoice:
         "the images again; or cells, matches merged as hloc does.",
     )
     per_image: int | None = option(
-        None, "Most corners (1000) or cells (8192) of an image.", metavar="N", min=1
+        None, "Most corners (1000) or cells (8192) of an image.", metavar="N", min=1, max=10**7
     )
     cell: float = option(
         1.0,
         "Side of a cell and farthest move of a match, pixels; for cells.",
         metavar="PX",
         above=0,
+        max=10**4,
     )
 
     def __post_init__(self) -> None:
@@ -112,6 +113,8 @@ def export_colmap(
         raise InputError("give --database, or --hloc")
     if database is not None and os.path.exists(database) and not overwrites():
         raise InputError(f"{database} is there already: --overwrite replaces it")
+    if database is not None and not Path(database).resolve().parent.is_dir():
+        raise InputError(f"{database}: no such folder to write it into")
     batch = read_batch(folder)
     written = [] if database is None else [Path(database)]
     written += [] if hloc is None else [hloc / name for name in HLOC]
@@ -119,6 +122,8 @@ def export_colmap(
     require_no_input(written, [*folder.iterdir(), *images])
     with images_bar() as progress:
         shared, pairs = share(batch, sharing.options, progress)
+    if hloc is not None:
+        hloc.mkdir(parents=True, exist_ok=True)
     if database is not None:
         click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
     if hloc is not None:

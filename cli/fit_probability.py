@@ -37,6 +37,7 @@ class FitChoice:
         "Stop collecting after so many minutes, without a fit; the same command continues.",
         metavar="MIN",
         above=0,
+        max=10**7,
     )
     collected: bool = option(False, "Match no further pairs: fit on those that are stored.")
     device: DeviceName = option("auto", "Where the network runs.")
@@ -83,15 +84,17 @@ def _collected(choice: FitChoice, methods: Sequence[str]) -> bool:
     """Match what is not stored yet; whether nothing is left."""
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
     from dgc_pose.benchmarks.probability.plan import read_plan
-    from dgc_pose.benchmarks.probability.sources import planned
+    from dgc_pose.benchmarks.probability.sources import planned, require_data
     from dgc_pose.matchers import load_matcher
 
     start = time.monotonic()
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
+    sources = read_plan(choice.plan)
+    require_data(sources, choice.data)
     for name, matcher in matchers.items():
         require_engine(choice.out, name, matcher)
     lists = choice.out / "lists"
-    pairs = [p for s in read_plan(choice.plan) for p in planned(s, choice.data, lists)]
+    pairs = [pair for source in sources for pair in planned(source, choice.data, lists)]
     # One pair of each scene in turn: a collection that is cut short has some of each.
     pairs.sort(key=lambda pair: pair.number)
     done = collect(pairs, matchers, choice.out)

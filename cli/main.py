@@ -52,6 +52,7 @@ SUBCOMMANDS = {
     "bench-verdicts": "Measure how far success can be trusted.",
     "fit-probability": "Fit the probability that a pose is right.",
     "bench-reconstruct": "Score reconstructions on known cameras.",
+    "bench-choice": "Measure how well auto:K chooses pairs.",
     "bench-estimators": "Compare the robust estimators.",
     "bench-speed": "Show where the time of a pair goes.",
     "bench-runtimes": "Compare the answers of ONNX Runtime and torch.",

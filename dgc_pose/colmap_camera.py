@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.inputs import require_regular
+from dgc_pose.inputs import read_bytes
 from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
@@ -84,9 +84,10 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
     Raises ImageError if the image cannot be read.
     """
     from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.image import MAX_BYTES, check_header
 
     try:
-        require_regular(path, ImageError)
+        check_header(read_bytes(path, MAX_BYTES, ImageError), path)  # pycolmap decodes the pixels
         with quiet():  # about odd EXIF data
             camera = pycolmap.infer_camera_from_image(path)
     except (ValueError, RuntimeError, OSError) as error:

@@ -167,7 +167,12 @@ def _content(
     from dgc_pose.colmap_library import pycolmap
 
     names = {image.image_id: image.name for image in images}
+    for image in images:
+        if image.camera_id not in cameras:
+            raise ValueError(f"{image.name} has the camera {image.camera_id}, which is not there")
     pairs = [pycolmap.pair_id_to_image_pair(key) for key in keys]
+    if missing := {number for pair in pairs for number in pair} - names.keys():
+        raise ValueError(f"matches of the image {min(missing)}, which is not there")
     return DatabaseContent(
         {
             image.name: camera_of(cameras[image.camera_id])

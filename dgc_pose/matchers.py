@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from dgc_pose.image import Image
 from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FLOWS, FlowMatcher
 from dgc_pose.matching.matcher import Matcher
@@ -36,6 +37,12 @@ class MatcherCaches:
     features: FeatureCache = field(default_factory=feature_cache)  # the encoder's, at 240x240
     native: NativeCache = field(default_factory=native_cache)  # the encoder's, for refinement
     key_points: KeyPointCache = field(default_factory=key_point_cache)  # of SIFT
+
+    def forget(self, image: Image) -> None:
+        """Drop all that is kept of an image."""
+        self.features.drop(lambda key: key[0] is image)
+        self.native.drop(lambda key: key[0] is image)
+        self.key_points.drop(lambda key: key is image)
 
 
 def load_matcher(

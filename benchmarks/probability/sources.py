@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,16 +36,24 @@ class PlannedPair:
     make: Callable[[], PosedPair]
 
 
+def require_data(sources: Sequence[Source], data: Path) -> None:
+    """Raise InputError, with the path, if something that the sources name is not there."""
+    for source in sources:
+        for path in source.path:
+            if not os.path.exists(data / path):  # False for a name with a zero byte, too
+                raise InputError(
+                    f"{data / path}: no such data; the plan's source {source.name} needs it"
+                )
+
+
 def planned(source: Source, data: Path, lists: Path) -> list[PlannedPair]:
     """The pairs of a source. Pairs that are drawn are written as a list to the folder `lists`, and
     read from there the next time.
 
     Raises InputError or ImageError if the data are not as the plan says.
     """
+    require_data([source], data)
     folders = [data / path for path in source.path]
-    for folder in folders:
-        if not folder.exists():
-            raise InputError(f"{folder}: no such data; the plan's source {source.name} needs it")
     if source.kind in ("rendered", "unrelated", "textureless"):
         makers = {"rendered": _rendered, "unrelated": _unrelated, "textureless": _textureless}
         made = makers[source.kind](folders, source)

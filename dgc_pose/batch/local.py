@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -41,13 +42,20 @@ def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     # Not forked: torch's threads do not survive that. One pool a worker, since neighbouring blocks
     # share images and belong to one worker.
     context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
     with ExitStack() as stack:
         pools = []
         for _ in range(workers):
             pool = ProcessPoolExecutor(1, context, _start, (job,))
             stack.callback(pool.shutdown, cancel_futures=True)
             pools.append(pool)
-        yield lambda tasks: _run(pools, tasks)
+        try:
+            yield lambda tasks: _run(pools, tasks)
+        except BaseException:
+            # A block takes long, and within a library's call no signal is handled.
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
 
 
 def _run(pools: Sequence[ProcessPoolExecutor], tasks: Sequence[Task]) -> Iterator[Outcome]:
@@ -84,6 +92,8 @@ _worker: list[Worker] = []  # of this process, once it has been started
 
 
 def _start(job: Job) -> None:
+    # A terminal sends an interrupt to all processes: the owner of the pools answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _worker[:] = [single_threaded(job)]
 

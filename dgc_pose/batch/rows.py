@@ -34,6 +34,8 @@ class PairRow:
     status: str  # of `dgc_pose.estimation.result.Status`, or "bad_input"
     success: bool  # whether R and t are known
     reason: str  # one sentence for people
+    # That R and t are both within 10 degrees; None if no model of it is fitted for such matches.
+    probability: float | None
     R: tuple[float, ...] | None  # 9 numbers, row by row
     t: tuple[float, ...] | None  # 3 numbers, unit length
     rotation_error_90_deg: float | None  # nine times in ten the error is below
@@ -63,6 +65,7 @@ def row_of(
         status=pose.status,
         success=pose.success,
         reason=pose.reason,
+        probability=pose.probability,
         R=_numbers(pose.R),
         t=_numbers(pose.t),
         rotation_error_90_deg=finite_or_none(pose.rotation_error_90_deg),

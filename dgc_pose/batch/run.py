@@ -49,11 +49,12 @@ from dgc_pose.batch.work import (
     Matched,
     MatcherSettings,
 )
-from dgc_pose.errors import InputError
+from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import only_writer, write_text
-from dgc_pose.inputs import read_json
+from dgc_pose.inputs import read_bytes, read_json
 
+WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
 _SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
     **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
     **dict.fromkeys(("bad_images", "by_status"), dict),
@@ -67,9 +68,15 @@ class BatchOptions:
     """How a batch is worked through; none of it changes the result, except `format`."""
 
     workers: int = 1
-    memory_bytes: int = 2**30  # of images and features, all workers together
+    # Of images and features, all workers together; None: `WORKER_BYTES` for each.
+    memory_bytes: int | None = None
     format: RowFormat = "jsonl"
     resume: bool = False
+
+    @property
+    def worker_bytes(self) -> int:
+        """Of images and features, of one worker."""
+        return WORKER_BYTES if self.memory_bytes is None else self.memory_bytes // self.workers
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +138,22 @@ def run_batch(
         if plan is not None and (out / SUMMARY).is_file():
             PartStore(out, plan)  # removes parts that a kill left
             return read_batch(out)
+        fresh = False
         with ExitStack() as stack:
             found = _first_plan(source, calibration, settings) if plan is None else plan
             run = _lazy_workers(start_workers, found, matcher, estimation, options, stack)
             if plan is None:
                 plan = _with_pairs(found, source, choice, run, progress)
                 write_plan(out, plan)
+                fresh = True
             store = PartStore(out, plan)
-            worked = _work(store, plan, run, options, progress)
+            try:
+                worked = _work(store, plan, run, options, progress)
+            except DgcPoseError:
+                if fresh and len(store.left) == len(plan.pairs) > 0:  # weights that are none, say
+                    store.close()
+                    (out / PLAN).unlink()
+                raise
         bad = store.assemble()
         _summarise(out, plan, bad, worked, time.perf_counter() - start)
         store.close()
@@ -220,7 +235,7 @@ def _lazy_workers(
 
     def run(tasks: Sequence[Any]) -> Iterator[Any]:
         if not started and tasks:
-            memory = options.memory_bytes // options.workers
+            memory = options.worker_bytes
             job = Job(plan.root, plan.cameras, plan.bad, plan.guessed, matcher, estimation, memory)
             started.append(stack.enter_context(start_workers(job, options.workers)))
         return started[0](tasks) if tasks else iter(())
@@ -299,8 +314,7 @@ def _capacity(plan: Plan, options: BatchOptions) -> int:
     """Images that fit into the memory of one worker."""
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)
-    share = options.memory_bytes // options.workers * 2 // 3
-    return max(2, share // (largest + FEATURE_BYTES))
+    return max(2, options.worker_bytes // (largest + FEATURE_BYTES))
 
 
 def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, seconds: float) -> None:
@@ -327,4 +341,4 @@ def _weights_hash(weights: str) -> str | None:
 
     path = Path(str(resources.files("dgc_pose") / "weights" / f"{weights}.safetensors"))
     path = path if path.is_file() else Path(weights)
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
+    return hashlib.sha256(read_bytes(path)).hexdigest()[:16] if path.is_file() else None

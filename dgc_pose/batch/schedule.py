@@ -1,18 +1,20 @@
-"""The order of the pairs in which each image is encoded as few times as memory allows.
+"""The order of the pairs in which each image is loaded as few times as memory allows.
 
-Images that are paired with each other get neighbouring ranks (reverse Cuthill-McKee). The ranks are
-cut into tiles of half as many images as fit into memory, and the pairs of one pair of tiles follow
-each other. If all images fit, each is encoded once by each worker.
+Images that are paired with each other get neighbouring ranks (reverse Cuthill-McKee). The pairs are
+ordered by rank, which suits sequences; or the ranks are cut into tiles, and the pairs of one pair
+of tiles follow each other, which suits images of which most are paired. Of several such orders that
+with the fewest loads is taken. If all images fit, each is loaded once by each worker.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Sequence
 
 import numpy as np
 
 BLOCK = 16  # pairs handed to a worker at a time, and stored together
+_TILES = (0.25, 0.5, 0.75)  # sides that are tried, of the images that fit into memory
 
 
 def tile_order(pairs: np.ndarray, count: int, capacity: int) -> np.ndarray:
@@ -25,11 +27,30 @@ def tile_order(pairs: np.ndarray, count: int, capacity: int) -> np.ndarray:
     rank = np.empty(count, dtype=np.int64)
     rank[_reverse_cuthill_mckee(pairs, count)] = np.arange(count)
     low, high = np.sort(rank[pairs], axis=1).T
-    side = max(1, capacity // 2)
-    tile1, tile2 = low // side, high // side
-    # Back and forth along the rows of tiles: a row begins with the tile that the last one ended at.
-    column = np.where(tile1 % 2 == 0, tile2, -tile2)
-    return np.lexsort((low, high, column, tile1))
+    orders = [np.lexsort((high, low))]
+    for share in _TILES:
+        side = max(1, int(share * capacity))
+        tile1, tile2 = low // side, high // side
+        # Back and forth along the rows of tiles: a row begins with the tile that the last ended at.
+        column = np.where(tile1 % 2 == 0, tile2, -tile2)
+        orders.append(np.lexsort((low, high, column, tile1)))
+    return min(orders, key=lambda order: loads(pairs[order], capacity))
+
+
+def loads(pairs: np.ndarray, capacity: int) -> int:
+    """How often an image is loaded for pairs (P, 2) in this order, if the memory holds `capacity`
+    images and drops the least recently used."""
+    held: OrderedDict[int, None] = OrderedDict()
+    count = 0
+    for image in pairs.ravel().tolist():
+        if image in held:
+            held.move_to_end(image)
+            continue
+        count += 1
+        held[image] = None
+        if len(held) > capacity:
+            held.popitem(last=False)
+    return count
 
 
 def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:

@@ -23,8 +23,9 @@ from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.runtime.load import RuntimeName
 
-# Bytes of an image's features beside its pixels, roughly: of the encoder, and for refinement.
-FEATURE_BYTES = 32 * 2**20
+# Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
+# refinement (12 MiB for each part of the image that is matched).
+FEATURE_BYTES = 24 * 2**20
 
 
 @dataclass(frozen=True)
@@ -108,15 +109,13 @@ class Worker:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        caches = MatcherCaches()
-        # Each holds about the same images, whose pixels all three count: a bound of two thirds of
-        # the memory for each keeps the sum of pixels and features within it.
-        for cache in (caches.features, caches.native, caches.key_points):
-            cache.limit_bytes = job.memory_bytes * 2 // 3
-        self.caches = caches
-        self.matcher = job.matcher.load(caches)
-        self._images: BoundedCache[str, Image | str] = BoundedCache(_bytes)
-        self._images.limit_bytes = job.memory_bytes * 2 // 3
+        self.caches = MatcherCaches()
+        for cache in (self.caches.features, self.caches.native, self.caches.key_points):
+            cache.limit_bytes = job.memory_bytes
+        self.matcher = job.matcher.load(self.caches)
+        self._images: BoundedCache[str, Image | str] = BoundedCache(
+            _bytes, job.memory_bytes, self._forget
+        )
 
     def do(self, task: Task) -> Outcome:
         """The outcome of a task. A bad image makes its pairs bad, and stops nothing."""
@@ -175,6 +174,11 @@ class Worker:
         if name in self.job.bad:
             return self.job.bad[name]
         return self._images.get(name, lambda: self._read(name))
+
+    def _forget(self, image: Image | str) -> None:
+        """Features keep their image in memory, so they go with it."""
+        if isinstance(image, Image):
+            self.caches.forget(image)
 
     def _read(self, name: str) -> Image | str:
         try:

@@ -17,12 +17,19 @@ DEFAULT_BYTES = 2 * 2**30
 
 class BoundedCache(Generic[Key, Value]):
     """Values by key. The least recently used are dropped if all together take more than
-    `limit_bytes`; the latest is always kept."""
+    `limit_bytes`; the latest is always kept.
+
+    dropped: called with each value that is dropped.
+    """
 
     def __init__(
-        self, size: Callable[[Key, Value], int], limit_bytes: int = DEFAULT_BYTES
+        self,
+        size: Callable[[Key, Value], int],
+        limit_bytes: int = DEFAULT_BYTES,
+        dropped: Callable[[Value], None] = lambda value: None,
     ) -> None:
         self._size = size
+        self._dropped = dropped
         self.limit_bytes = limit_bytes
         self.held_bytes = 0
         self.asked = 0  # calls of `get`
@@ -54,5 +61,15 @@ class BoundedCache(Generic[Key, Value]):
         self._kept[key] = value
         self.held_bytes += self._size(key, value)
         while self.held_bytes > self.limit_bytes and len(self._kept) > 1:
-            self.held_bytes -= self._size(*self._kept.popitem(last=False))
+            self._drop(next(iter(self._kept)))
         return value
+
+    def drop(self, unwanted: Callable[[Key], bool]) -> None:
+        """Drop the values of the keys that are not wanted any more."""
+        for key in [key for key in self._kept if unwanted(key)]:
+            self._drop(key)
+
+    def _drop(self, key: Key) -> None:
+        value = self._kept.pop(key)
+        self.held_bytes -= self._size(key, value)
+        self._dropped(value)

@@ -22,6 +22,8 @@ from dgc_pose.threads import in_threads
 
 _CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
+_CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels beyond, which the block and its gradients reach
+_STRIP = 256  # rows measured at a time: of a large image all take hundreds of MiB
 _ITERATIONS = 8
 _STEP = 1.5  # pixels at most of one iteration
 _CHUNK = 256  # patches at a time, which stay in the processor's cache
@@ -151,17 +153,26 @@ def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np
 
     grey: (H, W) uint8 or float32. points: (N, 2), pixels.
     """
-    strength = cv2.cornerMinEigenVal(grey, _CORNER_BLOCK)
     height, width = grey.shape
     near = np.arange(-_CORNER_RADIUS, _CORNER_RADIUS + 1)
     x, y = np.rint(points).astype(np.int64).T[:, :, None] + near
     x, y = x.clip(0, width - 1), y.clip(0, height - 1)
-    values = strength[y[:, :, None], x[:, None]].reshape(len(points), -1)
-    best = values.argmax(1)
-    rows = np.arange(len(points))
-    row, column = np.divmod(best, len(near))
-    corners = np.stack([x[rows, column], y[rows, row]], -1)
-    return corners.astype(np.float64), values[rows, best]
+    corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
+    strip = y[:, _CORNER_RADIUS] // _STRIP
+    for number in np.unique(strip):
+        own = np.flatnonzero(strip == number)
+        columns, rows = x[own], y[own]
+        left, top = (max(0, int(axis.min()) - _CORNER_MARGIN) for axis in (columns, rows))
+        part = grey[
+            top : rows.max() + _CORNER_MARGIN + 1, left : columns.max() + _CORNER_MARGIN + 1
+        ]
+        measured = cv2.cornerMinEigenVal(part, _CORNER_BLOCK)
+        values = measured[(rows - top)[:, :, None], (columns - left)[:, None]].reshape(len(own), -1)
+        each, best = np.arange(len(own)), values.argmax(1)
+        row, column = np.divmod(best, len(near))
+        corners[own] = np.stack([columns[each, column], rows[each, row]], -1)
+        strength[own] = values[each, best]
+    return corners, strength
 
 
 def spread(

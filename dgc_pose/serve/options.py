@@ -11,15 +11,21 @@ from dgc_pose.options import check_options, option
 class ServeOptions:
     """Limits of the server. Raises InputError, naming the field, for a value out of range."""
 
-    max_megabytes: float = option(40.0, "Largest file of an image.", metavar="MB", above=0)
-    max_megapixels: float = option(
-        64.0, "Largest image, width times height.", metavar="MP", above=0
+    max_megabytes: float = option(
+        40.0, "Largest file of an image.", metavar="MB", above=0, max=10**4
     )
-    upload_seconds: float = option(60.0, above=0)  # for sending one image
-    decode_seconds: float = option(10.0, above=0)  # for reading one image
-    estimate_seconds: float = option(120.0, "Longest time of one pair.", metavar="S", above=0)
-    images: int = option(8, min=2)  # kept; the oldest is dropped first
-    waiting: int = option(4, min=1)  # requests that wait for a worker; more are turned away
+    max_megapixels: float = option(
+        64.0, "Largest image, width times height.", metavar="MP", above=0, max=10**4
+    )
+    upload_seconds: float = option(60.0, above=0, max=10**6)  # for sending one image
+    decode_seconds: float = option(10.0, above=0, max=10**6)  # for reading one image
+    estimate_seconds: float = option(
+        120.0, "Longest time of one pair.", metavar="S", above=0, max=10**6
+    )
+    images: int = option(8, min=2, max=10**4)  # kept; the oldest is dropped first
+    waiting: int = option(
+        4, min=1, max=10**4
+    )  # requests that wait for a worker; more are turned away
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.batch.pair_choice import exhaustive, sequential
-from dgc_pose.batch.schedule import Spans, blocks_of, tile_order
+from dgc_pose.batch.schedule import Spans, blocks_of, loads, tile_order
 
 
 def _encoded(pairs: np.ndarray, capacity: int) -> int:
@@ -45,7 +45,14 @@ def test_with_memory_for_all_each_image_is_encoded_once() -> None:
 def test_a_sequence_is_encoded_once_although_memory_holds_few() -> None:
     pairs = _shuffled(sequential(60, 3), 60)
     assert _encoded(pairs[tile_order(pairs, 60, 12)], 12) == 60
+    assert _encoded(pairs[tile_order(pairs, 60, 5)], 5) == 60
     assert _encoded(pairs, 12) > 150
+
+
+def test_loads_are_counted_as_by_a_plain_list() -> None:
+    pairs = _shuffled(exhaustive(12), 12)
+    for capacity in (2, 5, 12):
+        assert loads(pairs, capacity) == _encoded(pairs, capacity)
 
 
 def test_exhaustive_pairs_are_worked_through_in_tiles() -> None:

@@ -114,16 +114,42 @@ def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
     assert database.read_bytes() == before
     assert CliRunner().invoke(main, [*arguments, "--overwrite"]).exit_code == 0
     assert CliRunner().invoke(main, arguments[:2]).exit_code == 2
-    with h5py.File(hloc / "features.h5") as features, h5py.File(hloc / "matches.h5") as matches:
-        for line in (hloc / "pairs.txt").read_text().splitlines():
-            name0, name1 = line.split()
-            group = matches[f"{name0}/{name1}"]
-            matches0 = np.asarray(group["matches0"])
-            assert matches0.dtype == np.int32
-            assert group["matching_scores0"].dtype == np.float16
-            assert len(matches0) == len(features[name0]["keypoints"])
-            assert matches0.max() < len(features[name1]["keypoints"])
-            assert (matches0 >= 0).sum() > 50
+    _assert_hloc_reads(hloc, before)
+
+
+def _assert_hloc_reads(folder: Path, database: bytes) -> None:
+    """What hloc's triangulation puts into a database from its files is what was exported there.
+
+    It reads `keypoints` and adds half a pixel; it looks for a pair as `name0/name1` or the other
+    way round, and takes the `matches0` that are not -1.
+    """
+    path = folder / "exported.db"
+    path.write_bytes(database)
+    with (
+        pycolmap.Database.open(path) as exported,
+        h5py.File(folder / "features.h5") as features,
+        h5py.File(folder / "matches.h5") as matches,
+    ):
+        ids = {image.name: image.image_id for image in exported.read_all_images()}
+        for name, number in ids.items():
+            points = np.asarray(features[name]["keypoints"])
+            np.testing.assert_array_equal(points + 0.5, exported.read_keypoints(number)[:, :2])
+            assert len(features[name]["scores"]) == len(points)
+        lines = (folder / "pairs.txt").read_text().splitlines()
+        assert len(lines) == 10
+        for line in lines:
+            for name0, name1 in (line.split(), line.split()[::-1]):
+                reverse = f"{name0}/{name1}" not in matches
+                group = matches[f"{name1}/{name0}" if reverse else f"{name0}/{name1}"]
+                matches0 = np.asarray(group["matches0"])
+                assert matches0.dtype == np.int32
+                assert group["matching_scores0"].dtype == np.float16
+                index = np.flatnonzero(matches0 != -1)
+                found = np.stack([index, matches0[index]], -1)
+                found = found[:, ::-1] if reverse else found
+                stored = exported.read_matches(ids[name0], ids[name1])
+                assert len(found) > 50
+                assert {*map(tuple, found.tolist())} == {*map(tuple, stored.tolist())}
 
 
 def test_nothing_to_reconstruct(

@@ -30,7 +30,8 @@ from fuzz.result_doors import make_batch
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main
 
-SECONDS = 10  # of wall clock
+SECONDS = 10  # of a processor, for one command
+WALL = 120  # seconds without an answer, on a busy machine
 Case = tuple[str, ...]  # a command line
 _NUMBERED = click.types.IntParamType | click.types.FloatParamType
 
@@ -171,7 +172,8 @@ def _values(parameter: click.Parameter) -> Sequence[str]:
         # A picture may replace a picture that is no input.
         return [one for one in OUTPUTS if kind.kind or one not in ("one.png", "link")]
     if isinstance(kind, OutputFolder):
-        return FOLDERS
+        # What a run has left is in the way of a run alone.
+        return [one for one in FOLDERS if one != "run" or "features.h5" not in kind.names]
     if isinstance(kind, _NUMBERED):
         return NUMBERS
     if isinstance(kind, click.Choice):
@@ -189,9 +191,9 @@ class Bench:
 
     def run(self, case: Case) -> str:
         """The fault of a case, or ""."""
-        start = time.monotonic()
+        start = time.process_time()
         before = signal.signal(signal.SIGALRM, _alarm)
-        signal.alarm(SECONDS)
+        signal.alarm(WALL)
         try:
             result = CliRunner().invoke(main, list(case), catch_exceptions=True)
         finally:
@@ -202,7 +204,7 @@ class Bench:
             fault = f"raised {result.exception!r}"
         elif result.exit_code != 2 or result.stdout or result.stderr.count("\n") != 1:
             fault = f"exit {result.exit_code}, {result.stdout[:80]!r}, {result.stderr[:300]!r}"
-        if time.monotonic() - start > SECONDS:
+        if time.process_time() - start > SECONDS:
             fault = fault or "took too long"
         if self._state() != self.before:
             fault = fault or "a file was changed or left"
@@ -241,7 +243,7 @@ def without_network() -> None:
 
 
 def _alarm(number: int, frame: FrameType | None) -> None:
-    raise TimeoutError(f"no answer in {SECONDS} s")
+    raise TimeoutError(f"no answer in {WALL} s")
 
 
 def main_trial() -> int:
@@ -256,7 +258,9 @@ def main_trial() -> int:
     with tempfile.TemporaryDirectory(prefix="dgc-pose-commands-") as folder:
         os.chdir(folder)
         bench = Bench(Path(folder))
-        for number in order:
+        for done, number in enumerate(order):
+            if done % 250 == 0:
+                print(f"{done} commands, {faults} faults", flush=True)
             fault = bench.run(found[number])
             if fault:
                 faults += 1

@@ -12,11 +12,13 @@ import sys
 from contextlib import closing
 from pathlib import Path
 
+import dense_scene
 import h5py
 import numpy as np
 import pycolmap
 import pytest
 from click.testing import CliRunner, Result
+from fuzz.commands import png_claiming
 from fuzz.result_doors import make_batch
 from fuzz.test_commands import hashes
 
@@ -24,12 +26,13 @@ from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.store import PartStore, read_plan
+from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
-from dgc_pose.camera import Camera
+from dgc_pose.camera import Camera, guess_camera
 from dgc_pose.cli.main import main
 from dgc_pose.colmap_files import read_database, read_model_cameras
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files import only_writer, replaced_folder, scratch_folder
 from dgc_pose.serve.cameras import command
 
@@ -251,6 +254,39 @@ def test_the_images_of_a_model_that_are_cut_short_come_to_an_end(
     (tmp_path / "images.bin").write_bytes(content)
     with pytest.raises(InputError, match=r"images\.bin is not COLMAP's images"):
         read_model_cameras(_camera_bin(tmp_path))
+
+
+def test_a_guessed_camera_decodes_no_image_that_is_too_large(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png_claiming(60_000, 50_000))
+    with pytest.raises(ImageError, match="too large: 60000 x 50000"):
+        guess_camera(tmp_path / "a.png")
+
+
+def test_a_translation_too_long_to_be_scored_is_refused(tmp_path: Path, recwarn) -> None:
+    dense_scene.write_pair_list(tmp_path, pairs=1)
+    words = (tmp_path / "pairs.txt").read_text().split()
+    words[-5] = "1e300"  # the last of t
+    (tmp_path / "pairs.txt").write_text(" ".join(words) + "\n")
+    with pytest.raises(InputError, match="no translation"):
+        read_pairs(tmp_path / "pairs.txt")
+    assert not recwarn.list
+
+
+def test_a_batch_without_weights_leaves_nothing(tmp_path: Path) -> None:
+    from multi_view import K_text, render_views, write_views
+
+    write_views(tmp_path / "views", render_views(2))
+    words = ("batch", tmp_path / "views", "--out", tmp_path / "out", "--pairs", "exhaustive")
+    for weights in (tmp_path / "views/view0.png", "/proc/kmsg"):
+        result = run(*words, "--K", K_text(), "--workers", 1, "--weights", weights)
+        assert_refused(result, str(weights))
+        assert os.listdir(tmp_path) == ["views"]
+
+
+def test_a_collection_without_its_data_leaves_nothing(tmp_path: Path) -> None:
+    words = ("fit-probability", "--data", tmp_path / "no", "--out", tmp_path / "out")
+    assert_refused(run(*words, "--methods", "sift"), "no such data")
+    assert os.listdir(tmp_path) == []
 
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"

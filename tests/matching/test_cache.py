@@ -42,6 +42,17 @@ def test_one_value_beyond_the_limit_is_kept_alone() -> None:
     assert cache.held_bytes == 2
 
 
+def test_what_is_dropped_is_told() -> None:
+    told: list[bytes] = []
+    cache: BoundedCache[str, bytes] = BoundedCache(lambda key, value: 10, 30, told.append)
+    for key in ("a", "b", "c", "d"):
+        cache.get(key, key.encode)
+    assert told == [b"a"]
+    cache.drop(lambda key: key in "ac")
+    assert told == [b"a", b"c"] and cache.held_bytes == 20
+    assert cache.get("c", lambda: b"new") == b"new"
+
+
 @pytest.mark.parametrize("in_turn", [True, False])
 def test_of_many_each_that_is_missing_is_made_once(in_turn: bool) -> None:
     cache, made = _cache(limit=25), []

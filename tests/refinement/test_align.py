@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import dense_scene
 import numpy as np
 import pytest
 
 from dgc_pose.image import resize
-from dgc_pose.refinement.align import Aligned, align, spread
+from dgc_pose.refinement.align import Aligned, align, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches
 
 
@@ -53,6 +54,21 @@ def test_matches_move_to_corners_close_by_one_a_block() -> None:
     assert 100 < len(found.index) <= 300
 
 
+def test_corners_are_those_of_the_whole_image() -> None:
+    """Over several strips, at the image's edges and beyond them."""
+    rng = np.random.default_rng(2)
+    grey = rng.uniform(0, 255, (600, 90)).astype(np.float32)
+    whole = cv2.cornerMinEigenVal(grey, 7)
+    points = rng.uniform((-9, -9), (99, 609), (500, 2))
+    corners, strength = nearby_corners(grey, points)
+    for point, corner, value in zip(np.rint(points).astype(int), corners, strength, strict=True):
+        x, y = ((point[k] + np.arange(-4, 5)).clip(0, grey.shape[1 - k] - 1) for k in (0, 1))
+        assert value == whole[np.ix_(y, x)].max() == whole[int(corner[1]), int(corner[0])]
+        assert corner[0] in x and corner[1] in y
+    no_corners, no_strength = nearby_corners(grey, points[:0])
+    assert no_corners.shape == (0, 2) and no_strength.shape == (0,)
+
+
 def test_other_pictures_and_flat_ones_do_not_align() -> None:
     first, second = dense_scene.pictures()
     other = dense_scene.pictures(seed=5)[0]
@@ -91,9 +107,7 @@ def test_an_image_at_three_times_the_size_is_shrunk_first(larger: int) -> None:
         local.affinity * times[0] / times[1],
         local.index,
     )
-    found = align(
-        first, second, enlarged, radius=7, max_shift=6.0 * times[0], max_matches=300
-    )
+    found = align(first, second, enlarged, radius=7, max_shift=6.0 * times[0], max_matches=300)
     assert found.pixel == pytest.approx(2.0, rel=0.05)  # the mean of 1 and 3
     good = found.converged & (found.zncc > 0.8)
     assert good.mean() > 0.8

@@ -32,6 +32,7 @@ def test_it_is_belief_propagation_over_the_candidates() -> None:
     rng = np.random.default_rng(0)
     rows, columns, count, width = 3, 4, 5, 6  # width: columns of the source
     candidates = rng.integers(0, 30, (rows * columns, count))
+    candidates[0] += 600  # so far that it agrees with no other
     scores = rng.normal(0, 2, (rows * columns, count))
     beliefs = scores - np.log(np.exp(scores).sum(1, keepdims=True))
     for _ in range(4):

@@ -1,0 +1,228 @@
+"""`batch`, `export-colmap` and `reconstruct` with unusable input: one line, exit code 2,
+nothing written."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from batch_runs import run_sift, view_folder
+from click.testing import CliRunner
+from multi_view import SIZE, K, K_text
+
+from dgc_pose.batch.run import read_batch
+from dgc_pose.cli.main import main
+from dgc_pose.colmap_files import read_database
+
+SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
+
+# Tables of COLMAP 3.8, before rigs and frames; version 3800.
+_OLD_TABLES = """
+CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
+    width INTEGER NOT NULL, height INTEGER NOT NULL, params BLOB,
+    prior_focal_length INTEGER NOT NULL);
+CREATE TABLE images (image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE,
+    camera_id INTEGER NOT NULL, prior_qw REAL, prior_qx REAL, prior_qy REAL, prior_qz REAL,
+    prior_tx REAL, prior_ty REAL, prior_tz REAL);
+CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
+    cols INTEGER NOT NULL, data BLOB);
+CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
+    cols INTEGER NOT NULL, data BLOB);
+CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
+    cols INTEGER NOT NULL, data BLOB);
+CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
+    cols INTEGER NOT NULL, data BLOB, config INTEGER NOT NULL, F BLOB, E BLOB, H BLOB, qvec BLOB,
+    tvec BLOB);
+PRAGMA user_version = 3800;
+"""
+_PINHOLE = 1  # COLMAP's number of the model
+
+
+def assert_refused(arguments: Sequence[object], *reasons: str) -> None:
+    """One line that holds the reasons, and exit code 2."""
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert done.exit_code == 2, done.output
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert done.stdout == ""
+    for reason in reasons:
+        assert reason in lines[0]
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photos")
+    view_folder(folder, 3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished batch."""
+    out = tmp_path_factory.mktemp("finished") / "out"
+    run_sift(photos, out)
+    return out
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    """A copy of a finished batch, to break."""
+    folder = tmp_path / "copied"
+    folder.mkdir()
+    for path in finished.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+@pytest.mark.parametrize("command", ["batch", "reconstruct"])
+@pytest.mark.parametrize(("count", "reason"), [(0, "no image"), (1, "a single image")])
+def test_too_few_images(
+    photos: Path, tmp_path: Path, command: str, count: int, reason: str
+) -> None:
+    folder, out = tmp_path / "folder", tmp_path / "out"
+    folder.mkdir()
+    for i in range(count):
+        (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
+    options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT]
+    assert_refused([command, folder, *options], str(folder), reason, "a pair needs two")
+    assert not out.exists()
+
+
+def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
+    """Without a K, and with one; a K of each serves."""
+    folder, out = tmp_path / "folder", tmp_path / "out"
+    folder.mkdir()
+    whole = cv2.imread(str(photos / "view0.png"))
+    cv2.imwrite(str(folder / "a.png"), whole)
+    cv2.imwrite(str(folder / "b.png"), whole[:150])
+    options = ["--out", out, "--pairs", "exhaustive", *SIFT]
+    assert_refused(["batch", folder, *options], "no camera for a.png", "--K")
+    reason = "one K for images of several sizes (240x150 and 240x180)"
+    assert_refused(["batch", folder, *options, "--K", K_text()], reason)
+    assert not out.exists()
+    table = tmp_path / "K.csv"
+    table.write_text(
+        f"name,fx,fy,cx,cy,width,height\na.png,{K_text()},240,180\nb.png,{K_text()},240,150\n"
+    )
+    done = CliRunner().invoke(main, [*map(str, ["batch", folder, *options, "--K", table])])
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("kind", ["csv", "colmap", "nerf"])
+def test_a_K_for_another_size(photos: Path, tmp_path: Path, kind: str) -> None:
+    """Twice the size, which the file says: the image that it does not fit is named."""
+    twice = 2 * SIZE[0], 2 * SIZE[1]
+    fx, fy, cx, cy = 2 * K[0, 0], 2 * K[1, 1], 2 * K[0, 2] + 1, 2 * K[1, 2] + 1
+    numbers = f"{twice[0]} {twice[1]} {fx} {fy} {cx} {cy}"
+    names = [f"view{i}.png" for i in range(3)]
+    if kind == "csv":
+        path = tmp_path / "K.csv"
+        rows = [f"{name},{fx},{fy},{cx},{cy},{twice[0]},{twice[1]}" for name in names]
+        path.write_text("\n".join(["name,fx,fy,cx,cy,width,height", *rows]))
+    elif kind == "colmap":
+        path = tmp_path / "cameras.txt"
+        path.write_text(f"1 PINHOLE {numbers}\n")
+    else:
+        path = tmp_path / "transforms.json"
+        shared = f'"fl_x": {fx}, "fl_y": {fy}, "w": {twice[0]}, "h": {twice[1]}'
+        path.write_text(f'{{{shared}, "frames": [{{"file_path": "{names[0]}"}}]}}')
+    out = tmp_path / "out"
+    options = ["--out", out, "--pairs", "exhaustive", "--K", path, *SIFT]
+    assert_refused(["batch", photos, *options], str(path), "view0.png", "480", "240")
+    assert not out.exists()
+
+
+def _old_database(path: Path, names: Sequence[str]) -> None:
+    """A database of COLMAP 3.8, in which the first two images are matched."""
+    with sqlite3.connect(path) as database:
+        database.executescript(_OLD_TABLES)
+        parameters = np.array([K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]).tobytes()
+        camera = (1, _PINHOLE, *SIZE, parameters, 1)
+        database.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", camera)
+        for number, name in enumerate(names, start=1):
+            row = (number, name, 1, *[None] * 7)
+            database.execute("INSERT INTO images VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+        pair = 2147483647 * 1 + 2  # COLMAP's number of the images 1 and 2
+        matches = np.zeros((1, 2), np.uint32).tobytes()
+        database.execute("INSERT INTO matches VALUES (?, 1, 2, ?)", (pair, matches))
+    database.close()
+
+
+def test_a_database_of_an_older_version_is_read_and_stays_as_it_is(
+    photos: Path, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "old.db", tmp_path / "out"
+    _old_database(path, ["view0.png", "view1.png", "view2.png"])
+    before = path.read_bytes()
+    found = read_database(path)
+    assert found.names == ("view0.png", "view1.png", "view2.png")
+    np.testing.assert_allclose(found.cameras["view0.png"].K, K)
+    done = CliRunner().invoke(
+        main, [*map(str, ["batch", path, "--root", photos, "--out", out, *SIFT])]
+    )
+    assert done.exit_code == 0, done.output
+    assert [(row.name1, row.name2) for row in read_batch(out).rows] == [("view0.png", "view1.png")]
+    assert path.read_bytes() == before
+    assert sorted(tmp_path.iterdir()) == [path, out]
+
+
+def test_a_database_of_another_layout(photos: Path, tmp_path: Path) -> None:
+    """Of some later version: other columns, or images of a camera that is not there."""
+    out = tmp_path / "out"
+    for statement, reason in (
+        ("ALTER TABLE cameras RENAME COLUMN params TO parameters", "not a COLMAP database"),
+        ("ALTER TABLE images RENAME TO photographs", "matches of the image 1, which is not there"),
+        ("DELETE FROM cameras", "view0.png has the camera 1, which is not there"),
+    ):
+        path = tmp_path / "other.db"
+        path.unlink(missing_ok=True)
+        _old_database(path, ["view0.png", "view1.png"])
+        with sqlite3.connect(path) as database:
+            database.execute(statement)
+        database.close()
+        before = path.read_bytes()
+        arguments = ["batch", path, "--root", photos, "--out", out, "--K", K_text(), *SIFT]
+        assert_refused(arguments, str(path), reason)
+        assert path.read_bytes() == before
+        assert not out.exists()
+
+
+def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Path) -> None:
+    """Also one whose images are matched already; `--overwrite` replaces it, of any version."""
+    path = tmp_path / "old.db"
+    _old_database(path, ["view0.png", "other.png"])
+    before = path.read_bytes()
+    arguments = ["export-colmap", finished, "--database", path, "--sharing", "cells"]
+    assert_refused(arguments, f"{path} is there already", "--overwrite")
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+    done = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
+    assert done.exit_code == 0, done.output
+    with pycolmap.Database.open(path) as database:
+        names = {image.name for image in database.read_all_images()}
+    assert names == {"view0.png", "view1.png", "view2.png"}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("length", [0, 100, 5000, -1])
+def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
+    path, out = copied / "matches.h5", tmp_path / "out"
+    path.write_bytes(path.read_bytes()[:length])
+    database, hloc = tmp_path / "x.db", tmp_path / "hloc"
+    for target in (["--database", database], ["--hloc", hloc]):
+        assert_refused(["export-colmap", copied, *target], str(path))
+    assert not database.exists() and not hloc.exists()
+    # The batch of a reconstruction that is to be resumed.
+    out.mkdir()
+    copied.rename(out / "batch")
+    photos = read_batch(out / "batch").plan.root
+    options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
+    done = CliRunner().invoke(main, [*map(str, ["reconstruct", photos, *options])])
+    assert done.exit_code == 2, done.output
+    assert "matches.h5" in done.stderr.splitlines()[-1]
+    assert [path.name for path in out.iterdir()] == ["batch"]

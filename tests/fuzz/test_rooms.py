@@ -1,0 +1,115 @@
+"""Disks that are full, and clocks that jump, while whole commands run."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import dense_scene
+import pytest
+from batch_runs import view_folder
+from click.testing import CliRunner
+from fuzz.result_doors import make_batch
+from multi_view import K_text
+
+from dgc_pose.cli.main import main
+from dgc_pose.files import require_room
+
+FULL = """
+import resource, sys
+from dgc_pose.cli.main import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
+if sys.argv[2] == "unforeseen":
+    import dgc_pose.colmap.database
+    dgc_pose.colmap.database.require_room = lambda *_: None
+del sys.argv[1:3]
+main()
+"""
+BATCH = ("batch", "views", "--out", "out", "--pairs", "exhaustive", "--weights", "sift")
+QUICK = ("--workers", "1", "--runs", "1", "--iterations", "100")
+
+
+def full(folder: Path, size: int, when: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command whose files cannot become larger than `size` bytes."""
+    return subprocess.run(
+        [sys.executable, "-c", FULL, str(size), when, *words],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "when", "output", "words"),
+    [
+        (4000, "foreseen", "x.db", ("--database", "x.db")),
+        (4000, "unforeseen", "x.db", ("--database", "x.db")),
+        (60_000, "unforeseen", "x.db", ("--database", "x.db")),
+        (500, "foreseen", "h/features.h5", ("--hloc", "h")),
+    ],
+)
+def test_an_export_onto_a_full_disk_is_one_line(
+    tmp_path: Path, size: int, when: str, output: str, words: tuple[str, ...]
+) -> None:
+    """SQLite's and HDF5's errors once ended the process, and left files."""
+    (tmp_path / "batch").mkdir()
+    make_batch(tmp_path / "batch")
+    found = full(tmp_path, size, when, "export-colmap", "batch", "--sharing", "cells", *words)
+    assert (found.returncode, found.stdout) == (2, "")
+    assert found.stderr.startswith(f"error: {output}: ") and found.stderr.count("\n") == 1
+    assert [
+        path for path in tmp_path.rglob("*") if path.is_file() and "batch" not in str(path)
+    ] == []
+
+
+def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> None:
+    view_folder(tmp_path / "views", 2)
+    words = (*BATCH, "--K", K_text(), *QUICK)
+    found = full(tmp_path, 3000, "foreseen", *words)
+    assert (found.returncode, found.stdout) == (2, "")
+    assert found.stderr.startswith("error: out/parts/") and found.stderr.count("\n") == 1
+    again = full(tmp_path, 10**8, "foreseen", *words, "--resume")
+    assert again.returncode == 0, again.stderr
+    names = {"plan.json", "pairs.jsonl", "matches.h5", "summary.json"}
+    assert set(os.listdir(tmp_path / "out")) == names
+
+
+def test_room_is_looked_for_without_a_trace(tmp_path: Path) -> None:
+    require_room(tmp_path / "model")
+    assert os.listdir(tmp_path) == []
+    with pytest.raises(OSError, match="no/model"):
+        require_room(tmp_path / "no/model")
+    code = "import resource\nfrom pathlib import Path\nfrom dgc_pose.files import require_room\n"
+    code += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nrequire_room(Path('model'))"
+    found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)
+    assert b"File too large: 'model'" in found.stderr
+
+
+def test_a_clock_that_jumps_changes_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Back and forth by days, at each look; the files of the run are of another century."""
+    monkeypatch.chdir(tmp_path)
+    dense_scene.write_pair_list(tmp_path, pairs=2)
+    words = ["bench-pairs", "pairs.txt", "--methods", "dis,sift", "--runs", "1", "--out"]
+    assert CliRunner().invoke(main, [*words, "whole"]).exit_code == 0
+    chance, real = random.Random(0), time.time
+    monkeypatch.setattr(time, "time", lambda: real() + chance.uniform(-(10**6), 10**6))
+    assert CliRunner().invoke(main, [*words, "out", "--limit", "1"]).exit_code == 0
+    rows = Path("out/results.csv").read_bytes()
+    Path("out/results.csv").write_bytes(rows[: rows.rindex(b"sift")])
+    for number, path in enumerate(sorted(Path("out").iterdir())):
+        os.utime(path, (number * 10**9, 4 * 10**9 - number * 10**9))
+    resumed = CliRunner().invoke(main, [*words, "out", "--limit", "1", "--resume"])
+    assert resumed.exit_code == 0, resumed.output
+    whole, found = (
+        [line.split(",")[:-2] for line in Path(name, "results.csv").read_text().splitlines()]
+        for name in ("whole", "out")
+    )  # but for the seconds that a pair took, by a clock that does not jump
+    assert found == whole[:3]
+    ends = [line.split(",")[-2:] for line in Path("out/results.csv").read_text().splitlines()]
+    assert all(0 < float(seconds) < 1000 for line in ends[1:] for seconds in line)
