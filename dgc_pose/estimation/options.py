@@ -66,7 +66,7 @@ class EstimationOptions:
     estimator: EstimatorName = option("poselib", "Library behind the robust estimation.")
     # Runs have different seeds; the model with most inliers is kept.
     runs: int = option(5, "Runs of RANSAC, the best kept.", min=1, max=10_000)
-    iterations: int = option(1000, "Iterations of each run.", min=1, max=2**31 - 1)
+    iterations: int = option(1000, "Most iterations of each run.", min=1, max=2**31 - 1)
     # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC
     # grows with the matches that it scores. The models are compared and refined on all matches.
     max_sampled: int = option(3000, min=100)

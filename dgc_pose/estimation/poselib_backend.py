@@ -10,14 +10,20 @@ from dgc_pose.geometry.epipolar import essential_from_pose
 
 _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [VIRTUAL_FOCAL, 0.0, 0.0]}
 
+_LEAST_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
+
 
 def run_poselib(
     points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
 ) -> list[np.ndarray]:
-    """See `Backend`. PoseLib returns an identity if it fails, which counts as none."""
+    """See `Backend`. PoseLib returns an identity if it fails, which counts as none.
+
+    A run ends as soon as its share of inliers says that a sample without outliers was drawn, with
+    PoseLib's probability of 0.9999.
+    """
     ransac = {
         "max_iterations": iterations,
-        "min_iterations": iterations,
+        "min_iterations": min(iterations, _LEAST_ITERATIONS),
         "max_epipolar_error": threshold * VIRTUAL_FOCAL,
         "seed": seed,
     }
