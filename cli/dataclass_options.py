@@ -140,7 +140,8 @@ def _parameter_type(kind: Any, info: OptionInfo) -> Any:
     if kind is Path:
         return NamedPath(path_type=Path)
     if kind is str and _FILE.search(info.metavar or ""):
-        return click.Path()  # so that a shell completes it; the value stays text
+        # So that a shell completes it; the value stays text.
+        return click.Path() if "|" in (info.metavar or "") else NamedPath()
     if kind in (str, int, float):
         return kind
     raise TypeError(f"no command-line option can be made of {kind}: give a parse function")

@@ -132,7 +132,7 @@ def _devices() -> dict[str, str]:
 
 
 def _providers() -> str:
-    import onnxruntime
+    from dgc_pose.onnx_library import onnxruntime
 
     return ", ".join(onnxruntime.get_available_providers())
 

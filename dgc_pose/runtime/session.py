@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from dgc_pose.errors import WeightsError
+from dgc_pose.onnx_library import onnxruntime
 
 _QUIET = 3  # log errors alone
 _MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other

@@ -36,7 +36,7 @@ def test_the_page_is_there_until_a_signal_and_nothing_is_left(tmp_path, number):
             assert b"dgc-pose" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(url.split("?")[0], timeout=30)
-        assert len(list(tmp_path.glob("dgc-pose-*"))) == 1
+        assert len(list(tmp_path.glob("dgc-pose.*"))) == 1
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 0 and errors == ""

@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -137,7 +138,8 @@ class Result:
 class Bench:
     """One scenario in a folder: the inputs, the undisturbed run, and the disturbed ones."""
 
-    def __init__(self, scenario: Scenario, folder: Path) -> None:
+    def __init__(self, scenario: Scenario, folder: Path, stable: Sequence[str] = ()) -> None:
+        """stable: files that are the same in each run; found by a second run unless given."""
         self.scenario = scenario
         self.folder = folder
         self.inputs = folder / "inputs"
@@ -146,9 +148,11 @@ class Bench:
         start = time.monotonic()
         self.whole = self._finished("whole", scenario.first)
         self.seconds = time.monotonic() - start
-        second = self._finished("second", scenario.first)
         # Times are in some files; of those the name alone is compared.
-        self.stable = {name for name, value in self.whole.items() if second.get(name) == value}
+        self.stable = set(stable)
+        if not stable:
+            second = self._finished("second", scenario.first)
+            self.stable = {name for name, one in self.whole.items() if second.get(name) == one}
 
     def disturb(self, name: str, plan: Sequence[tuple[int, float]], result: Result) -> None:
         """Run the command, with each signal after its share of the undisturbed time; then to its
@@ -180,6 +184,8 @@ class Bench:
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            # A shell's background job, as this one may be, ignores it, and so would the command.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )
 
     def _finished(
@@ -316,7 +322,7 @@ def is_whole(path: Path) -> bool:
             return path.read_text().rstrip().endswith("</html>")
         elif path.suffix == ".jsonl":
             return all(json.loads(line) for line in path.read_text().splitlines())
-    except (ValueError, OSError, EOFError):
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile):
         return False
     return True
 

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+_MOST = 2**22  # bytes of a damaged file
 Mutator = Callable[[bytes, np.random.Generator], bytes]
 
 _NUMBERS = (0, 1, 2, 3, 127, 128, 255, 256, 32767, 32768, 65535, 65536, 2**24, 2**31 - 1, 2**31)
@@ -96,15 +97,20 @@ def lines(data: bytes, rng: np.random.Generator) -> bytes:
     if kind == 0:
         del found[place]
     elif kind == 1:
-        found[place:place] = [found[place]] * int(rng.integers(1, 50))
+        found[place:place] = [found[place]] * _times(found[place], int(rng.integers(1, 50)))
     elif kind == 2:
         rng.shuffle(found)
     elif kind == 3:
-        found[place] = found[place] * int(rng.integers(2, 400))
+        found[place] = found[place] * _times(found[place], int(rng.integers(2, 400)))
     elif kind == 4:
         found[place] += b'"' if rng.random() < 0.5 else b"\0"
     joint = (b"\n", b"\r\n", b"\r", b"\n\n", b" ")[rng.integers(5)]
     return (b"\xef\xbb\xbf" if rng.random() < 0.1 else b"") + joint.join(found)
+
+
+def _times(part: bytes, wanted: int) -> int:
+    """How often a part is repeated, so that the file stays small."""
+    return max(1, min(wanted, _MOST // max(1, len(part))))
 
 
 def nested(data: bytes, rng: np.random.Generator) -> bytes:
@@ -234,7 +240,7 @@ ZIP: Sequence[Mutator] = (*BYTES, member, member, member, member)
 
 def mutated(data: bytes, mutators: Sequence[Mutator], rng: np.random.Generator) -> bytes:
     """Damage by one to three of the mutators."""
-    most = max(2**22, len(data))
+    most = max(_MOST, len(data))
     for _ in range(1 + int(rng.integers(3))):
         data = mutators[rng.integers(len(mutators))](data, rng)
     return data[:most]

@@ -350,6 +350,17 @@ def test_pycolmap_does_not_take_over_sigterm() -> None:
     assert (found.returncode, found.stdout, found.stderr) == (0, "pycolmap goes on\n", "")
 
 
+def test_onnx_runtime_reports_nothing(tmp_path: Path) -> None:
+    """Left to itself its telemetry starts a thread and keeps a file."""
+    code = "import os\nfrom dgc_pose.runtime.session import Session\nimport time\n"
+    code += "time.sleep(1)\nprint(os.environ['ORT_DISABLE_TELEMETRY'])"
+    environment = {k: v for k, v in os.environ.items() if k != "ORT_DISABLE_TELEMETRY"}
+    environment |= {"TMPDIR": str(tmp_path), "OMP_NUM_THREADS": "1"}
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True)
+    assert found.stdout.startswith(b"1\n"), found.stderr
+    assert os.listdir(tmp_path) == []
+
+
 def test_what_killed_runs_left_among_temporary_files_is_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,18 @@
+"""ONNX Runtime. Everything else imports it from here.
+
+Its files for Linux hold its maker's telemetry (seen in 1.32), which starts a thread and leaves a
+file `.ses` among the temporary ones, unless it is told not to. Nothing here may send anything.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when the library is loaded
+
+import onnxruntime  # noqa: E402
+
+if hasattr(onnxruntime, "disable_telemetry_events"):
+    onnxruntime.disable_telemetry_events()
+
+__all__ = ["onnxruntime"]
