@@ -77,9 +77,9 @@ def pose_text(pose: RelativePose) -> str:
             f"{pose.translation_error_90_deg:.3f} deg, nine times in ten"
         )
     if pose.t is not None and pose.probability is not None:
-        lines.append(f"probability {100 * pose.probability:.0f} % that R and t are within 10 deg")
+        lines.append(f"probability {_percent(pose.probability)} that R and t are within 10 deg")
     for one in pose.alternatives:
-        likely = "" if one.probability is None else f", probability {100 * one.probability:.0f} %"
+        likely = "" if one.probability is None else f", probability {_percent(one.probability)}"
         lines.append(
             f"alternative: rotation angle {rotation_angle_deg(one.R):.2f} deg, t "
             f"{vector_line(one.t)}, {one.num_inliers} inliers{likely}"
@@ -113,6 +113,13 @@ def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
         "points2": matches.points2,
         "confidence": matches.confidence,
     }
+
+
+def _percent(probability: float) -> str:
+    """Never 0 or 100, which no evidence gives."""
+    if probability > 0.995:
+        return "over 99 %"
+    return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
 
 
 def _headline(pose: RelativePose) -> str:

@@ -154,10 +154,15 @@ function alternatives(others) {
   at("alternatives").querySelector("ol").replaceChildren(...others.map((other) => {
     const item = document.createElement("li");
     const t = other.t.map((value) => value.toFixed(4)).join(", ");
-    const likely = other.probability == null ? "" : `, probability ${percent(other.probability)}`;
+    const likely = other.probability == null ? "" : `, probability ${likelihood(other.probability)}`;
     item.textContent = `rotation angle ${angle(other.R)}, t (${t}), ${other.num_inliers} inliers${likely}`;
     return item;
   }));
+}
+
+function likelihood(probability) {
+  if (probability > 0.995) return "over 99 %";
+  return probability < 0.005 ? "below 1 %" : percent(probability);
 }
 
 function percent(share) {
@@ -174,7 +179,7 @@ function numbers(pose) {
   const found = [];
   if (pose.R) found.push(["rotation angle", angle(pose.R)]);
   if (pose.probability != null) {
-    found.push(["probability", `${percent(pose.probability)}, that R and t are within 10°`]);
+    found.push(["probability", `${likelihood(pose.probability)}, that R and t are within 10°`]);
   }
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
