@@ -55,7 +55,10 @@ def read_pair_list(path: Path) -> PairList:
 
 
 def _table_row(line: str, where: str) -> Names:
-    cells = [cell.strip() for cell in next(csv.reader([line]))]
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line]))]
+    except csv.Error as error:
+        raise InputError(f"{where}: {error}") from None
     if len(cells) < 2 or not all(cells[:2]):
         raise InputError(f"{where}: expected name1,name2, not {line.strip()!r}")
     return cells[0], cells[1]

@@ -59,6 +59,11 @@ def test_a_wrong_list_names_the_line(tmp_path: Path, text: str, reason: str) -> 
         _read(tmp_path, text)
 
 
+def test_a_table_with_a_field_without_end_names_the_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=":2: field larger than"):
+        _read(tmp_path, f"a,b\n{'a' * 200_000},b\n", "pairs.csv")
+
+
 def test_a_list_that_is_no_text(tmp_path: Path) -> None:
     path = tmp_path / "pairs.txt"
     path.write_bytes(b"\xff\xfe\x00\x80" * 10)
