@@ -45,9 +45,9 @@ def _damage(root: Path, what: str) -> None:
         (root / "K.txt").write_text("1 2 3")
     elif what == "skew":
         np.savetxt(root / "K.txt", [[50, 9, 30], [0, 50, 24], [0, 0, 1]])
-    elif what == "pose":
+    elif what in ("pose", "huge pose"):
         scaled = np.loadtxt(root / "poses.txt")
-        scaled[1, :11] *= 2
+        scaled[1, :11] *= 2 if what == "pose" else 1e300
         np.savetxt(root / "poses.txt", scaled)
     elif what == "not a number":
         (root / "poses.txt").write_text("nan " * 32)
@@ -63,6 +63,7 @@ def _damage(root: Path, what: str) -> None:
         ("K", "K.txt: expected 3x3 numbers"),
         ("skew", "K.txt: K must be"),
         ("pose", "poses.txt:2: a pose must be"),
+        ("huge pose", "poses.txt:2: a pose must be"),  # and no warning of an overflow
         ("not a number", "poses.txt: the numbers must be finite"),
     ],
 )
