@@ -124,7 +124,8 @@ def _fits(value: object, kind: str, name: str) -> bool:
     if isinstance(value, tuple):
         count = _COUNTS.get(name)
         inner = "str" if name == "warnings" else "float"
-        return count in (None, len(value)) and all(_fits(one, inner, "") for one in value)
+        is_row = kind.startswith("tuple") and count in (None, len(value))
+        return is_row and all(_fits(one, inner, "") for one in value)
     if kind.startswith("float"):
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
         return is_number and math.isfinite(value)  # type: ignore[arg-type]
