@@ -74,7 +74,7 @@ def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distort
     distortion = None
     if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
         distortion = Distortion(model, tuple(camera.params[camera.extra_params_idxs()].tolist()))
-    return _matrix(camera), distortion
+    return pixel_matrix(camera), distortion
 
 
 def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
@@ -93,10 +93,10 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
     except (ValueError, RuntimeError, OSError) as error:
         raise ImageError(f"{path} does not exist or is not an image that can be read") from error
     size = (int(camera.width), int(camera.height))
-    return _matrix(camera), size, bool(camera.has_prior_focal_length)
+    return pixel_matrix(camera), size, bool(camera.has_prior_focal_length)
 
 
-def _matrix(camera: pycolmap.Camera) -> np.ndarray:
+def pixel_matrix(camera: pycolmap.Camera) -> np.ndarray:
     """K (3, 3), pixels, (0, 0) the centre of the top-left pixel."""
     K = np.array(camera.calibration_matrix())
     with np.errstate(invalid="ignore"):  # NaN of a damaged file, which is refused later

@@ -18,6 +18,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
 )
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.camera import Camera
+from dgc_pose.colmap_camera import pixel_matrix
 from dgc_pose.colmap_library import pycolmap
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
@@ -165,9 +166,7 @@ def _overlap(frame: PosedFrame, depth: np.ndarray, points: np.ndarray) -> float:
 def _pinhole(camera: pycolmap.Camera, folder: Path) -> Camera:
     if len(camera.extra_params_idxs()):
         raise InputError(f"{folder}: {camera.model_name} has distortion; undistort the model")
-    K = camera.calibration_matrix()
-    K[:2, 2] -= 0.5  # COLMAP's (0, 0) is the corner of the top-left pixel
-    return Camera(K, (camera.width, camera.height))
+    return Camera(pixel_matrix(camera), (camera.width, camera.height))
 
 
 def _depth(model: pycolmap.Reconstruction, points: set[int], cam_from_world: np.ndarray) -> float:

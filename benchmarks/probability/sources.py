@@ -111,7 +111,7 @@ def _rendered(folders: list[Path], source: Source) -> Iterator[Callable[[], Pose
 
 def _unrelated(folders: list[Path], source: Source) -> Iterator[Callable[[], PosedPair]]:
     """Photographs of different places: of different folders, or of different prefixes in one."""
-    paths = [p for f in folders for p in sorted(f.rglob("*")) if p.suffix.lower() in _SUFFIXES]
+    paths = _photographs_in(folders)
     places = {path: f"{path.parent} {path.stem.split('_')[0]}" for path in paths}
     one_each = {path for path in paths if "photos" in path.parts and "more" not in path.parts}
     rng = np.random.default_rng(source.seed)
@@ -126,7 +126,7 @@ def _unrelated(folders: list[Path], source: Source) -> Iterator[Callable[[], Pos
 
 def _textureless(folders: list[Path], source: Source) -> Iterator[Callable[[], PosedPair]]:
     """Each kind of blank image with itself, with another and with a photograph, in turn."""
-    paths = [p for f in folders for p in sorted(f.rglob("*")) if p.suffix.lower() in _SUFFIXES]
+    paths = _photographs_in(folders)
 
     def make(number: int) -> PosedPair:
         rng = np.random.default_rng([source.seed, number])
@@ -145,6 +145,10 @@ def _textureless(folders: list[Path], source: Source) -> Iterator[Callable[[], P
         return PosedPair(Truth({}, camera, camera, None, None), Image(first), Image(second))
 
     return ((lambda k=k: make(k)) for k in range(source.pairs))  # type: ignore[misc]
+
+
+def _photographs_in(folders: list[Path]) -> list[Path]:
+    return [p for f in folders for p in sorted(f.rglob("*")) if p.suffix.lower() in _SUFFIXES]
 
 
 def _photographs(first: Path, second: Path) -> PosedPair:

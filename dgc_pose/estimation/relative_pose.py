@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -86,11 +86,7 @@ def estimate_pose(
         evidence=found.evidence,
         probability=0.0 if verdict.status == "rotation_only" else found.probability,
         alternatives=_alternatives(alternatives, found.probability),
-        warnings=(
-            *problem.warnings,
-            *verdict.warnings,
-            *_warnings(len(alternatives)),
-        ),
+        warnings=problem.warnings + verdict.warnings + _warnings(len(alternatives)),
     )
 
 
@@ -151,12 +147,11 @@ def _alternatives(found: Sequence[_Found], probability: float | None) -> tuple[A
     )
 
 
-def _warnings(alternatives: int) -> Iterator[str]:
-    if alternatives:
-        others = (
-            "1 other pose explains" if alternatives == 1 else f"{alternatives} other poses explain"
-        )
-        yield f"{others} the matches about as well: see the alternatives"
+def _warnings(alternatives: int) -> tuple[str, ...]:
+    if not alternatives:
+        return ()
+    others = "1 other pose explains" if alternatives == 1 else f"{alternatives} other poses explain"
+    return (f"{others} the matches about as well: see the alternatives",)
 
 
 def _refined(
