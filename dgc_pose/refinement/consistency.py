@@ -29,6 +29,12 @@ class LocalMatches:
     affinity: np.ndarray  # (N, 2, 2) float64
     index: np.ndarray  # (N,) int, of the matches that they come from
 
+    def subset(self, kept: np.ndarray) -> LocalMatches:
+        """Some of the matches. kept: (N,) bool, or indices."""
+        return LocalMatches(
+            self.points1[kept], self.points2[kept], self.affinity[kept], self.index[kept]
+        )
+
 
 def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     """The matches that fit the affinity of their `neighbours` nearest in image 2."""

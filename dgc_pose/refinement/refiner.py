@@ -18,7 +18,6 @@ from dgc_pose.refinement.source import MapMatches, MatchSource
 
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
-_SHIFT = 5.0  # largest shift by alignment, in units of the error that the match came with
 
 
 class Refiner(Matcher):
@@ -96,7 +95,8 @@ class Refiner(Matcher):
                 image2.pixels,
                 local,
                 radius=options.patch_radius,
-                max_shift=_SHIFT * found.error_px,
+                error_px=found.error_px,
+                min_zncc=options.min_zncc,
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)

@@ -25,9 +25,7 @@ def _match(
 
 
 def _off(found: Matches) -> np.ndarray:
-    return np.linalg.norm(
-        found.points1 - dense_scene.points_in_image1(found.points2), axis=1
-    )
+    return np.linalg.norm(found.points1 - dense_scene.points_in_image1(found.points2), axis=1)
 
 
 def test_an_error_of_some_pixels_is_corrected() -> None:
