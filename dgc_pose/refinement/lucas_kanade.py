@@ -77,6 +77,7 @@ def _align(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The arrays of `Patches`."""
     template = _Template.of(grey2, points2, radius, affine)
+    most = min(_STEP, 0.4 * radius)  # below half the radius, a change of the affinity is invertible
     points1, start, affinity = points1.copy(), affinity, affinity.copy()
     zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
     for _ in range(_AFFINE_ITERATIONS if affine else _ITERATIONS):
@@ -96,7 +97,7 @@ def _align(
         length[moving] = np.linalg.norm(step[:, :2], axis=1)
         if affine:
             length[moving] = np.maximum(length[moving], np.abs(step[:, 2:]).max(1))
-        step *= np.minimum(1, _STEP / np.maximum(length[moving], 1e-9))[:, None]
+        step *= np.minimum(1, most / np.maximum(length[moving], 1e-9))[:, None]
         # The template moved by `step` equals the patch, so the patch moves back by it.
         if affine:
             change = step[:, 2:].reshape(-1, 2, 2).transpose(0, 2, 1) / radius
