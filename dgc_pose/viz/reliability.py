@@ -44,4 +44,4 @@ def draw_reliability(axes: Axes, reliabilities: Mapping[str, Reliability], *, ri
     axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
     axes.grid(alpha=0.3)
     if reliabilities:
-        axes.legend(loc="upper left", fontsize=9)
+        axes.legend(loc="lower right", fontsize=9)
