@@ -37,6 +37,7 @@ _WEAK = 0.25  # mean matchability
 _WIDER = 1.6  # ratio of the fields of view, along a side
 _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
 _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
+_SMALL = 480  # pixels of the longer side, below which both images are enlarged
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
 _WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
@@ -156,14 +157,18 @@ def _features(engine: Engine, image: Image, view: View, cells: tuple[int, int]) 
 def equal_scales(
     size1: tuple[int, int], size2: tuple[int, int], scale: float, long_side: int
 ) -> tuple[float, float]:
-    """Factors, at most 1, that bring both images to one scale; sizes (width, height).
+    """Factors that bring both images to one scale; sizes (width, height).
 
     scale: pixels of image 1 per pixel of image 2. At scale 1 each long side is at most `long_side`
-    afterwards; otherwise the image of the larger scale becomes smaller than that.
+    afterwards; otherwise the image of the larger scale becomes smaller than that. Small images are
+    enlarged, at most twice: the cells of stride 4 would be too few and too large.
     """
     factor1, factor2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
     ratio = scale * factor1 / factor2
-    return factor1 / max(ratio, 1.0), factor2 * min(ratio, 1.0)
+    factor1, factor2 = factor1 / max(ratio, 1.0), factor2 * min(ratio, 1.0)
+    side = max(factor1 * max(size1), factor2 * max(size2))
+    larger = min(2.0, long_side / side) if side < _SMALL else 1.0
+    return larger * factor1, larger * factor2
 
 
 def mutual_neighbours(
