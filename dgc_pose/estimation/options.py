@@ -18,8 +18,8 @@ class VerdictOptions:
     """
 
     # None, or matches that no probability is fitted for (key points): the gates below decide.
-    # Otherwise they only name the reason of a failure; those of matches, of a rotation, of a
-    # line and of the cameras decide in either case.
+    # Otherwise they only name the reason of a failure; those of matches, of false alarms, of a
+    # rotation, of a line and of the cameras decide in either case.
     min_probability: float | None = option(
         0.5,
         "Least probability, that R and t are both within 10 degrees, of a success.",

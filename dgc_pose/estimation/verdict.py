@@ -33,8 +33,9 @@ def judge(
     """The verdict on a model.
 
     Without a probability, or without `options.min_probability`, the first gate that the evidence
-    fails decides. Otherwise the probability does, unless the translation is not determined at all
-    or most inliers lie behind a camera.
+    fails decides. Otherwise the probability does, unless random matches have as many inliers, the
+    translation is not determined at all, or most inliers lie behind a camera: the data that it is
+    fitted on do not show these.
     against: what speaks against the pose, in words.
     """
     undetermined = _undetermined(evidence, options)
@@ -43,7 +44,7 @@ def judge(
         by_chance = _chance(evidence, options)
         failed = by_chance or undetermined or _implausible(evidence, options)
         return failed or _pose(evidence, options)
-    impossible = undetermined or _behind(evidence, options)
+    impossible = _random(evidence, options) or undetermined or _behind(evidence, options)
     if impossible is not None:
         return _chance(evidence, options) or impossible
     if probability >= options.min_probability:
@@ -57,13 +58,8 @@ def judge(
 def _chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     count, ratio, chance = evidence.num_inliers, evidence.inlier_ratio, evidence.chance_ratio
     least = max(options.min_inlier_ratio, options.chance_factor * chance)
-    by_chance = evidence.log10_false_alarms > options.max_log10_false_alarms
-    if by_chance or count < options.min_inliers or ratio < least:
-        reason = (
-            f"only {count} matches ({100 * ratio:.1f} %) agree on an essential matrix, which could "
-            f"be chance: so do {100 * chance:.1f} % of wrong matches with the same model"
-        )
-        return Verdict("chance_inliers", reason)
+    if _random(evidence, options) or count < options.min_inliers or ratio < least:
+        return _too_few(evidence)
     cells = evidence.occupied_cells
     if not evidence.key_points and cells < options.min_occupied_cells:
         reason = (
@@ -72,6 +68,21 @@ def _chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
         )
         return Verdict("chance_inliers", reason)
     return None
+
+
+def _random(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+    """Whether random matches would have as many inliers of some model."""
+    likely = evidence.log10_false_alarms > options.max_log10_false_alarms
+    return _too_few(evidence) if likely else None
+
+
+def _too_few(evidence: Evidence) -> Verdict:
+    count, ratio, chance = evidence.num_inliers, evidence.inlier_ratio, evidence.chance_ratio
+    reason = (
+        f"only {count} matches ({100 * ratio:.1f} %) agree on an essential matrix, which could "
+        f"be chance: so do {100 * chance:.1f} % of wrong matches with the same model"
+    )
+    return Verdict("chance_inliers", reason)
 
 
 def _undetermined(evidence: Evidence, options: VerdictOptions) -> Verdict | None:

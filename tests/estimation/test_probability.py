@@ -177,7 +177,8 @@ def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
     )
 
 
-def test_no_probability_makes_a_pose_of_a_rotation_a_line_or_points_behind() -> None:
+def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behind() -> None:
+    assert judge(_worse(log10_false_alarms=0.0), OPTIONS, 0.99).status == "chance_inliers"
     rotated = _worse(rotation_share=1.0, parallax=1.0)
     assert judge(rotated, OPTIONS, 0.99).status == "rotation_only"
     assert judge(_worse(collinear=True), OPTIONS, 0.99).status == "no_model"
