@@ -78,8 +78,8 @@ def align(
     )
     return replace(
         found,
-        points1=small.to_original1(found.points1),
-        points2=(found.points2 + 0.5) / small.scale2 - 0.5,
+        points1=_to_original(found.points1, small.scale1),
+        points2=_to_original(found.points2, small.scale2),
         pixel=float((1 / small.scale1 + 1 / small.scale2).mean()) / 2,
     )
 
@@ -103,14 +103,14 @@ def _align(
     own = LocalMatches(start, corners, affinity, matches.index[chosen])
     grey1, grey2 = grey1.astype(np.float32), grey2.astype(np.float32)
 
-    found = align_patches(grey1, grey2, own.points1, corners, own.affinity, radius)
+    found = align_patches(grey1, grey2, own, radius)
     settled = _settled(found, own.points1, grey1, _SHIFT * error)
     points1, zncc = found.points1, found.zncc
     rest = np.flatnonzero(~(settled & (zncc >= min_zncc)))
     if len(own.index) - len(rest) < _ENOUGH:
         coarse, similar = _from_coarse(grey1, grey2, own.subset(rest), radius, error, min_zncc)
-        points1[rest[similar]], zncc[rest[similar]] = coarse.points1, coarse.zncc
-        settled[rest[similar]] = True
+        again = rest[similar]
+        points1[again], zncc[again], settled[again] = coarse.points1, coarse.zncc, True
     return Aligned(points1, corners, zncc, settled, own.index)
 
 
@@ -127,9 +127,10 @@ def _from_coarse(
     shrink = min(1.0, 1 / float(error.mean()))
     coarse = _Shrunk.of(grey1, grey2, matches, (shrink, shrink)).align_affine(radius)
     similar = _settled(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= min_zncc)
-    coarse, points2 = coarse.subset(similar), matches.points2[similar]
-    fine = align_patches(grey1, grey2, coarse.points1, points2, coarse.affinity, radius)
-    better = _settled(fine, coarse.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
+    coarse, own = coarse.subset(similar), matches.subset(similar)
+    begin = LocalMatches(coarse.points1, own.points2, coarse.affinity, own.index)
+    fine = align_patches(grey1, grey2, begin, radius)
+    better = _settled(fine, begin.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
     points1 = np.where(better[:, None], fine.points1, coarse.points1)
     zncc = np.where(better, fine.zncc, coarse.zncc)
     return replace(coarse, points1=points1, zncc=zncc), np.flatnonzero(similar)
@@ -154,7 +155,7 @@ class _Shrunk:
         shrinks: tuple[float, float],
     ) -> _Shrunk:
         small1, small2 = (
-            pixels if shrink == 1 else resize_by(pixels, shrink)
+            resize_by(pixels, shrink)
             for pixels, shrink in zip((pixels1, pixels2), shrinks, strict=True)
         )
         sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
@@ -167,29 +168,20 @@ class _Shrunk:
         )
         return cls(small1, small2, moved, scale1, scale2)
 
-    def to_original1(self, points1: np.ndarray) -> np.ndarray:
-        """Points of the shrunk image 1 in pixels of the original: the inverse of `rescale`, to the
-        bit."""
-        original: np.ndarray = (points1 + 0.5) / self.scale1 - 0.5
-        return original
-
     def align_affine(self, radius: int) -> Patches:
         """Patches and affinities aligned on the shrunk images, in pixels of the originals."""
-        own = self.matches
-        found = align_patches(
-            self.pixels1,
-            self.pixels2,
-            own.points1,
-            own.points2,
-            own.affinity,
-            radius,
-            affine=True,
-        )
+        found = align_patches(self.pixels1, self.pixels2, self.matches, radius, affine=True)
         return replace(
             found,
-            points1=self.to_original1(found.points1),
+            points1=_to_original(found.points1, self.scale1),
             affinity=found.affinity * self.scale2 / self.scale1[:, None],
         )
+
+
+def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Points of a shrunk image in pixels of the original: the inverse of `rescale`, to the bit."""
+    original: np.ndarray = (points + 0.5) / scale - 0.5
+    return original
 
 
 def _settled(
@@ -211,7 +203,7 @@ def locate(
     grey: (H, W) float32. matches: points1 are where the search begins. radius: of a patch, pixels
     of image 2. max_shift: pixels of image 1.
     """
-    found = align_patches(grey1, grey2, matches.points1, matches.points2, matches.affinity, radius)
+    found = align_patches(grey1, grey2, matches, radius)
     settled = _settled(found, matches.points1, grey1, max_shift)
     return Aligned(found.points1, matches.points2, found.zncc, settled, matches.index)
 

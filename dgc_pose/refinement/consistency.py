@@ -29,8 +29,8 @@ class LocalMatches:
     affinity: np.ndarray  # (N, 2, 2) float64
     index: np.ndarray  # (N,) int, of the matches that they come from
 
-    def subset(self, kept: np.ndarray) -> LocalMatches:
-        """Some of the matches. kept: (N,) bool, or indices."""
+    def subset(self, kept: np.ndarray | slice) -> LocalMatches:
+        """Some of the matches. kept: (N,) bool, indices, or a slice."""
         return LocalMatches(
             self.points1[kept], self.points2[kept], self.affinity[kept], self.index[kept]
         )

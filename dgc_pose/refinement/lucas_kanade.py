@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.sampling import bilinear_at
 from dgc_pose.threads import in_threads
 
@@ -44,41 +45,31 @@ class Patches:
 def align_patches(
     grey1: np.ndarray,
     grey2: np.ndarray,
-    points1: np.ndarray,
-    points2: np.ndarray,
-    affinity: np.ndarray,
+    matches: LocalMatches,
     radius: int,
     *,
     affine: bool = False,
 ) -> Patches:
-    """Points (N, 2) and affinities (N, 2, 2) in image 1 of patches around points2 (N, 2).
+    """The patches in image 1 of those around the matches' points in image 2.
 
-    grey: (H, W) float32. radius: of a patch, pixels of image 2. affine: adjust the affinity too;
-    one that changes much has a correlation of -1.
+    grey: (H, W) float32. matches: points1 and affinity are where the search begins. radius: of a
+    patch, pixels of image 2. affine: adjust the affinity too; one that changes much has a
+    correlation of -1.
     """
-
-    def align(part: slice) -> tuple[np.ndarray, ...]:
-        start = points1[part], points2[part], affinity[part]
-        return _align(grey1, grey2, *start, radius, affine)
-
-    parts = [slice(i, i + _CHUNK) for i in range(0, max(1, len(points1)), _CHUNK)]
-    found = in_threads(align, parts)
+    parts = [slice(i, i + _CHUNK) for i in range(0, max(1, len(matches.index)), _CHUNK)]
+    found = in_threads(
+        lambda part: _align(grey1, grey2, matches.subset(part), radius, affine), parts
+    )
     return Patches(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
 def _align(
-    grey1: np.ndarray,
-    grey2: np.ndarray,
-    points1: np.ndarray,
-    points2: np.ndarray,
-    affinity: np.ndarray,
-    radius: int,
-    affine: bool,
+    grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, radius: int, affine: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The arrays of `Patches`."""
-    template = _Template.of(grey2, points2, radius, affine)
+    template = _Template.of(grey2, matches.points2, radius, affine)
     most = min(_STEP, 0.4 * radius)  # below half the radius, a change of the affinity is invertible
-    points1, start, affinity = points1.copy(), affinity, affinity.copy()
+    points1, affinity = matches.points1.copy(), matches.affinity.copy()
     zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
     for _ in range(_AFFINE_ITERATIONS if affine else _ITERATIONS):
         moving = np.flatnonzero(length >= _STILL)
@@ -104,7 +95,7 @@ def _align(
             affinity[moving] = affinity[moving] @ np.linalg.inv(np.eye(2) + change)
         points1[moving] -= (affinity[moving] @ step[:, :2, None])[..., 0]
     if affine:
-        zncc[~_alike(start, affinity)] = -1
+        zncc[~_alike(matches.affinity, affinity)] = -1
     return points1, affinity, zncc, length
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.refinement.lucas_kanade import Patches, align_patches
 
 _SIDE = 300
@@ -34,8 +35,9 @@ def _run(
     truth = points2 @ _AFFINITY.T + _OFFSET
     start = truth + shift * np.stack([np.cos(angle), np.sin(angle)], -1)
     affinity = np.broadcast_to(_AFFINITY @ change, (300, 2, 2))
+    local = LocalMatches(start, points2, affinity, np.arange(300))
     first, second = _pictures(**light)
-    found = align_patches(first, second, start, points2, affinity, radius, affine=affine)
+    found = align_patches(first, second, local, radius, affine=affine)
     exact = Patches(truth, np.broadcast_to(_AFFINITY, (300, 2, 2)), np.ones(300), np.zeros(300))
     return found, exact
 
@@ -75,9 +77,9 @@ def test_an_affinity_that_changes_much_is_no_alignment() -> None:
     first, second = _pictures()
     rng = np.random.default_rng(5)
     points1, points2 = rng.uniform(40, _SIDE - 40, (2, 400, 2))
-    found = align_patches(
-        first, second, points1, points2, np.broadcast_to(np.eye(2), (400, 2, 2)), 7, affine=True
-    )
+    upright = np.broadcast_to(np.eye(2), (400, 2, 2))
+    local = LocalMatches(points1, points2, upright, np.arange(400))
+    found = align_patches(first, second, local, 7, affine=True)
     stretch = np.linalg.svd(found.affinity, compute_uv=False)
     beyond = (stretch >= 2).any(1) | (stretch <= 0.5).any(1) | (np.linalg.det(found.affinity) <= 0)
     assert beyond.any() and (found.zncc[beyond] == -1).all()
@@ -96,6 +98,7 @@ def test_the_smallest_patches_diverge_without_an_error() -> None:
 def test_no_patches() -> None:
     first, second = _pictures()
     none = np.zeros((0, 2))
-    found = align_patches(first, second, none, none, np.zeros((0, 2, 2)), 7, affine=True)
+    local = LocalMatches(none, none, np.zeros((0, 2, 2)), np.arange(0))
+    found = align_patches(first, second, local, 7, affine=True)
     assert found.points1.shape == (0, 2) and found.zncc.shape == (0,)
     assert found.subset(np.zeros(0, bool)).affinity.shape == (0, 2, 2)
