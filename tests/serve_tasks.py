@@ -21,6 +21,7 @@ class Tasks:
         return os.getpid()
 
     def hang(self, report: Report) -> None:
+        report("hanging")
         while True:
             time.sleep(60)
 

@@ -22,6 +22,7 @@ from dgc_pose.errors import DgcPoseError, missing_package, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
+_CLOSED = "the server is ending"
 
 
 class WorkError(DgcPoseError):
@@ -48,6 +49,12 @@ class Busy(WorkError):
     status = 503
 
 
+class Closed(WorkError):
+    """The worker was closed: the server ends."""
+
+    status = 503
+
+
 class Worker:
     """A process with one object, whose methods are called from here.
 
@@ -63,9 +70,13 @@ class Worker:
         self._lock, self._count = threading.Lock(), threading.Semaphore(waiting)
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
+        self._closed = False
 
     def start(self) -> None:
-        """Start the process, if it does not run, without waiting for its object."""
+        """Start the process, if it does not run, without waiting for its object.
+
+        Raises Closed.
+        """
         with self._lock:
             self._started()
 
@@ -76,7 +87,7 @@ class Worker:
 
         report: is called in this thread. Raises WorkError: Refused with the message of a
         DgcPoseError or OSError of the method, TimedOut after so many seconds of its work, Crashed,
-        or Busy.
+        Busy, or Closed.
         """
         with self._queued():
             pipe = self._started()
@@ -85,13 +96,16 @@ class Worker:
                 return self._answer(pipe, seconds, report)
             except (EOFError, OSError):
                 self._end()
+                if self._closed:
+                    raise Closed(_CLOSED) from None
                 raise Crashed("the file or the pair brought its worker down") from None
             except TimedOut:
                 self._end()
                 raise
 
     def close(self) -> None:
-        """End the process, also in the middle of a call, which then raises Crashed."""
+        """End the process for good; calls under way, waiting and later ones raise Closed."""
+        self._closed = True  # before the process is read: see _started
         process = self._process
         if process is not None:
             process.kill()
@@ -113,10 +127,13 @@ class Worker:
             self._end()
             ours, theirs = _CONTEXT.Pipe()
             arguments = (theirs, self._make, self._memory)
-            self._process = _CONTEXT.Process(target=_work, args=arguments, daemon=True)
-            self._process.start()
+            process = _CONTEXT.Process(target=_work, args=arguments, daemon=True)
+            process.start()
             theirs.close()
-            self._pipe = ours
+            self._process, self._pipe = process, ours
+        if self._closed:  # read after the process is set, so that close() or this ends it
+            self._end()
+            raise Closed(_CLOSED)
         return self._pipe
 
     def _answer(self, pipe: Connection, seconds: float, report: Report) -> Any:

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+import multiprocessing
 import os
 import threading
+import time
 
 import pytest
 import serve_tasks
 
-from dgc_pose.serve.worker import Busy, Crashed, Refused, TimedOut, Worker
+import dgc_pose.serve.worker as worker_module
+from dgc_pose.serve.worker import Busy, Closed, Crashed, Refused, TimedOut, Worker
 
 
 @pytest.fixture(scope="module")
@@ -62,23 +65,70 @@ def test_an_object_that_cannot_be_made_is_a_refusal(make, message, capfd):
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():
-    worker = Worker(serve_tasks.Tasks, waiting=1)
-    assert worker.call("add", 1, 1, seconds=20) == 2
-    errors = []
+def _in_thread(worker, method, errors, *, report=lambda _: None):
+    """Call the method in a thread; what it raises goes to `errors`."""
 
-    def hang():
+    def call():
         try:
-            worker.call("hang", seconds=60)
-        except Crashed as error:
+            worker.call(method, seconds=60, report=report)
+        except Exception as error:
             errors.append(error)
 
-    thread = threading.Thread(target=hang)
+    thread = threading.Thread(target=call)
     thread.start()
-    while worker._count._value:  # until the call has begun
-        pass
+    return thread
+
+
+def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():
+    worker, errors, begun = Worker(serve_tasks.Tasks, waiting=2), [], threading.Event()
+    threads = [_in_thread(worker, "hang", errors, report=lambda _: begun.set())]
+    assert begun.wait(60)
+    threads.append(_in_thread(worker, "hang", errors))
+    for _ in range(6000):  # until the second call waits for the first
+        if not worker._count._value:
+            break
+        time.sleep(0.01)
     with pytest.raises(Busy):
         worker.call("add", 1, 1, seconds=20)
     worker.close()
-    thread.join(20)
-    assert len(errors) == 1
+    for thread in threads:
+        thread.join(20)
+    assert [type(error) for error in errors] == [Closed, Closed]
+    assert worker._process is None
+
+
+def test_a_closed_worker_starts_no_process():
+    worker = Worker(serve_tasks.Tasks)
+    worker.close()
+    for use in (worker.start, lambda: worker.call("add", 1, 1, seconds=20)):
+        with pytest.raises(Closed, match="the server is ending") as caught:
+            use()
+        assert caught.value.status == 503 and worker._process is None
+
+
+def test_closing_while_the_process_starts_ends_it(monkeypatch):
+    worker, errors, starts = Worker(serve_tasks.Tasks), [], threading.Event()
+    go_on, started = threading.Event(), []
+
+    class SlowContext:
+        Pipe = staticmethod(worker_module._CONTEXT.Pipe)
+
+        @staticmethod
+        def Process(**given):
+            starts.set()
+            assert go_on.wait(60)
+            started.append(multiprocessing.get_context("spawn").Process(**given))
+            return started[0]
+
+    monkeypatch.setattr(worker_module, "_CONTEXT", SlowContext)
+    thread = _in_thread(worker, "hang", errors)
+    assert starts.wait(60)
+    closing = threading.Thread(target=worker.close)
+    closing.start()
+    while not worker._closed:
+        time.sleep(0.01)
+    go_on.set()
+    for each in (thread, closing):
+        each.join(20)
+    assert [type(error) for error in errors] == [Closed]
+    assert worker._process is None and not started[0].is_alive()
