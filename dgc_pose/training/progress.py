@@ -21,14 +21,17 @@ class ProgressLine:
         if row["minutes"] < self._next and not validation:
             return
         self._next = row["minutes"] + 0.5
-        details = {k: v for k, v in row.items() if k.startswith(("found", "epe"))}
         text = (
             f"{row['minutes']:6.1f}{self._minutes} min  {row['stage']:8s} "
             f"step {row['step']:6d}{self._steps}  "
-            f"{row['pairs_per_second']:6.1f} pairs/s "
-            f"(made {row['made_per_second']:.1f}, trained {row['trained_per_second']:.1f})  "
-            f"loss {row['loss']:.3f}  " + _join(details)
         )
+        if row["step"] > 0:
+            details = {k: v for k, v in row.items() if k.startswith(("found", "epe"))}
+            text += (
+                f"{row['pairs_per_second']:6.1f} pairs/s "
+                f"(made {row['made_per_second']:.1f}, trained {row['trained_per_second']:.1f})  "
+                f"loss {row['loss']:.3f}  " + _join(details)
+            )
         if validation:
             text += "\n    validation  " + _join(validation)
         print(text, file=sys.stderr, flush=True)

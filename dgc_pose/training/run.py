@@ -48,9 +48,10 @@ class Trainer:
 
     `out` then holds checkpoint.pt (everything a resumed run needs), for each stage the logs
     `<stage>_steps_log.csv` and `<stage>_validation_log.csv` and, at the end,
-    `<network>.safetensors`. Raises InputError if `out` already holds a run and `resume` is False,
-    or the processes cannot share a batch evenly; WeightsError if a checkpoint belongs to another
-    network, or weights to initialise from or to learn from are unusable.
+    `<network>.safetensors`; with weights to initialise from, `initial_validation_log.csv` has the
+    figures before the first step. Raises InputError if `out` already holds a run and `resume` is
+    False, or the processes cannot share a batch evenly; WeightsError if a checkpoint belongs to
+    another network, or weights to initialise from or to learn from are unusable.
 
     If torchrun started several processes, each trains on its part of every batch; only the first
     writes and reports.
@@ -140,6 +141,8 @@ class Trainer:
         """
         end = math.inf if minutes is None else self.elapsed + 60 * minutes
         last_saved = last_validated = self.elapsed
+        if self.step == 0 and self.options.init is not None:
+            self._report_initial(report)
         origin = time.perf_counter() - self.elapsed
         while not self.complete and self.elapsed < end:
             self.train_step(self.progress)
@@ -286,6 +289,13 @@ class Trainer:
             further = (noise_share, target)
         result: tuple[Tensor, dict[str, Tensor]] = self._stage.shared(pairs, draw, *further)
         return result
+
+    def _report_initial(self, report: Report) -> None:
+        """The figures of the weights given: the first steps may spoil what later ones regain."""
+        row = {"step": 0, "stage": self._stage.name, "minutes": 0.0, **self.validate()}
+        if rank() == 0:
+            report(row)
+            append(self.out / "initial_validation_log.csv", row)
 
     def _row(self) -> Row:
         """Raises DgcPoseError if a step has diverged, before anything of it is saved."""

@@ -24,6 +24,7 @@ from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos, load_photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.options import RunOptions, Unfrozen
+from dgc_pose.training.progress import ProgressLine
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
@@ -274,6 +275,24 @@ def test_a_run_stops_after_its_minutes_and_resumes(
     assert second.elapsed == first.elapsed
     second.run()
     assert second.complete and second.weights_path.exists()
+
+
+def test_weights_given_are_validated_before_the_first_step(
+    photos: Photos, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = str(tmp_path / "given.safetensors")
+    save_weights(DGCNet(preset("dgcm-lite")), given)
+    options = _options(minutes=None, steps=2, init=given, schedule=Schedule(0.0, 1.0, 0.0))
+    rows: list[dict[str, object]] = []
+    Trainer((photos, photos), tmp_path / "run", options).run(rows.append)
+    expected = validate(load_network(given), validation_pairs(photos, 1, 1, _WARPS_ONLY))
+    assert rows[0]["step"] == 0 and rows[0]["val_aepe"] == pytest.approx(expected["aepe"], rel=1e-3)
+    with (tmp_path / "run" / "initial_validation_log.csv").open() as file:
+        (first,) = csv.DictReader(file)
+    assert float(first["val_aepe"]) == rows[0]["val_aepe"]
+    ProgressLine(options)(rows[0])
+    told = capsys.readouterr().err
+    assert "step      0/2" in told and "validation  aepe" in told and "pairs/s" not in told
 
 
 def test_a_run_writes_weights_that_load_and_a_log(
