@@ -17,10 +17,10 @@ import numpy as np
 
 from dgc_pose.camera import Camera, as_camera
 from dgc_pose.errors import InputError
+from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.inputs import read_text
 
 FIELDS = 38
-ROTATION_TOLERANCE = 1e-3  # largest entry of R^T R - 1 that rounding in a list may leave
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,7 @@ def _numbers(fields: list[str], where: str) -> np.ndarray:
 
 def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
     R, t = T[:3, :3], T[:3, 3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        orthonormal = np.abs(R.T @ R - np.eye(3)).max() < ROTATION_TOLERANCE
-    if not orthonormal or np.linalg.det(R) < 0:
+    if not is_rotation(R):
         raise InputError(f"{where}: the upper left 3x3 of T is not a rotation")
     if not np.array_equal(T[3], [0, 0, 0, 1]):
         raise InputError(f"{where}: the last row of T must be 0 0 0 1")

@@ -9,6 +9,18 @@ import math
 
 import numpy as np
 
+_ROUNDING = 1e-3  # largest entry of R^T R - 1 that rounding in a file may leave
+
+
+def is_rotation(R: np.ndarray) -> bool:
+    """Whether a matrix (3, 3) is a rotation, to the rounding of a file.
+
+    Entries may have any size and need not be finite.
+    """
+    if not np.abs(R).max() < 2:  # the product could overflow
+        return False
+    return bool(np.abs(R.T @ R - np.eye(3)).max() < _ROUNDING and np.linalg.det(R) > 0)
+
 
 def rotation_angle_deg(R: np.ndarray) -> float:
     """Angle of a rotation matrix (3, 3), degrees, 0 to 180."""

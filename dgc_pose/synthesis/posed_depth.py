@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.image import image_size, read_pixels
 from dgc_pose.inputs import read_text
 
@@ -88,10 +89,8 @@ def _check_intrinsics(K: np.ndarray, where: str | Path) -> None:
 
 def _check_rigid(pose: np.ndarray, where: str | Path) -> None:
     """Raise InputError if a pose (4, 4) is not a rotation and a translation."""
-    R = pose[:3, :3]
-    # Entries of any size would overflow in the product.
-    is_rotation = np.abs(R).max() < 2 and np.allclose(R @ R.T, np.eye(3), atol=1e-3)
-    if not is_rotation or np.linalg.det(R) < 0 or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
+    rigid = is_rotation(pose[:3, :3])
+    if not rigid or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
         raise InputError(f"{where}: a pose must be a rotation and a translation, [R t; 0 0 0 1]")
 
 

@@ -6,7 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.geometry.rotation import aligning_rotation, quaternion_wxyz, rotation_angle_deg
+from dgc_pose.geometry.rotation import (
+    aligning_rotation,
+    is_rotation,
+    quaternion_wxyz,
+    rotation_angle_deg,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -15,6 +20,16 @@ seeds = st.integers(0, 2**32 - 1)
 def test_the_angle_of_a_rotation_is_the_one_it_was_made_with(angle):
     R = Rotation.from_rotvec(np.radians(angle) * np.array([0.6, 0.0, 0.8])).as_matrix()
     assert rotation_angle_deg(R) == pytest.approx(angle, abs=1e-6)
+
+
+@given(seeds)
+@settings(max_examples=50, deadline=None)
+def test_a_rotation_is_told_from_other_matrices(seed):
+    R = Rotation.random(random_state=seed).as_matrix()
+    assert is_rotation(R) and is_rotation(np.round(R, 4))
+    for other in (-R, R[:, ::-1], 1.01 * R, 1e200 * R, np.full((3, 3), np.nan), R * np.inf):
+        with np.errstate(all="raise"):
+            assert not is_rotation(other)
 
 
 @given(seeds)
