@@ -24,6 +24,7 @@ test: lint
 # lie beside dgc_pose/, where mypy would take every import between them for `Any`.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	rm -rf build
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --target $(INSTALLED) .
 	cd $(INSTALLED) && MYPYPATH=. $(BIN)/mypy --config-file $(CURDIR)/setup.cfg \

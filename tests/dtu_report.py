@@ -102,7 +102,7 @@ def _sample(pair: Pair, rng: np.random.Generator) -> MatchSample:
 
 
 def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) -> DtuScore:
-    rotation, translation = (np.round(rng.gamma(1.5, 6, 2), 4) if success else (np.inf, np.inf))
+    rotation, translation = np.round(rng.gamma(1.5, 6, 2), 4) if success else (np.inf, np.inf)
     return DtuScore(
         method=method,
         scene=entry.scene,

@@ -1,6 +1,6 @@
 """The picture of the page in the documentation, as a browser shows it:
 
-    python tests/page_picture.py docs/serve.png
+python tests/page_picture.py docs/serve.png
 """
 
 from __future__ import annotations

@@ -56,7 +56,11 @@ def test_cameras_may_be_cameras_and_warnings_arrive(pair: RenderedPair) -> None:
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])
 def test_verdicts_on_rendered_scenes(kind: str) -> None:
     scene = render_scene_pair(
-        7, size1=(640, 480), size2=(640, 480), rotation_deg=8, kind=kind  # type: ignore[arg-type]
+        7,
+        size1=(640, 480),
+        size2=(640, 480),
+        rotation_deg=8,
+        kind=kind,  # type: ignore[arg-type]
     )
     pose = estimate_relative_pose(
         scene.image1, scene.image2, scene.K1, scene.K2, matcher=SiftMatcher()

@@ -34,9 +34,7 @@ def epipolar_residuals_px(
     return symmetric_epipolar_distance(ideal1, ideal2, F)
 
 
-def median_and_mean(
-    points1: np.ndarray, points2: np.ndarray, F: np.ndarray
-) -> tuple[float, float]:
+def median_and_mean(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> tuple[float, float]:
     """Median and mean of the symmetric epipolar distances of matches (..., 2), in pixels.
 
     A match that is not finite counts as infinitely far, and so do no matches at all.

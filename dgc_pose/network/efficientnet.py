@@ -97,9 +97,7 @@ class EfficientPyramid(nn.Module):
 class InvertedResidual(nn.Module):
     """A 1x1 convolution that expands the channels, a depthwise one, and a 1x1 projection."""
 
-    def __init__(
-        self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int
-    ) -> None:
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
         super().__init__()
         width = inputs * expansion
         expand = [nn.Conv2d(inputs, width, 1), nn.ReLU6()] if expansion > 1 else []

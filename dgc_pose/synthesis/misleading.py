@@ -64,9 +64,7 @@ def render_facade(
     K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1.0]])
     across = 1.6 / wall.shape[1]  # the wall is 1.6 wide and stands before the cameras at 1.2
     # From pixels of the wall (x, y, 1) to points in the frame between the cameras.
-    plane = np.array(
-        [[across, 0, -0.8], [0, across, -across * wall.shape[0] / 2], [0, 0, 1.2]]
-    )
+    plane = np.array([[across, 0, -0.8], [0, across, -across * wall.shape[0] / 2], [0, 0, 1.2]])
     angle = np.radians(rng.uniform(8, 12))
     middle = np.array([0, 0, 1.2])
     rotations = [cv2.Rodrigues(np.array([0.0, side, 0.0]))[0] for side in (-angle, angle)]

@@ -102,11 +102,7 @@ def _epipolar(methods: Columns, styles: Styles, protocol: str) -> Figure:
     panels = (("epipolar_all_px", "all pixels"), ("epipolar_confident_px", "the pose's matches"))
     figure = new_figure(9.0, 4.5)
     columns = [
-        {
-            method: own[field]
-            for method, own in methods.items()
-            if not np.isnan(own[field]).any()
-        }
+        {method: own[field] for method, own in methods.items() if not np.isnan(own[field]).any()}
         for field, _ in panels
     ]
     limit = max(shown_limit(c, EPIPOLAR_LIMITS) for c in columns if c)
@@ -123,9 +119,7 @@ def _epipolar(methods: Columns, styles: Styles, protocol: str) -> Figure:
     return figure
 
 
-def _draw_against(
-    axes: Axes, methods: Columns, motion: str, error: str, styles: Styles
-) -> None:
+def _draw_against(axes: Axes, methods: Columns, motion: str, error: str, styles: Styles) -> None:
     for method, own in methods.items():
         x = own[motion]
         y = np.clip(own[error], _LEAST, WORST)

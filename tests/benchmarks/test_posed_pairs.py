@@ -48,9 +48,7 @@ class Backwards(Matcher):
 def run(pairs, matchers, options):
     """The records of matchers by name, one by one."""
     methods = [Method(name, name, options=MethodOptions(estimation=options)) for name in matchers]
-    passes = {
-        one.key: Engine(matchers[one.engine], {}) for one in methods
-    }
+    passes = {one.key: Engine(matchers[one.engine], {}) for one in methods}
     for scored in Evaluation(ListedPairs(pairs), methods, Engines(passes, {})).run():
         yield from (one.score for one in scored)
 

@@ -55,9 +55,7 @@ def test_every_way_is_timed_and_compared() -> None:
     found = time_forwards("some", net, images, 1, lambda: 1e10)
     assert [one.way for one in found][:2] == ["torch, eager", "batch norm folded"]
     assert found[0].apart_px == 0 and found[0].times_faster == 1
-    assert found[0].over_floor == pytest.approx(
-        found[0].seconds / (sum(multiply_adds(net)) / 1e10)
-    )
+    assert found[0].over_floor == pytest.approx(found[0].seconds / (sum(multiply_adds(net)) / 1e10))
     assert all(one.seconds > 0 and one.apart_px < 1.0 for one in found)
 
 

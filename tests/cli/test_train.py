@@ -33,9 +33,7 @@ def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path:
     assert resumed.exit_code == 0, resumed.stderr
 
 
-def test_an_ablation_gives_its_name_to_the_weights(
-    photos: Path, tmp_path: Path
-) -> None:
+def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = ["train", "--photos", str(photos), "--out", str(out), "--minutes", "0.1"]
     words += ["--batch", "1", "--scene-share", "0", "--validation-pairs", "1", "--split", "0,100,0"]

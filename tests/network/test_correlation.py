@@ -63,9 +63,7 @@ def test_local_correlation_is_around_each_cell() -> None:
                         float(warped[0, :, y + dy, x + dx] @ target[0, :, y, x]) if inside else 0.0
                     )
                     channel = (dy + radius) * 5 + dx + radius
-                    assert math.isclose(
-                        float(found[0, channel, y, x]), expected, abs_tol=1e-12
-                    )
+                    assert math.isclose(float(found[0, channel, y, x]), expected, abs_tol=1e-12)
 
 
 def test_evidence_is_the_weighted_sum_of_the_levels() -> None:

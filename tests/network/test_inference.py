@@ -75,9 +75,7 @@ def test_any_size_of_image_is_encoded_the_same() -> None:
     net = _net("dgcm-lite")
     image = torch.randn(1, 3, 96, 160)
     with torch.inference_mode():
-        for one, other in zip(
-            net.features(image), for_inference(net).features(image), strict=True
-        ):
+        for one, other in zip(net.features(image), for_inference(net).features(image), strict=True):
             torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
 
 

@@ -122,10 +122,7 @@ def test_evidence_is_the_maximum_over_pairs_of_scales() -> None:
     sizes = (240, 120, 60, 30, 15, 15, 30)
     source, target = ([torch.randn(1, 8, s, s, generator=generator) for s in sizes] for _ in "ab")
     correlation = net.correlate(source, target)
-    unit = [
-        [F.normalize(f[k][0].double(), dim=0) for k in (4, 5)]
-        for f in (source, target)
-    ]
+    unit = [[F.normalize(f[k][0].double(), dim=0) for k in (4, 5)] for f in (source, target)]
     for xs, ys, xt, yt in ((0, 0, 0, 0), (3, 7, 11, 2), (14, 1, 5, 14)):
         own, smaller = unit[0][0][:, ys, xs], unit[0][1][:, ys, xs]
         products = [

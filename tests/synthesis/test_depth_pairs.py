@@ -56,18 +56,14 @@ def _only_forward(scenes: DepthScenes) -> DepthScenes:
 
 
 def test_the_map_is_the_rendered_one(pair: RenderedPair, scenes: DepthScenes) -> None:
-    found = depth_pairs(
-        _only_forward(scenes), 1, _SIDE, torch.Generator().manual_seed(0), _WHOLE
-    )
+    found = depth_pairs(_only_forward(scenes), 1, _SIDE, torch.Generator().manual_seed(0), _WHOLE)
     known, valid = found.known[0].numpy(), found.valid[0].numpy()
     assert known.mean() > 0.75 and 0.3 < valid.mean() < 0.95 and (known & ~valid).mean() > 0.03
     error = np.linalg.norm(found.map[0].numpy() - pair.map, axis=-1)
     assert np.quantile(error[valid], 0.99) < 0.15 and error[valid].max() < 1.0
     # Visible by the ray-caster and by depth agreement are the same, but for a few at the edges.
     assert (valid == pair.visible)[known].mean() > 0.98
-    np.testing.assert_allclose(
-        found.image2[0].permute(1, 2, 0), pair.image2 / 255, atol=1e-4
-    )
+    np.testing.assert_allclose(found.image2[0].permute(1, 2, 0), pair.image2 / 255, atol=1e-4)
 
 
 def _reference(
@@ -167,10 +163,15 @@ def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
     # A square's pixel lies between two columns, at a third between two rows of the rectangle.
     column, row = (x + 0.5) * 2 - 0.5, (y + 0.5) * 64 / 48 - 0.5
     grid = np.stack([(2 * column + 1) / 96 - 1, (2 * row + 1) / 64 - 1], -1)
-    truth = F.grid_sample(
-        torch.tensor(pair.map).permute(2, 0, 1)[None], torch.tensor(grid)[None],
-        align_corners=False,
-    )[0].permute(1, 2, 0).numpy()
+    truth = (
+        F.grid_sample(
+            torch.tensor(pair.map).permute(2, 0, 1)[None],
+            torch.tensor(grid)[None],
+            align_corners=False,
+        )[0]
+        .permute(1, 2, 0)
+        .numpy()
+    )
     truth = (truth + 0.5) * (0.5, 48 / 64) - 0.5
     error = np.linalg.norm(found.map[0].numpy() - truth, axis=-1)[valid]
     assert np.median(error) < 0.02 and np.quantile(error, 0.95) < 0.15

@@ -24,8 +24,10 @@ _CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 def _grid(batch: int, side: int = 9) -> torch.Tensor:
     axis = torch.linspace(-1, 1, side)
-    return torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2).repeat(
-        batch, 1, 1
+    return (
+        torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1)
+        .view(1, -1, 2)
+        .repeat(batch, 1, 1)
     )
 
 

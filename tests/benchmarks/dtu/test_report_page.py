@@ -138,7 +138,6 @@ def test_all_files_are_there_and_are_pictures(run, written) -> None:
             assert "<svg" in path.read_text()
 
 
-
 def test_the_page_needs_no_other_file(run, written) -> None:
     html = (run.out / "report.html").read_text()
     sources = re.findall(r'(?:src|href)="?([^"\s>]{0,30})', html)
