@@ -22,7 +22,6 @@ from dgc_pose.errors import DgcPoseError, missing_package, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
-_CLOSED = "the server is ending"
 
 
 class WorkError(DgcPoseError):
@@ -96,8 +95,7 @@ class Worker:
                 return self._answer(pipe, seconds, report)
             except (EOFError, OSError):
                 self._end()
-                if self._closed:
-                    raise Closed(_CLOSED) from None
+                self._check_open()
                 raise Crashed("the file or the pair brought its worker down") from None
             except TimedOut:
                 self._end()
@@ -105,7 +103,7 @@ class Worker:
 
     def close(self) -> None:
         """End the process for good; calls under way, waiting and later ones raise Closed."""
-        self._closed = True  # before the process is read: see _started
+        self._closed = True  # before the process is read, as _started sets it before it reads this
         process = self._process
         if process is not None:
             process.kill()
@@ -123,6 +121,7 @@ class Worker:
             self._count.release()
 
     def _started(self) -> Connection:
+        self._check_open()
         if self._process is None or not self._process.is_alive() or self._pipe is None:
             self._end()
             ours, theirs = _CONTEXT.Pipe()
@@ -131,10 +130,14 @@ class Worker:
             process.start()
             theirs.close()
             self._process, self._pipe = process, ours
-        if self._closed:  # read after the process is set, so that close() or this ends it
-            self._end()
-            raise Closed(_CLOSED)
+            self._check_open()  # close() may have found no process to end
         return self._pipe
+
+    def _check_open(self) -> None:
+        """Raise Closed, with the process ended, if the worker is closed."""
+        if self._closed:
+            self._end()
+            raise Closed("the server is ending") from None
 
     def _answer(self, pipe: Connection, seconds: float, report: Report) -> Any:
         deadline = None  # from when the object is made: loading a network is not the client's fault

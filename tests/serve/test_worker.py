@@ -97,9 +97,10 @@ def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():
     assert worker._process is None
 
 
-def test_a_closed_worker_starts_no_process():
+def test_a_closed_worker_starts_no_process(monkeypatch):
     worker = Worker(serve_tasks.Tasks)
     worker.close()
+    monkeypatch.setattr(worker_module, "_CONTEXT", None)  # nothing can be started by it
     for use in (worker.start, lambda: worker.call("add", 1, 1, seconds=20)):
         with pytest.raises(Closed, match="the server is ending") as caught:
             use()
