@@ -12,6 +12,11 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+def slices(count: int, size: int) -> list[slice]:
+    """Slices of `size` that cover `count` rows, for `in_threads`; at least one."""
+    return [slice(i, i + size) for i in range(0, max(1, count), size)]
+
+
 def in_threads(
     work: Callable[[Item], Result], items: Sequence[Item], at_most: int | None = None
 ) -> list[Result]:

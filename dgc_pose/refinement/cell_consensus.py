@@ -14,7 +14,7 @@ import numpy as np
 
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.start import log_softmax
-from dgc_pose.threads import in_threads
+from dgc_pose.threads import in_threads, slices
 
 # As at the coarsest level: Gaussian deviation in source cells, weight of the messages, least one.
 _REACH = 1.4
@@ -103,7 +103,7 @@ def _candidates(
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
     )
     children1, children2 = source.middle_by_cell, target.middle_by_cell
-    parts = [slice(i, i + _CHUNK) for i in range(0, len(other), _CHUNK)]
+    parts = slices(len(other), _CHUNK)
     similar = min(similar, len(own))
     scaled = scales[0] * other
 

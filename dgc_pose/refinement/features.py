@@ -30,7 +30,7 @@ from dgc_pose.refinement.guide import (
 from dgc_pose.refinement.native import NativeCache, cells_at, native_cache
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import Engine, NativeFeatures
-from dgc_pose.threads import in_threads
+from dgc_pose.threads import in_threads, slices
 
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
 _WEAK = 0.25  # mean matchability
@@ -144,7 +144,7 @@ def _views(
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
     found = []
     for window, turn, factor in ((window1, 0.0, factors[0]), (window2, angle, factors[1])):
-        # Before a rotation by other than quarter turns the image is shrunk, which is faster.
+        # Before a rotation by other than quarter turns the image is resized: mostly it is shrunk.
         view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
         found.append((view, cells_at(view.size, factor / view.scale)))
     return found
@@ -190,7 +190,7 @@ def mutual_neighbours(
 
     limit = np.full(len(middle1), -np.inf, np.float32)  # best cosine of each source cell
     best, cell = [], []
-    for index, scores in in_threads(compare, _parts(len(candidates), _CHUNK)):
+    for index, scores in in_threads(compare, slices(len(candidates), _CHUNK)):
         np.maximum.at(limit, index.ravel(), scores.max(1).ravel())
         which = scores.argmax(2)
         best.append(np.take_along_axis(scores, which[..., None], 2).ravel())
@@ -226,7 +226,7 @@ def subcell_points(
         """Cosines (m, cells) of each match's window."""
         return (rows1[cells[part]] @ wanted[part, :, None])[..., 0]
 
-    single = np.concatenate(in_threads(compare, _parts(len(cells), _WINDOWS)))
+    single = np.concatenate(in_threads(compare, slices(len(cells), _WINDOWS)))
     single = single.reshape(-1, 2 * _RADIUS + 2, 2 * _RADIUS + 2)
     pairs = single[:, :, 1:] + single[:, :, :-1]
     cosines = np.where(inside, (pairs[:, 1:] + pairs[:, :-1]) * np.float32(0.25), -np.inf)
@@ -281,11 +281,6 @@ def _xy(index: np.ndarray, level: np.ndarray) -> np.ndarray:
     """Indices (M,), row by row, of a level's cells as x and y (M, 2)."""
     rows, columns = np.divmod(index, level.shape[1])
     return np.stack([columns, rows], -1)
-
-
-def _parts(count: int, size: int) -> list[slice]:
-    """Slices of `size` that cover `count` rows; at least one."""
-    return [slice(i, i + size) for i in range(0, max(1, count), size)]
 
 
 def _cell_area(features: NativeFeatures) -> float:

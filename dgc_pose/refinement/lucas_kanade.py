@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.sampling import bilinear_at
-from dgc_pose.threads import in_threads
+from dgc_pose.threads import in_threads, slices
 
 _ITERATIONS = 8
 _AFFINE_ITERATIONS = 12
@@ -56,9 +56,9 @@ def align_patches(
     patch, pixels of image 2. affine: adjust the affinity too; one that changes much has a
     correlation of -1.
     """
-    parts = [slice(i, i + _CHUNK) for i in range(0, max(1, len(matches.index)), _CHUNK)]
     found = in_threads(
-        lambda part: _align(grey1, grey2, matches.subset(part), radius, affine), parts
+        lambda part: _align(grey1, grey2, matches.subset(part), radius, affine),
+        slices(len(matches.index), _CHUNK),
     )
     return Patches(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
