@@ -37,9 +37,7 @@ def coarse_features(batch: Batch, weights: str) -> list[np.ndarray]:
     """
     plan = batch.plan
     matcher = MatcherSettings(weights, refinement=None)
-    worker = Worker(
-        Job(plan.root, plan.cameras, plan.bad, plan.guessed, matcher, EstimationOptions(), _MEMORY)
-    )
+    worker = Worker(Job(plan.root, plan.cameras, plan.bad, matcher, EstimationOptions(), _MEMORY))
     outcome = worker.do(Describe(plan.names))
     assert isinstance(outcome, Described)
     for reason in outcome.bad.values():

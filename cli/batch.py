@@ -15,6 +15,7 @@ from tqdm import tqdm
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.options import check_options, option
 
@@ -87,10 +88,12 @@ def work_through(
     matcher: MatcherChoice,
     estimation: EstimationOptions,
     default_pairs: Callable[[int], str] | None = None,
+    least_images: int = 2,
 ) -> Batch:
     """Run the batch that the options describe, with a progress bar on a terminal.
 
-    default_pairs: --pairs of a folder of so many images, if it is not given.
+    default_pairs: --pairs of a folder of so many images, if it is not given. Raises InputError for
+    fewer than `least_images`.
     """
     from dgc_pose.batch.calibration import read_calibration
     from dgc_pose.batch.local import local_workers
@@ -101,6 +104,8 @@ def work_through(
     from dgc_pose.batch.work import MatcherSettings
 
     opened = open_source(Path(source), inputs.root)
+    if len(opened.names) < least_images:
+        raise InputError(f"{source}: {len(opened.names)} images, and a model needs {least_images}")
     pairs = inputs.pairs
     if pairs is None and opened.pairs is None and default_pairs is not None:
         pairs = default_pairs(len(opened.names))
@@ -139,7 +144,7 @@ def batch_options(work: WorkChoice) -> BatchOptions:
 
 
 def report(batch: Batch) -> None:
-    """Print what a batch found, and the images that could not be used."""
+    """Print what a batch found, the images that could not be used, and the first warning."""
     summary = batch.summary
     for name, reason in summary["bad_images"].items():
         click.echo(f"bad image {name}: {reason}", err=True)
@@ -149,6 +154,10 @@ def report(batch: Batch) -> None:
             "poses to be much less accurate than with a calibration",
             err=True,
         )
+    known = (camera for camera in batch.plan.cameras.values() if not camera.guessed_focal)
+    if warnings := [text for camera in known for text in camera.warnings]:
+        more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
+        click.echo(f"warning: {warnings[0]}{more}", err=True)
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
     click.echo(
         f"{batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "

@@ -63,9 +63,9 @@ def reconstruct(
     Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
     the folder of the batch.
     """
-    from dgc_pose.batch.store import PLAN
+    from dgc_pose.batch.plan import PLAN
     from dgc_pose.colmap import reconstruction
-    from dgc_pose.colmap.mapping import MappingOptions
+    from dgc_pose.colmap.mapping import LEAST_IMAGES, MappingOptions
 
     known = [name for name in (*reconstruction.OUTPUTS, PICTURE) if (out / name).exists()]
     if known and not work.resume:
@@ -77,7 +77,14 @@ def reconstruct(
     reconstruction.require_model_folder(out / reconstruction.MODEL)
     start = time.perf_counter()
     batch = work_through(
-        source, out / BATCH, inputs, work, matcher, estimation, default_pairs=_default_pairs
+        source,
+        out / BATCH,
+        inputs,
+        work,
+        matcher,
+        estimation,
+        default_pairs=_default_pairs,
+        least_images=LEAST_IMAGES,
     )
     report(batch)
     matched = time.perf_counter()

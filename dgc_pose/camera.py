@@ -35,6 +35,7 @@ class Camera:
     size: tuple[int, int] | None = None  # (width, height) of the image K refers to; None if unknown
     distortion: Distortion | None = None  # of the lens; None for a pinhole
     warnings: tuple[str, ...] = ()  # about the origin of K, for the user
+    guessed_focal: bool = False  # whether the focal length is from EXIF data or the image's size
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
@@ -162,7 +163,7 @@ def guess_camera(path: str | Path) -> Camera:
         f"{path}: the focal length of {K[0, 0]:.0f} pixels is a guess from {source}; "
         f"expect the pose to be much less accurate than with a calibration"
     )
-    return Camera(K, size, warnings=(warning,))
+    return Camera(K, size, warnings=(warning,), guessed_focal=True)
 
 
 def _checked_matrix(value: Any, name: str) -> np.ndarray:

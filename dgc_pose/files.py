@@ -222,7 +222,7 @@ def require_room(path: Path, size: int = 2**20) -> None:
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:  # without a name: nothing is left
             if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, size)
+                os.posix_fallocate(file.fileno(), 0, max(1, size))
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
 

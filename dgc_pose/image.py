@@ -80,7 +80,7 @@ def load_image(
 
 def _read_file(path: Path) -> Image:
     data = _read_bytes(path)
-    notes = _orientation_notes(check_header(data, path), path)
+    notes = orientation_notes(check_header(data, path), path)
     # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
     array = _decoded(data, path, cv2.IMREAD_UNCHANGED)
     try:
@@ -111,16 +111,20 @@ def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarr
 
 def image_size(path: str | Path) -> tuple[int, int]:
     """(width, height) of an image file by its header. Raises ImageError, with the path."""
-    path = Path(path)
+    return image_header(Path(path)).size
+
+
+def image_header(path: Path) -> Header:
+    """The header of an image file. Raises ImageError, with the path."""
     try:
         # Pixels may lie before the header, in a TIFF, and much else in a photograph.
         header = read_header(_read_bytes(path, _HEADER_BYTES), complete=False)
     except ImageError:
         raise
     except Exception:
-        return check_header(_read_bytes(path), path).size
+        return check_header(_read_bytes(path), path)
     check_pixel_count(*header.size, path)
-    return header.size
+    return header
 
 
 def max_pixels() -> int:
@@ -189,7 +193,8 @@ def check_header(data: bytes, path: Path) -> Header:
     return header
 
 
-def _orientation_notes(header: Header, path: Path) -> tuple[str, ...]:
+def orientation_notes(header: Header, path: Path) -> tuple[str, ...]:
+    """The warning that an EXIF orientation is not applied. Raises ImageError for a TIFF's."""
     if header.orientation == 1:
         return ()
     if header.format == "TIFF":

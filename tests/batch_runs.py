@@ -31,18 +31,20 @@ def run_sift(
     out: Path,
     *,
     pairs: str | None = "exhaustive",
+    K: str | None = K_text(),  # noqa: B008, a constant
+    estimation: EstimationOptions = EstimationOptions(runs=1, iterations=300),  # noqa: B008
     workers: int = 1,
     resume: bool = False,
     start_workers: Workers = local_workers,
 ) -> Batch:
-    """A batch with SIFT, and the K of the rendered views."""
+    """A batch with SIFT, and the K of the rendered views; K None for guessed focal lengths."""
     return run_batch(
         open_source(source),
-        read_calibration(K_text()),
+        read_calibration(K, guess=K is None),
         None if pairs is None else parse_pair_choice(pairs),
         out,
         matcher=MatcherSettings("sift"),
-        estimation=EstimationOptions(runs=1, iterations=300),
+        estimation=estimation,
         options=BatchOptions(workers=workers, resume=resume),
         start_workers=start_workers,
     )

@@ -207,6 +207,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "model": None if lens is None else lens.model,
         "coefficients": None if lens is None else lens.coefficients,
         "warnings": camera.warnings,
+        "guessed_focal": camera.guessed_focal,
     }
 
 
@@ -216,4 +217,5 @@ def parse_camera_data(data: Mapping[str, Any]) -> Camera:
     if data["model"] is not None:
         lens = Distortion(data["model"], tuple(data["coefficients"]))
     size = None if data["size"] is None else (int(data["size"][0]), int(data["size"][1]))
-    return Camera(np.array(data["K"]), size, lens, tuple(data["warnings"]))
+    warnings, guessed = tuple(data["warnings"]), bool(data["guessed_focal"])
+    return Camera(np.array(data["K"]), size, lens, warnings, guessed)

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import cached_property
+from multiprocessing.process import BaseProcess
 from typing import Protocol
 
 import cv2
@@ -33,12 +35,14 @@ class Workers(Protocol):
 def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     """Workers on this machine; a single one works in this process.
 
-    `run` raises DgcPoseError if a process is killed; `--resume` goes on after that.
+    Raises what `load_matcher` raises, before a process starts. `run` raises DgcPoseError if a
+    process ends; `--resume` goes on after that.
     """
     if workers == 1:
         own = Worker(job)
         yield lambda tasks: (own.do(task) for task in tasks)
         return
+    job.matcher.load()
     # Not forked: torch's threads do not survive that. One pool a worker, since neighbouring blocks
     # share images and belong to one worker.
     context = multiprocessing.get_context("spawn")
@@ -50,7 +54,7 @@ def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
             stack.callback(pool.shutdown, cancel_futures=True)
             pools.append(pool)
         try:
-            yield lambda tasks: _run(pools, tasks)
+            yield lambda tasks: _run(pools, tasks, others)
         except BaseException:
             # A block takes long, and within a library's call no signal is handled.
             for process in set(multiprocessing.active_children()) - others:
@@ -58,7 +62,10 @@ def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
             raise
 
 
-def _run(pools: Sequence[ProcessPoolExecutor], tasks: Sequence[Task]) -> Iterator[Outcome]:
+def _run(
+    pools: Sequence[ProcessPoolExecutor], tasks: Sequence[Task], others: set[BaseProcess]
+) -> Iterator[Outcome]:
+    """others: children of this process that are not of the pools."""
     spans = Spans(len(tasks), len(pools))
     running: dict[Future[Outcome], int] = {}
 
@@ -69,47 +76,63 @@ def _run(pools: Sequence[ProcessPoolExecutor], tasks: Sequence[Task]) -> Iterato
 
     for number in range(len(pools)):
         submit(number)
+    processes = set(multiprocessing.active_children()) - others
     while running:
         done, _ = wait(running, return_when=FIRST_COMPLETED)
         for future in done:
             number = running.pop(future)
-            outcome = _result(future)
+            try:
+                outcome = future.result()
+            except BrokenProcessPool:
+                codes = [process.exitcode for process in processes if process.exitcode is not None]
+                raise DgcPoseError(
+                    f"a worker process {_ended(codes)}: --resume goes on from the pairs that were "
+                    "done"
+                ) from None
             submit(number)
             yield outcome
 
 
-def _result(future: Future[Outcome]) -> Outcome:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        raise DgcPoseError(
-            "a process that matches was killed (out of memory?): fewer --workers or less --memory "
-            "may help; --resume goes on from the pairs that were done"
-        ) from None
+def _ended(codes: Sequence[int]) -> str:
+    """How processes with these exit codes ended."""
+    names = {f"by {signal.Signals(-code).name}" if code < 0 else f"with {code}" for code in codes}
+    return f"ended {' and '.join(sorted(names))}".strip()
 
 
-_worker: list[Worker] = []  # of this process, once it has been started
+_worker: list[CoreWorker] = []  # of this process, once it has been started
 
 
 def _start(job: Job) -> None:
     # A terminal sends an interrupt to all processes: the owner of the pools answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    _worker[:] = [single_threaded(job)]
+    _worker[:] = [CoreWorker(job)]
 
 
 def _do(task: Task) -> Outcome:
     return _worker[0].do(task)
 
 
-def single_threaded(job: Job) -> Worker:
-    """A worker whose process uses one core: the other cores have workers of their own."""
-    cv2.setNumThreads(1)
-    os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported
-    worker = Worker(job)
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(1)
-    return worker
+class CoreWorker:
+    """A worker whose process uses one core: the other cores have workers of their own.
+
+    The first task loads the matcher, so that what this raises is the error of a task.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+
+    def do(self, task: Task) -> Outcome:
+        return self._worker.do(task)
+
+    @cached_property
+    def _worker(self) -> Worker:
+        cv2.setNumThreads(1)
+        os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported
+        worker = Worker(self._job)
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(1)
+        return worker
 
 
 def _end_with_parent() -> None:

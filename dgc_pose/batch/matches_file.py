@@ -123,6 +123,6 @@ def open_matches(path: Path) -> Iterator[Any]:
     try:
         file = h5py.File(path, "r")
     except Exception as error:
-        raise InputError(f"{path}: cut short, or no HDF5 file ({reason(error)})") from None
+        raise InputError(f"{path}: not an HDF5 file that can be read ({reason(error)})") from None
     with file:
         yield file

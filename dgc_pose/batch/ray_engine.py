@@ -15,12 +15,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from dgc_pose.batch.local import RunTasks, single_threaded
+from dgc_pose.batch.local import CoreWorker, RunTasks
 from dgc_pose.batch.schedule import Spans
 from dgc_pose.batch.work import Job, Outcome, Task
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import DgcPoseError, InputError, reason
 
-MOST_TRIES = 3  # of one block: its worker may run out of memory each time
+MOST_TRIES = 3  # of one block, whose worker may end each time
 
 
 @contextmanager
@@ -57,16 +57,6 @@ def actor_name(number: int) -> str:
     return f"dgc-pose-{os.getpid()}-{number}"
 
 
-class _Worker:
-    """An actor: a `Worker` on one core."""
-
-    def __init__(self, job: Job) -> None:
-        self._worker = single_threaded(job)
-
-    def do(self, task: Task) -> Outcome:
-        return self._worker.do(task)
-
-
 class _Actors:
     """The actors of a job, each with one block at a time."""
 
@@ -74,7 +64,7 @@ class _Actors:
         self._ray = ray
         self._job = ray.put(job)
         needs = {"num_gpus": 1} if job.matcher.device == "cuda" else {}
-        self._kind = ray.remote(num_cpus=1, **needs)(_Worker)
+        self._kind = ray.remote(num_cpus=1, **needs)(CoreWorker)
         self._started = 0
         self._actors = [self._start() for _ in range(workers)]
 
@@ -97,12 +87,12 @@ class _Actors:
             number, index = running.pop(call)
             try:
                 outcome = self._ray.get(call)
-            except self._ray.exceptions.RayActorError:
+            except self._ray.exceptions.RayActorError as error:
                 failures[index] += 1
                 if failures[index] == MOST_TRIES:
                     raise DgcPoseError(
-                        f"{MOST_TRIES} workers died on the same block of pairs (out of memory?): "
-                        "less --memory may help; --resume goes on from the pairs that were done"
+                        f"{MOST_TRIES} workers ended on the same block of pairs "
+                        f"({reason(error)}): --resume goes on from the pairs that were done"
                     ) from None
                 self._actors[number] = self._start()
                 spans.put_back(number, index)

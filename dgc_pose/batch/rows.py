@@ -16,7 +16,9 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.files import finite_or_none
 from dgc_pose.inputs import read_as, require_regular
 
-BAD_INPUT = "bad_input"  # status of a pair with an image or camera that cannot be used
+# Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
+# raised an error that is not about its input, after which --resume matches the pair again.
+BAD_INPUT, FAILED = "bad_input", "failed"
 _COUNTS = {"R": 9, "t": 3}  # of numbers
 _LONGEST = 2**20  # characters of a row in JSON
 _PER_WRITE = 4096  # rows of a Parquet table held in memory
@@ -31,7 +33,7 @@ class PairRow:
 
     name1: str
     name2: str
-    status: str  # of `dgc_pose.estimation.result.Status`, or "bad_input"
+    status: str  # of `dgc_pose.estimation.result.Status`, or "bad_input" or "failed"
     success: bool  # whether R and t are known
     reason: str  # one sentence for people
     # That R and t are both within 10 degrees; None if no model of it is fitted for such matches.
@@ -46,7 +48,7 @@ class PairRow:
     median_triangulation_angle_deg: float | None
     error_px: float | None  # expected error of a match, pixels of the originals
     guessed_focal: bool  # whether a focal length is a guess: expect a bad pose
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # about the images, the cameras and the pose
 
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:
@@ -80,12 +82,12 @@ def row_of(
     )
 
 
-def bad_row(names: tuple[str, str], reason: str) -> PairRow:
-    """The row of a pair that could not be matched."""
+def unmatched_row(names: tuple[str, str], status: str, reason: str) -> PairRow:
+    """The row of a pair that was not matched, of status `BAD_INPUT` or `FAILED`."""
     known: dict[str, Any] = {
         "name1": names[0],
         "name2": names[1],
-        "status": BAD_INPUT,
+        "status": status,
         "success": False,
         "reason": reason,
         "num_matches": 0,

@@ -24,22 +24,12 @@ from dgc_pose.batch.matches_file import (
     read_matches,
 )
 from dgc_pose.batch.pair_choice import PairChoice, most_similar, pairs_of
-from dgc_pose.batch.rows import BAD_INPUT, PairRow, read_rows
+from dgc_pose.batch.plan import PLAN, Plan, RowFormat, continued, read_plan, write_plan
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
 from dgc_pose.batch.similarity import similarities
 from dgc_pose.batch.source import Source, survey
-from dgc_pose.batch.store import (
-    MATCHES,
-    PLAN,
-    SUMMARY,
-    PartStore,
-    Plan,
-    RowFormat,
-    read_plan,
-    require_same,
-    rows_path,
-    write_plan,
-)
+from dgc_pose.batch.store import MATCHES, SUMMARY, PartStore, read_result, rows_path
 from dgc_pose.batch.work import (
     FEATURE_BYTES,
     Describe,
@@ -115,8 +105,12 @@ def run_batch(
 
     choice: how pairs are chosen; None for those of the source.
 
+    A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
+    have changed since.
+
     Raises InputError if there is a batch in `out` already and `resume` is not asked for, if that
-    one had other settings, or if the input is unusable; OSError if the disk is full.
+    one had other settings, images or cameras, or if the input is unusable; OSError if the disk is
+    full.
     """
     start = time.perf_counter()
     # Absolute, as a resumed batch has it: the reasons of bad images name it.
@@ -132,29 +126,30 @@ def run_batch(
         "format": options.format,
     }
     with _own_folder(out):
-        plan = _known_plan(out, settings, options.resume)
-        if plan is None and choice is None and source.pairs is None:
-            raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
-        if plan is not None and (out / SUMMARY).is_file():
-            PartStore(out, plan)  # removes parts that a kill left
-            return read_batch(out)
-        fresh = False
+        before = _plan_before(out, options.resume)
+        plan = _first_plan(source, calibration, choice, settings)
+        if before is not None:
+            plan = continued(before, plan, out)
         with ExitStack() as stack:
-            found = _first_plan(source, calibration, settings) if plan is None else plan
-            run = _lazy_workers(start_workers, found, matcher, estimation, options, stack)
-            if plan is None:
-                plan = _with_pairs(found, source, choice, run, progress)
+            run = _lazy_workers(start_workers, plan, matcher, estimation, options, stack)
+            if before is None:
+                if choice is not None and choice.way == "auto":
+                    plan = _with_similar(plan, choice.number, run, progress)
                 write_plan(out, plan)
-                fresh = True
-            store = PartStore(out, plan)
+            store = PartStore(out, plan, before)
+            if store.finished:
+                store.close()
+                return read_batch(out)
             try:
                 worked = _work(store, plan, run, options, progress)
             except DgcPoseError:
-                if fresh and len(store.left) == len(plan.pairs) > 0:  # weights that are none, say
+                if before is None and len(store.left) == len(plan.pairs) > 0:  # bad weights, say
                     store.close()
                     (out / PLAN).unlink()
                 raise
         bad = store.assemble()
+        if before is not None:
+            write_plan(out, plan)  # with the photographs as they are now
         _summarise(out, plan, bad, worked, time.perf_counter() - start)
         store.close()
         return read_batch(out)
@@ -184,11 +179,7 @@ def read_batch(out: Path) -> Batch:
         raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
     summary = read_json(out / SUMMARY, "the summary of a batch")
     _require_summary(summary, out / SUMMARY)
-    rows = list(read_rows(rows_path(out, plan)))
-    if len(rows) != len(plan.pairs):
-        raise InputError(
-            f"{rows_path(out, plan)}: {len(rows)} rows for {len(plan.pairs)} pairs: cut short?"
-        )
+    rows = list(read_result(out, plan))
     return Batch(out, plan, rows, summary)
 
 
@@ -200,26 +191,35 @@ def _require_summary(data: Any, path: Path) -> None:
         raise InputError(f"{path}: not the summary of a batch")
 
 
-def _known_plan(out: Path, settings: Mapping[str, Any], resume: bool) -> Plan | None:
+def _plan_before(out: Path, resume: bool) -> Plan | None:
+    """The plan of the batch in `out`, which is to be resumed; None without one."""
     if not (out / PLAN).is_file():
         if any(not path.name.startswith(".") for path in out.iterdir()):
             raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
         return None
     if not resume:
         raise InputError(f"{out}: holds a batch already: --resume goes on with it")
-    plan = read_plan(out)
-    require_same(plan, settings, out)
-    return plan
+    return read_plan(out)
 
 
-def _first_plan(source: Source, calibration: Calibration, settings: Mapping[str, Any]) -> Plan:
-    """The plan without pairs."""
-    found = survey(source, calibration)
-    guessed = frozenset(
-        name for name, camera in found.cameras.items() if any("guess" in w for w in camera.warnings)
-    )
-    none = np.zeros((0, 2), dtype=np.int64)
-    return Plan(source.root, found.cameras, found.bad, guessed, source.names, none, settings)
+def _first_plan(
+    source: Source,
+    calibration: Calibration,
+    choice: PairChoice | None,
+    settings: Mapping[str, Any],
+) -> Plan:
+    """The plan; without pairs where they are chosen by the images' features."""
+    names = source.names
+    if choice is None:
+        if source.pairs is None:
+            raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
+        position = {name: i for i, name in enumerate(names)}
+        chosen = [(position[a], position[b]) for a, b in source.pairs]
+    else:
+        chosen = [] if choice.way == "auto" else pairs_of(choice, names)
+    pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    known = survey(source, calibration)
+    return Plan(source.root, known.cameras, known.bad, known.states, names, pairs, settings)
 
 
 def _lazy_workers(
@@ -236,34 +236,21 @@ def _lazy_workers(
     def run(tasks: Sequence[Any]) -> Iterator[Any]:
         if not started and tasks:
             memory = options.worker_bytes
-            job = Job(plan.root, plan.cameras, plan.bad, plan.guessed, matcher, estimation, memory)
+            job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, memory)
             started.append(stack.enter_context(start_workers(job, options.workers)))
         return started[0](tasks) if tasks else iter(())
 
     return run
 
 
-def _with_pairs(
-    plan: Plan,
-    source: Source,
-    choice: PairChoice | None,
-    run: RunTasks,
-    progress: Progress,
-) -> Plan:
-    names = plan.names
-    if choice is None:
-        position = {name: i for i, name in enumerate(names)}
-        found = [(position[a], position[b]) for a, b in source.pairs or ()]
-    elif choice.way != "auto":
-        found = pairs_of(choice, names)
-    else:
-        plan, features = _described(plan, run, progress)
-        scores = similarities(features)
-        usable = [i for i, own in enumerate(features) if own is not None]
-        chosen = most_similar(scores[np.ix_(usable, usable)], choice.number)
-        found = [(usable[i], usable[j]) for i, j in chosen]
-    pairs = np.array(found, dtype=np.int64).reshape(-1, 2)
-    return replace(plan, pairs=pairs)
+def _with_similar(plan: Plan, number: int, run: RunTasks, progress: Progress) -> Plan:
+    """The plan with the pairs of each image and its `number` most similar ones."""
+    plan, features = _described(plan, run, progress)
+    scores = similarities(features)
+    usable = [i for i, feature in enumerate(features) if feature is not None]
+    chosen = most_similar(scores[np.ix_(usable, usable)], number)
+    pairs = [(usable[i], usable[j]) for i, j in chosen]
+    return replace(plan, pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2))
 
 
 def _described(
@@ -328,6 +315,7 @@ def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, secon
         "pairs": len(rows),
         "poses": sum(row.success for row in rows),
         "bad_pairs": by_status.get(BAD_INPUT, 0),
+        "failed_pairs": by_status.get(FAILED, 0),
         "by_status": dict(sorted(by_status.items())),
         "matched_now": worked,
         "seconds": round(seconds, 2),

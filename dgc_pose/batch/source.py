@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dgc_pose.batch.calibration import Calibration
@@ -11,13 +12,14 @@ from dgc_pose.batch.pair_files import read_pair_list
 from dgc_pose.camera import Camera
 from dgc_pose.colmap_files import read_database
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.image import image_size
+from dgc_pose.image import image_header, orientation_notes
 
 _ENDINGS = (
     *(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".ppm", ".pgm"),
     *(".jp2", ".avif"),
 )
 _DATABASES = (".db", ".sqlite", ".sqlite3")
+FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Survey:
 
     cameras: Mapping[str, Camera]  # by name, with their sizes
     bad: Mapping[str, str]  # the reason by name, of images that cannot be used
+    states: Mapping[str, FileState]  # by name; absent for a file that cannot be asked
 
 
 def open_source(path: Path, root: Path | None = None) -> Source:
@@ -88,13 +91,19 @@ def survey(source: Source, calibration: Calibration) -> Survey:
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
+    states: dict[str, FileState] = {}
     sizes: set[tuple[int, int]] = set()
     for name in source.names:
+        with suppress(OSError):
+            status = (source.root / name).stat()
+            states[name] = status.st_size, status.st_mtime_ns
         try:
-            size = image_size(source.root / name)
+            header = image_header(source.root / name)
+            notes = orientation_notes(header, source.root / name)
         except ImageError as error:
             bad[name] = str(error)
             continue
+        size = header.size
         own = source.cameras.get(name)
         if own is not None and calibration.common is None and name not in calibration.by_name:
             given = Calibration("the list" if own.size is None else "the database", {name: own})
@@ -103,10 +112,10 @@ def survey(source: Source, calibration: Calibration) -> Survey:
             camera = calibration.camera(source.root, name, size)
             if camera is not None and calibration.common is not None:
                 sizes.add(size)
-        cameras[name] = Camera(camera.K, size, camera.distortion, camera.warnings)
+        cameras[name] = replace(camera, size=size, warnings=(*camera.warnings, *notes))
     if len(sizes) > 1:
         listed = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
         raise InputError(
             f"one K for images of several sizes ({listed}): give a file with a K for each image"
         )
-    return Survey(cameras, bad)
+    return Survey(cameras, bad, states)

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches
-from dgc_pose.batch.rows import PairRow, bad_row, row_of
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of, unmatched_row
 from dgc_pose.camera import Camera
 from dgc_pose.errors import DgcPoseError, InputError
-from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, load_matcher
 from dgc_pose.matches import Matches
@@ -20,6 +20,7 @@ from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.selection import MatchingOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.pose import match_and_estimate
 from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.runtime.load import RuntimeName
 
@@ -57,7 +58,6 @@ class Job:
     root: Path  # of the image names
     cameras: Mapping[str, Camera]  # by name, with the size of the image
     bad: Mapping[str, str]  # reasons by name, of images that are known to be unusable
-    guessed: frozenset[str]  # names of the images with a guessed focal length
     matcher: MatcherSettings
     estimation: EstimationOptions
     memory_bytes: int  # of images and features that a worker keeps
@@ -151,23 +151,23 @@ class Worker:
         reasons = {name: one for name, one in zip(names, images, strict=True) if _is_bad(one)}
         if reasons:
             bad.update({name: str(reason) for name, reason in reasons.items()})
-            return bad_row(names, "; ".join(map(str, reasons.values()))), NO_MATCHES
+            reason = "; ".join(map(str, reasons.values()))
+            return unmatched_row(names, BAD_INPUT, reason), NO_MATCHES
         image1, image2 = (one for one in images if isinstance(one, Image))
         camera1, camera2 = (self.job.cameras[name] for name in names)
         try:
-            matched = self.matcher.match(image1, image2)
-            found = matched.matches
-            pose = estimate_pose(
-                found,
-                camera1,
-                camera2,
-                self.job.estimation,
-                map_matches=matched.map_matches,
+            trace = match_and_estimate(
+                image1, image2, camera1, camera2, self.matcher, self.job.estimation
             )
+        except DgcPoseError as error:
+            return unmatched_row(names, BAD_INPUT, str(error)), NO_MATCHES
+        except MemoryError:  # every further pair would meet it too
+            raise
         except Exception as error:  # one pair of a million must not end the batch
-            return bad_row(names, f"{type(error).__name__}: {error}"), NO_MATCHES
-        row = row_of(names, pose, found.error_px, bool(self.job.guessed & {*names}))
-        return row, _stored(found, pose.inliers)
+            return unmatched_row(names, FAILED, f"{type(error).__name__}: {error}"), NO_MATCHES
+        guessed = camera1.guessed_focal or camera2.guessed_focal
+        row = row_of(names, trace.pose, trace.matches.error_px, guessed)
+        return row, _stored(trace.matches, trace.pose.inliers)
 
     def _image(self, name: str) -> Image | str:
         """An image, or the reason why it cannot be used."""

@@ -49,7 +49,8 @@ def merge_by_cells(
             near &= distance <= options.max_error_px
             index.append(nearest)
         matches = np.column_stack(index)[near].astype(np.uint32)
-        found[pair.names] = one_to_one(matches, pair.scores[near])
+        if len(matches):
+            found[pair.names] = one_to_one(matches, pair.scores[near])
     return SharedMatches(key_points, found)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -15,7 +13,7 @@ import numpy as np
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.camera import Camera
 from dgc_pose.colmap.shared import Names, SharedMatches
-from dgc_pose.errors import InputError
+from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.stderr import quiet
@@ -40,23 +38,23 @@ def write_database(
     path: Path,
     names: Sequence[str],
     cameras: Mapping[str, Camera],
-    guessed: frozenset[str],
     shared: SharedMatches,
     rows: Mapping[Names, PairRow],
 ) -> None:
     """Write a database, whole or not at all, over what is there.
 
-    names: all images; those without a camera are left out. guessed: images whose focal length is no
-    prior. rows: by pair, of a status in `CONFIGURATIONS`.
+    names: all images; those without a camera are left out. rows: by pair, of a status in
+    `CONFIGURATIONS`.
 
-    Raises InputError if COLMAP cannot hold a camera; OSError if the disk is full.
+    Raises InputError if COLMAP cannot hold a camera; OSError without room for the arrays;
+    DgcPoseError if pycolmap fails, or if the file lacks rows after it was written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as temporary, _without_sidecars(path, temporary):
         temporary.unlink(missing_ok=True)
-        require_room(path, _room(shared))
+        require_room(path, _array_bytes(shared))
         with _opened(temporary, path) as database:
-            ids = _write_images(database, names, cameras, guessed)
+            ids = _write_images(database, names, cameras)
             for name, points in shared.key_points.items():
                 xy = (points + HALF_PIXEL).astype(np.float32)
                 database.write_keypoints(ids[name], xy)
@@ -65,6 +63,7 @@ def write_database(
                 database.write_matches(first, second, index)
                 geometry = two_view_geometry(rows[pair], index)
                 database.write_two_view_geometry(first, second, geometry)
+        _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
 
 
 def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeometry:
@@ -121,7 +120,6 @@ def _write_images(
     database: pycolmap.Database,
     names: Sequence[str],
     cameras: Mapping[str, Camera],
-    guessed: frozenset[str],
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera."""
     from dgc_pose.colmap_library import pycolmap
@@ -132,7 +130,7 @@ def _write_images(
         if name not in cameras:
             continue
         camera = colmap_camera(cameras[name], name)
-        camera.has_prior_focal_length = name not in guessed
+        camera.has_prior_focal_length = not cameras[name].guessed_focal
         key = (
             camera.model.name,
             camera.has_prior_focal_length,
@@ -156,17 +154,16 @@ def _write_images(
 _SIDECARS = ("-wal", "-shm", "-journal")  # of SQLite, beside a database
 
 
-def _room(shared: SharedMatches) -> int:
-    """Bytes that a database and its log take at most, about."""
+def _array_bytes(shared: SharedMatches) -> int:
+    """Bytes of the key points and of the matches, which COLMAP stores twice."""
     points = sum(array.size for array in shared.key_points.values())
     matches = sum(array.size for array in shared.pairs.values())
-    rows = len(shared.key_points) + len(shared.pairs)
-    return 2 * (4 * points + 8 * matches + 1024 * rows) + 2**20
+    return 4 * points + 2 * 4 * matches
 
 
 @contextmanager
 def _opened(temporary: Path, path: Path) -> Iterator[pycolmap.Database]:
-    """A new database. Raises OSError, with `path`, if what was written is not all there.
+    """A new database. Raises DgcPoseError, with `path`, for what pycolmap raises.
 
     Without a transaction of pycolmap, whose end terminates the process when a disk is full. There
     is nothing to undo: the file has not taken its name.
@@ -176,20 +173,23 @@ def _opened(temporary: Path, path: Path) -> Iterator[pycolmap.Database]:
     try:
         with quiet(), pycolmap.Database.open(temporary) as database:
             yield database
-            count = database.num_verified_image_pairs()
     except RuntimeError as error:
-        if "full" in str(error) or "I/O" in str(error) or "factory" in str(error):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from None
-        raise
-    with closing(sqlite3.connect(f"file:{temporary}?mode=ro&immutable=1", uri=True)) as written:
-        try:
-            found = written.execute(
-                "SELECT COUNT(*) FROM two_view_geometries WHERE rows > 0"
-            ).fetchone()[0]
-        except sqlite3.Error:
-            found = None
-    if found != count:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
+
+
+def _require_rows(temporary: Path, path: Path, keypoints: int, matches: int) -> None:
+    """Raise DgcPoseError, with `path`, if a table has fewer rows than were written into it: SQLite
+    says nothing of a log that does not fit into the file when it is closed."""
+    expected = {"keypoints": keypoints, "matches": matches, "two_view_geometries": matches}
+    address = f"{temporary.absolute().as_uri()}?mode=ro&immutable=1"
+    try:
+        with closing(sqlite3.connect(address, uri=True)) as database:
+            for table, count in expected.items():
+                (rows,) = database.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
+                if rows != count:
+                    raise DgcPoseError(f"{path}: {rows} of {count} rows of {table} were written")
+    except sqlite3.Error as error:
+        raise DgcPoseError(f"{path}: SQLite: {reason(error)}") from error
 
 
 @contextmanager

@@ -67,7 +67,7 @@ def write_shared(
     """Write the database of shared key points, over what is there."""
     plan = batch.plan
     rows = {pair.names: pair.row for pair in pairs}
-    write_database(database, plan.names, plan.cameras, plan.guessed, shared, rows)
+    write_database(database, plan.names, plan.cameras, shared, rows)
     return Exported(
         images=sum(len(points) > 0 for points in shared.key_points.values()),
         key_points=sum(map(len, shared.key_points.values())),

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.files import scratch_folder
 
 if TYPE_CHECKING:
     import pycolmap
 
 MapperName = Literal["incremental", "global"]
-_LEAST_IMAGES = 3  # of a model
+LEAST_IMAGES = 3  # of a model
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
     """The model with the most images. Raises MappingError if there is none."""
     from dgc_pose.colmap_library import pycolmap
 
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # errors are raised
     pycolmap.set_random_seed(options.seed)
     with scratch_folder() as folder:
         try:
@@ -45,10 +45,10 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
             else:
                 models = pycolmap.global_mapping(database, images, folder, _global(options))
         except (RuntimeError, ValueError) as error:
-            raise MappingError(f"{database}: pycolmap cannot map it ({error})") from None
+            raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
     if not models:
         raise MappingError(
-            f"{database}: no reconstruction: no pair to begin with, or too few tracks of 3 views"
+            f"{database}: pycolmap's {options.mapper} mapper made no model of {LEAST_IMAGES} images"
         )
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
 
@@ -57,7 +57,7 @@ def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions
     from dgc_pose.colmap_library import pycolmap
 
     made = pycolmap.IncrementalPipelineOptions()
-    made.min_model_size = _LEAST_IMAGES
+    made.min_model_size = LEAST_IMAGES
     made.ba_refine_focal_length = options.refine_intrinsics
     made.ba_refine_extra_params = options.refine_intrinsics
     made.num_threads = options.threads
@@ -72,7 +72,7 @@ def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
     from dgc_pose.colmap_library import pycolmap
 
     made = pycolmap.GlobalPipelineOptions()
-    made.min_model_size = _LEAST_IMAGES
+    made.min_model_size = LEAST_IMAGES
     made.num_threads = options.threads
     made.random_seed = options.seed
     made.mapper.random_seed = options.seed

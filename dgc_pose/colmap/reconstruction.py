@@ -13,14 +13,15 @@ import numpy as np
 from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
 from dgc_pose.colmap.mapping import MappingOptions, map_database
-from dgc_pose.errors import InputError
-from dgc_pose.files import only_writer, replaced, replaced_folder, require_room, write_text
+from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.files import only_writer, replaced, replaced_folder, write_text
 
 if TYPE_CHECKING:
     import pycolmap
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
+_POINT_BYTES = 15  # of points.ply: three floats and three colours
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 
 
@@ -69,11 +70,33 @@ def reconstruct(
         found = map_database(database, batch.plan.root, options.mapping)
         with replaced_folder(out / MODEL) as folder:
             found.write_binary(folder)
-            require_room(out / MODEL)  # COLMAP says nothing of a full disk
+            _require_model(found, folder, out / MODEL)
         with replaced(out / POINTS) as temporary:
             found.export_PLY(temporary)
-            require_room(out / POINTS)
+            _require_points(found, temporary, out / POINTS)
     return as_model(found), exported
+
+
+def _require_model(model: pycolmap.Reconstruction, folder: Path, path: Path) -> None:
+    """Raise DgcPoseError, with `path`, unless the folder holds the model: pycolmap says nothing of
+    a disk that is full."""
+    from dgc_pose.colmap_library import pycolmap
+
+    try:
+        written = pycolmap.Reconstruction(folder)
+    except (RuntimeError, ValueError) as error:
+        raise DgcPoseError(f"{path}: what was written cannot be read: {reason(error)}") from error
+    for what in ("num_images", "num_points3D"):
+        count, expected = getattr(written, what)(), getattr(model, what)()
+        if count != expected:
+            raise DgcPoseError(f"{path}: {what} is {count} in what was written, not {expected}")
+
+
+def _require_points(model: pycolmap.Reconstruction, file: Path, path: Path) -> None:
+    """The same of a file of points."""
+    size, least = file.stat().st_size, _POINT_BYTES * model.num_points3D()
+    if size < least:
+        raise DgcPoseError(f"{path}: {size} bytes were written, and the points take {least}")
 
 
 def require_model_folder(folder: Path) -> None:

@@ -39,7 +39,8 @@ class SharedMatches:
     """Key points of images, and matches between them."""
 
     key_points: Mapping[str, np.ndarray]  # (N, 2) float64 by image, (0, 0) the first pixel's centre
-    pairs: Mapping[Names, np.ndarray]  # (M, 2) uint32, indices of key points, by pair
+    # (M, 2) uint32, indices of key points, by pair; a pair that shares none is absent
+    pairs: Mapping[Names, np.ndarray]
 
     def track_lengths(self) -> np.ndarray:
         """The number of images (T,) of each track: of key points connected by matches."""

@@ -209,7 +209,7 @@ class _Builder:
         points = {name: np.concatenate(parts) for name, parts in self._points.items()}
         pairs = {}
         for names, parts in self._matches.items():
-            if parts:
+            if sum(map(len, parts)):
                 index, scores = np.concatenate(parts), np.concatenate(self._scores[names])
                 pairs[names] = one_to_one(index.astype(np.uint32), scores)
         return SharedMatches(points, pairs)

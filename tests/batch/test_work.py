@@ -34,9 +34,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _worker(photos: Path, memory_bytes: int) -> tuple[Worker, Matched]:
     """A worker that has matched all pairs."""
     cameras = {name: Camera(K, SIZE) for name in NAMES}
-    worker = Worker(
-        Job(photos, cameras, {}, frozenset(), MatcherSettings(), ESTIMATION, memory_bytes)
-    )
+    worker = Worker(Job(photos, cameras, {}, MatcherSettings(), ESTIMATION, memory_bytes))
     outcome = worker.do(Match(tuple(range(len(PAIRS))), PAIRS))
     assert isinstance(outcome, Matched)
     return worker, outcome

@@ -226,3 +226,34 @@ def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
     assert done.exit_code == 2, done.output
     assert "matches.h5" in done.stderr.splitlines()[-1]
     assert [path.name for path in out.iterdir()] == ["batch"]
+
+
+def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
+    """As `estimate` tells it."""
+    from PIL import Image
+
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for number in range(2):
+        with Image.open(photos / f"view{number}.png") as image:
+            exif = image.getexif()
+            exif[0x0112] = 6
+            image.save(folder / f"{number}.jpg", exif=exif)
+    options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
+    done = CliRunner().invoke(main, [*map(str, ["batch", folder, *options])])
+    assert done.exit_code == 0, done.output
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"warning: {folder / '0.jpg'}: EXIF orientation 6 is not applied")
+    assert line.endswith("(and 1 more images)")
+
+
+def test_two_photographs_are_refused_before_they_are_matched(photos: Path, tmp_path: Path) -> None:
+    folder, out = tmp_path / "folder", tmp_path / "out"
+    folder.mkdir()
+    for i in range(2):
+        (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
+    assert_refused(
+        ["reconstruct", folder, "--out", out, "--K", K_text(), *SIFT],
+        f"{folder}: 2 images, and a model needs 3",
+    )
+    assert not out.exists()

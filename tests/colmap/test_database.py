@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from dgc_pose.camera import Camera
 from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.colmap_camera import Distortion
-from dgc_pose.errors import InputError
+from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
 
 NAMES = ("b.png", "a.png")
@@ -30,9 +31,10 @@ def _write(path: Path, status: str = "ok") -> tuple[np.ndarray, np.ndarray]:
     }
     shared = SharedMatches(points, {NAMES: INDEX})
     row = true_row(NAMES, R, t, status)
-    cameras = {name: camera() for name in (*NAMES, "c.png")}
+    cameras = {name: camera() for name in NAMES}
+    cameras["c.png"] = replace(camera(), guessed_focal=True)
     names = ("a.png", "b.png", "c.png", "bad.png")
-    write_database(path, names, cameras, frozenset({"c.png"}), shared, {NAMES: row})
+    write_database(path, names, cameras, shared, {NAMES: row})
     return R, t
 
 
@@ -106,6 +108,49 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     before = path.read_bytes()
     skewed = Camera(camera().K + np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]]), camera().size)
     with pytest.raises(InputError, match="skew"):
-        write_database(path, ["a"], {"a": skewed}, frozenset(), SharedMatches({}, {}), {})
+        write_database(path, ["a"], {"a": skewed}, SharedMatches({}, {}), {})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["shoot #3", "herz?", "100%20real", "with blank", "mode=ro&x"])
+def test_the_name_of_a_folder_is_no_address(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name / "database.db"
+    _write(path)
+    with pycolmap.Database.open(path) as database:
+        assert database.num_images() == 3
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_pair_that_shares_no_key_point_is_written(tmp_path: Path) -> None:
+    """COLMAP counts such a pair as matched; it is no sign of rows that are missing."""
+    path, none = tmp_path / "database.db", np.zeros((0, 2), np.uint32)
+    names = [*NAMES, "c.png"]
+    points = {name: np.array([[5.0, 6], [7, 8], [9, 9]]) for name in names[:2]}
+    points["c.png"] = np.zeros((0, 2))
+    pairs = {NAMES: INDEX, ("b.png", "c.png"): none}
+    rows = {pair: true_row(pair, np.eye(3), np.array([1.0, 0, 0])) for pair in pairs}
+    shared = SharedMatches(points, pairs)
+    write_database(path, names, {name: camera() for name in names}, shared, rows)
+    with pycolmap.Database.open(path) as database:
+        assert database.num_matches() == len(INDEX)
+
+
+def test_rows_that_are_missing_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log that does not fit into the file when SQLite closes it is lost without an error."""
+    path = tmp_path / "database.db"
+    monkeypatch.setattr(pycolmap.Database, "write_matches", lambda *arguments: None)
+    with pytest.raises(DgcPoseError, match=f"^{path}: 0 of 1 rows of matches were written$"):
+        _write(path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_pycolmap_raises_goes_through(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where it holds words of a full disk."""
+
+    def fail(*arguments: object) -> None:
+        raise RuntimeError("the factory is full of I/O")
+
+    monkeypatch.setattr(pycolmap.Database, "write_keypoints", fail)
+    with pytest.raises(DgcPoseError, match="database.db: pycolmap: the factory is full of I/O$"):
+        _write(tmp_path / "database.db")

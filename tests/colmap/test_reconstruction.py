@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from itertools import combinations
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from multi_view import K_text, View
 
 from dgc_pose.batch.run import Batch, read_batch
 from dgc_pose.cli.main import main
-from dgc_pose.colmap.export import ExportOptions
+from dgc_pose.colmap.export import ExportOptions, Sharing
 from dgc_pose.colmap.mapping import MapperName, MappingError, MappingOptions
 from dgc_pose.colmap.reconstruction import Model, ReconstructionOptions, reconstruct
 from dgc_pose.errors import InputError
@@ -174,9 +175,27 @@ def test_nothing_to_reconstruct(
         estimation=EstimationOptions(runs=1, iterations=300),
         options=BatchOptions(),
     )
-    with pytest.raises(MappingError, match="no reconstruction"):
+    with pytest.raises(MappingError, match="incremental mapper made no model"):
         reconstruct(pair, tmp_path / "model")
     rows = (out / "pairs.jsonl").read_text().replace('"ok"', '"no_model"')
     (out / "pairs.jsonl").write_text(rows)
     with pytest.raises(InputError, match="has a pose"):
         reconstruct(read_batch(out), tmp_path / "model")
+
+
+@pytest.mark.parametrize("sharing", ["tracks", "cells"])
+def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(
+    views: tuple[Path, list[View]], batch: Batch, tmp_path: Path, sharing: Sharing
+) -> None:
+    """A pair with a pose, all of whose matches are lost, is left out, and all images register."""
+    folder = tmp_path / "batch"
+    shutil.copytree(batch.folder, folder)
+    with h5py.File(folder / "matches.h5", "r+") as file:
+        file["view0.png/view4.png/inliers"][:] = False
+    options = ReconstructionOptions(ExportOptions(sharing), MappingOptions(threads=1))
+    model, exported = reconstruct(read_batch(folder), tmp_path, options)
+    assert len(model.poses) == COUNT
+    # Corners of a third image are shared by both images of the pair, which thus keeps matches.
+    assert exported.pairs == (10 if sharing == "tracks" else 9)
+    with pycolmap.Database.open(tmp_path / "database.db") as database:
+        assert database.num_verified_image_pairs() == exported.pairs

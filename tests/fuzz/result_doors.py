@@ -11,9 +11,10 @@ from fuzz import mutators
 from fuzz.door import Door
 
 from dgc_pose.batch.matches_file import PairMatches, write_matches
-from dgc_pose.batch.rows import PairRow, bad_row, row_data
+from dgc_pose.batch.plan import Plan, write_plan
+from dgc_pose.batch.rows import BAD_INPUT, PairRow, row_data, unmatched_row
 from dgc_pose.batch.run import read_batch
-from dgc_pose.batch.store import PartStore, Plan, read_part, write_plan
+from dgc_pose.batch.store import PartStore, read_part
 from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.plan import Source, read_plan
@@ -27,35 +28,44 @@ from dgc_pose.serve.store import StoredImage
 _SOURCE = Source("scene", part="fit", kind="list")
 
 
-def make_batch(folder: Path, names: tuple[str, ...] = ("a.png", "b.png", "c.png")) -> None:
-    """A finished batch in `folder`: three images, a pose, a bad pair."""
+def batch_plan(folder: Path, names: tuple[str, ...] = ("a.png", "b.png", "c.png")) -> Plan:
+    """Three images, one of them bad, and two pairs."""
     K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
     cameras = {
-        names[0]: Camera(K, (10, 8)),
+        names[0]: Camera(K, (10, 8), guessed_focal=True),
         names[1]: Camera(K, (10, 8), Distortion("OPENCV", (0.1, 0.0, 0.0, 0.0))),
     }
-    plan = Plan(
+    return Plan(
         folder,
         cameras,
         {names[2]: "too small"},
-        frozenset(names[:1]),
+        {name: (100, 10**18) for name in names},
         names,
         np.array([[0, 1], [1, 2]]),
         {"format": "jsonl", "runtime": "auto"},
     )
-    rows = [_row(names[0], names[1]), bad_row(names[1:], "too small")]
+
+
+def make_batch(folder: Path, names: tuple[str, ...] = ("a.png", "b.png", "c.png")) -> None:
+    """A finished batch in `folder`: three images, a pose, a bad pair."""
+    plan = batch_plan(folder, names)
+    rows = [_row(names[0], names[1]), unmatched_row(names[1:], BAD_INPUT, "too small")]
     write_plan(folder, plan)
     store = PartStore(folder, plan)
     store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {names[2]: "too small"}))
     bad = store.assemble()
     store.close()
     summary = {"images": 3, "bad_images": bad, "guessed_focal": 1, "pairs": 2, "poses": 1}
-    summary |= {"by_status": {"ok": 1, "bad_input": 1}, "matched_now": 2, "seconds": 0.5}
+    summary |= {
+        "by_status": {"ok": 1, "bad_input": 1},
+        "matched_now": 2,
+        "seconds": 0.5,
+    }
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
 def _row(name1: str, name2: str) -> PairRow:
-    known = row_data(bad_row((name1, name2), "a pose"))
+    known = row_data(unmatched_row((name1, name2), BAD_INPUT, "a pose"))
     known |= {"status": "ok", "success": True, "R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
     return PairRow(**known | {"num_matches": 8, "num_inliers": 8, "error_px": 0.5})
 
@@ -78,7 +88,8 @@ def _make_part(folder: Path) -> None:
     import h5py
 
     rows = [_row("a.png", "b.png")]
-    data = {"rows": {"0": row_data(rows[0])}, "bad": {}}
+    states = {name: [100, 10**18] for name in ("a.png", "b.png")}
+    data = {"rows": {"0": row_data(rows[0])}, "bad": {}, "states": states}
     with h5py.File(folder / "000000000.h5", "w") as file:
         file["indices"] = np.array([0])
         file["rows"] = np.frombuffer(json.dumps(data).encode(), dtype=np.uint8)
@@ -146,7 +157,13 @@ RESULT_DOORS = (
         _read_batch_folder,
         {".json": mutators.JSON, ".jsonl": mutators.JSON, ".h5": mutators.BYTES},
     ),
-    Door("batch parts", _make_part, lambda _, path: read_part(path), {".h5": mutators.BYTES}, 0.5),
+    Door(
+        "batch parts",
+        _make_part,
+        lambda _, path: read_part(path, batch_plan(path.parent)),
+        {".h5": mutators.BYTES},
+        0.5,
+    ),
     Door(
         "collections",
         _make_collection,

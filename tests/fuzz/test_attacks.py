@@ -23,9 +23,10 @@ from fuzz.result_doors import make_batch
 from fuzz.test_commands import hashes
 
 from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.plan import read_plan
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import read_batch
-from dgc_pose.batch.store import PartStore, read_plan
+from dgc_pose.batch.store import PartStore
 from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources

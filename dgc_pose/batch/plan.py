@@ -1,0 +1,153 @@
+"""The plan of a batch: its settings, the images with their cameras, and the pairs; `plan.json`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from dgc_pose.batch.calibration import camera_data, parse_camera_data
+from dgc_pose.batch.matches_file import group_name
+from dgc_pose.batch.source import FileState
+from dgc_pose.camera import Camera
+from dgc_pose.errors import InputError, reason, shortened
+from dgc_pose.files import write_text
+from dgc_pose.inputs import read_json
+
+RowFormat = Literal["jsonl", "parquet"]
+PLAN = "plan.json"
+_VERSION = 2
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a batch works through."""
+
+    root: Path  # of the image names
+    cameras: Mapping[str, Camera]  # by name, with the image's size; absent for bad images
+    bad: Mapping[str, str]  # the reason by name, of images that are not matched
+    states: Mapping[str, FileState]  # of the photographs' files, by name
+    names: tuple[str, ...]
+    pairs: np.ndarray  # (P, 2) int64, indices of `names`
+    settings: Mapping[str, Any]  # all that the result depends on besides; JSON
+
+    @property
+    def guessed(self) -> frozenset[str]:
+        """The images with a guessed focal length."""
+        return frozenset(name for name, camera in self.cameras.items() if camera.guessed_focal)
+
+    def pair(self, index: int) -> tuple[str, str]:
+        """The names of a pair."""
+        first, second = self.pairs[index]
+        return self.names[first], self.names[second]
+
+    def same_files(self, names: Iterable[str], states: Mapping[str, FileState]) -> bool:
+        """Whether the photographs of these names are in these states."""
+        return all(self.states.get(name) == states.get(name) for name in names)
+
+
+def write_plan(out: Path, plan: Plan) -> None:
+    """Write `plan.json`, making the folder. Raises InputError if two pairs would share a group of
+    the matches file."""
+    groups: dict[str, tuple[str, str]] = {}
+    for index in range(len(plan.pairs)):
+        pair = plan.pair(index)
+        other = groups.setdefault(group_name(*pair), pair)
+        if other != pair:
+            raise InputError(f"{' '.join(pair)} and {' '.join(other)} have one name in HDF5")
+    out.mkdir(parents=True, exist_ok=True)
+    data = {
+        "version": _VERSION,
+        "root": str(plan.root.resolve()),
+        "settings": dict(plan.settings),
+        "images": [
+            {
+                "name": name,
+                "camera": camera_data(plan.cameras[name]) if name in plan.cameras else None,
+                "bad": plan.bad.get(name),
+                "state": plan.states.get(name),
+            }
+            for name in plan.names
+        ],
+        "pairs": plan.pairs.tolist(),
+    }
+    write_text(out / PLAN, json.dumps(data, allow_nan=False) + "\n")
+
+
+def read_plan(out: Path) -> Plan:
+    """The plan of a folder. Raises InputError, with the path, if there is none or it is broken."""
+    path = out / PLAN
+    if not path.is_file():
+        raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no {PLAN})")
+    data = read_json(path, "the plan of a batch")
+    try:
+        if data["version"] != _VERSION:
+            raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
+        images = data["images"]
+        if data["settings"]["format"] not in get_args(RowFormat):
+            raise ValueError("a format of rows that is none")
+        plan = Plan(
+            Path(data["root"]),
+            {
+                image["name"]: parse_camera_data(image["camera"])
+                for image in images
+                if image["camera"] is not None
+            },
+            {image["name"]: image["bad"] for image in images if image["bad"] is not None},
+            parse_states({image["name"]: image["state"] for image in images}),
+            tuple(image["name"] for image in images),
+            np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
+            data["settings"],
+        )
+        if not all(isinstance(name, str) for name in (*plan.names, *plan.bad.values())):
+            raise ValueError("names that are no texts")
+        if len(plan.pairs) and not 0 <= plan.pairs.min() <= plan.pairs.max() < len(plan.names):
+            raise ValueError("pairs of images that are not listed")
+        return plan
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
+        raise InputError(f"{path}: not the plan of a batch ({reason(error)})") from None
+
+
+def parse_states(data: Mapping[str, Any]) -> dict[str, FileState]:
+    """States of photographs from JSON; those that are null are absent."""
+    return {name: (int(pair[0]), int(pair[1])) for name, pair in data.items() if pair is not None}
+
+
+def continued(before: Plan, now: Plan, out: Path) -> Plan:
+    """The plan `now` with the pairs of the batch `before`, which is to be resumed in `out`.
+
+    Photographs may have changed: their pairs are matched again.
+
+    Raises InputError, saying what differs, if the batch had other settings, images, pairs, or other
+    cameras of photographs that have not changed.
+    """
+
+    def require(what: str, old: Any, new: Any) -> None:
+        if old != new:
+            old, new = (shortened(json.dumps(value)) for value in (old, new))
+            raise InputError(
+                f"{out / PLAN}: that batch had {what} {old}, not {new}: --resume needs the same"
+            )
+
+    require("the folder", str(before.root), str(now.root))
+    for key, value in json.loads(json.dumps(now.settings)).items():
+        require(key, before.settings.get(key), value)
+    for name in sorted({*before.names} ^ {*now.names}):
+        require(name, *("in its source" if name in plan.names else None for plan in (before, now)))
+    if len(now.pairs):
+        require("the pairs", before.pairs.tolist(), now.pairs.tolist())
+    unchanged = [name for name in now.names if now.same_files([name], before.states)]
+    for name in unchanged:
+        cameras = (plan.cameras.get(name) for plan in (before, now))
+        require(f"for {name} the camera", *(camera and _plain(camera) for camera in cameras))
+    bad = {name: before.bad[name] for name in unchanged if name in before.bad}
+    return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
+
+
+def _plain(camera: Camera) -> Any:
+    """The numbers of a camera, without what was said of them."""
+    return {key: value for key, value in camera_data(camera).items() if key != "warnings"}

@@ -1,0 +1,104 @@
+"""Workers of this machine: what they raise, and how their end is told."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from batch_runs import assert_same_result, run_sift, view_folder
+from multi_view import K_text
+
+from dgc_pose.batch.calibration import read_calibration
+from dgc_pose.batch.local import RunTasks, local_workers
+from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.run import BatchOptions, run_batch
+from dgc_pose.batch.source import open_source
+from dgc_pose.batch.work import Describe, Job, MatcherSettings, Outcome, Task
+from dgc_pose.errors import DgcPoseError, InputError, WeightsError
+from dgc_pose.estimation import EstimationOptions
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photos")
+    view_folder(folder, 4)
+    return folder
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize(
+    ("weights", "device", "error", "words"),
+    [
+        ("none.safetensors", "auto", WeightsError, "none.safetensors"),
+        ("damaged.safetensors", "auto", WeightsError, "damaged.safetensors"),
+        ("dgcm-lite0", "cuda:99", InputError, "cuda"),
+    ],
+)
+def test_what_cannot_be_loaded_is_said_as_by_the_matcher(
+    photos: Path,
+    tmp_path: Path,
+    workers: int,
+    weights: str,
+    device: str,
+    error: type[DgcPoseError],
+    words: str,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Before a process starts, and nothing is left."""
+    (tmp_path / "damaged.safetensors").write_bytes(b"\x08\0\0\0\0\0\0\0{}")
+    path = tmp_path / weights if weights.startswith("damaged") else weights
+    with pytest.raises(error, match=words):
+        run_batch(
+            open_source(photos),
+            read_calibration(K_text()),
+            parse_pair_choice("exhaustive"),
+            tmp_path / "out",
+            matcher=MatcherSettings(str(path), device=device),
+            estimation=EstimationOptions(),
+            options=BatchOptions(workers=workers),
+        )
+    assert not (tmp_path / "out").exists()
+    assert capfd.readouterr() == ("", "")
+
+
+@contextmanager
+def _killing(job: Job, workers: int) -> Iterator[RunTasks]:
+    """Workers of which each is killed after the first outcome."""
+    others = set(multiprocessing.active_children())
+    with local_workers(job, workers) as run:
+
+        def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
+            for outcome in run(tasks):
+                for process in set(multiprocessing.active_children()) - others:
+                    assert process.pid is not None
+                    os.kill(process.pid, signal.SIGKILL)
+                yield outcome
+
+        yield some
+
+
+def test_a_worker_that_is_killed_is_told_by_its_signal(photos: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(DgcPoseError, match="^a worker process ended by SIGKILL: --resume goes on"):
+        run_sift(photos, out, workers=2, start_workers=_killing)
+    assert len(list((out / "parts").iterdir())) == 1
+    run_sift(photos, out, resume=True)
+    run_sift(photos, tmp_path / "whole")
+    assert_same_result(out, tmp_path / "whole")
+
+
+def test_what_a_worker_raises_is_raised_here(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not the end of a process: here the weights are gone once the processes start."""
+    monkeypatch.setattr(MatcherSettings, "load", lambda self, caches=None: None)  # in this process
+    settings = MatcherSettings("gone.safetensors")
+    job = Job(photos, {}, {}, settings, EstimationOptions(), 2**20)
+    with (
+        pytest.raises(WeightsError, match="gone.safetensors"),
+        local_workers(job, 2) as run,
+    ):
+        list(run([Describe(("view0.png",)), Describe(("view1.png",))]))

@@ -1,0 +1,203 @@
+"""A batch that is resumed: what must be the same, what is matched again, and what is kept."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+
+from dgc_pose.batch.rows import read_rows
+from dgc_pose.batch.run import read_batch
+from dgc_pose.camera import guess_camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matching.sift import SiftMatcher
+
+COUNT = 4
+LAST = f"view{COUNT - 1}.png"
+OTHER_K = "300,300,119.5,89.5"
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("views")
+    view_folder(folder, COUNT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(views: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An uninterrupted batch."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    run_sift(views, out)
+    return out
+
+
+@pytest.fixture
+def photos(views: Path, tmp_path: Path) -> Path:
+    """A copy of the views, to change."""
+    shutil.copytree(views, tmp_path / "photos")
+    return tmp_path / "photos"
+
+
+def _files(out: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+def _add(photos: Path) -> None:
+    shutil.copy(photos / "view0.png", photos / "added.png")
+
+
+def _remove(photos: Path) -> None:
+    (photos / "view0.png").unlink()
+
+
+CHANGES = {
+    "K": (lambda photos: None, {"K": OTHER_K}, "for view0.png the camera"),
+    "guessed": (lambda photos: None, {"K": None}, "for view0.png the camera"),
+    "folder": (None, {}, "the folder"),
+    "added": (_add, {}, 'added.png null, not "in its source"'),
+    "removed": (_remove, {}, 'view0.png "in its source", not null'),
+    "pairs": (lambda photos: None, {"pairs": "sequential:1"}, "pairs"),
+    "seed": (lambda photos: None, {"estimation": EstimationOptions(seed=9)}, "estimation"),
+}
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["finished", "begun"])
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_differs_is_named_and_nothing_changes(
+    photos: Path, tmp_path: Path, change: str, begun: bool
+) -> None:
+    out = tmp_path / "out"
+    if begun:
+        with pytest.raises(Killed):
+            run_sift(photos, out, start_workers=killed_after(1))
+    else:
+        run_sift(photos, out)
+    before = _files(out)
+    apply, options, words = CHANGES[change]
+    source = photos
+    if apply is None:
+        source = shutil.copytree(photos, tmp_path / "elsewhere")
+    else:
+        apply(photos)
+    with pytest.raises(InputError, match="that batch had .*--resume needs the same") as raised:
+        run_sift(source, out, resume=True, **options)  # type: ignore[arg-type]
+    assert words in str(raised.value) and "\n" not in str(raised.value)
+    assert _files(out) == before
+
+
+@pytest.mark.parametrize("begun", [False, True], ids=["finished", "begun"])
+def test_a_photograph_that_was_half_copied_is_matched_when_it_is_whole(
+    photos: Path, whole: Path, tmp_path: Path, begun: bool
+) -> None:
+    """Its pairs alone; also if the run that does it is killed."""
+    out, content = tmp_path / "out", (photos / LAST).read_bytes()
+    (photos / LAST).write_bytes(content[: len(content) // 2])
+    if begun:
+        with pytest.raises(Killed):
+            run_sift(photos, out, start_workers=killed_after(5))
+    else:
+        assert list(run_sift(photos, out).summary["bad_images"]) == [LAST]
+        bad = [row.name2 for row in read_rows(out / "pairs.jsonl") if row.status == "bad_input"]
+        assert bad == [LAST] * (COUNT - 1)
+    (photos / LAST).write_bytes(content)
+    with pytest.raises(Killed):
+        run_sift(photos, out, resume=True, start_workers=killed_after(1))
+    batch = run_sift(photos, out, resume=True)
+    assert batch.summary["bad_images"] == {}
+    assert batch.summary["matched_now"] < COUNT * (COUNT - 1) // 2 - begun
+    assert_same_result(out, whole)
+    assert not (out / "parts").exists()
+    again = run_sift(photos, out, resume=True, start_workers=killed_after(0))
+    assert again.summary == batch.summary
+
+
+def test_a_photograph_that_was_touched_gives_the_same(
+    photos: Path, whole: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run_sift(photos, out)
+    os.utime(photos / LAST, (10**9, 10**9))
+    assert run_sift(photos, out, resume=True).summary["matched_now"] == COUNT - 1
+    assert_same_result(out, whole)
+
+
+class _Raises:
+    """`SiftMatcher.match` that raises once an image is LAST."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+        self.match = SiftMatcher.match
+
+    def __call__(self) -> Callable[..., object]:
+        def match(matcher: SiftMatcher, image1: object, image2: object) -> object:
+            if str(getattr(image2, "name", "")).endswith(LAST):
+                raise self.error
+            return self.match(matcher, image1, image2)  # type: ignore[arg-type]
+
+        return match
+
+
+def test_a_failure_is_no_bad_input_and_is_matched_again(
+    photos: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(SiftMatcher, "match", _Raises(np.linalg.LinAlgError("singular"))())
+        batch = run_sift(photos, out)
+    failed = [row for row in batch.rows if row.status == "failed"]
+    assert [row.name2 for row in failed] == [LAST] * (COUNT - 1)
+    assert {row.reason for row in failed} == {"LinAlgError: singular"}
+    assert batch.summary["failed_pairs"] == COUNT - 1 and batch.summary["bad_pairs"] == 0
+    assert run_sift(photos, out, resume=True).summary["matched_now"] == COUNT - 1
+    assert_same_result(out, whole)
+
+
+def test_a_lack_of_memory_ends_the_batch_which_resumes(
+    photos: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(SiftMatcher, "match", _Raises(MemoryError("60 GiB"))())
+        with pytest.raises(MemoryError, match="60 GiB"):
+            run_sift(photos, out)
+    with pytest.raises(InputError, match="not finished"):
+        read_batch(out)
+    run_sift(photos, out, resume=True)
+    assert_same_result(out, whole)
+
+
+def test_warnings_of_images_and_cameras_are_in_the_rows(photos: Path, tmp_path: Path) -> None:
+    """As `estimate` gives them: of a guessed focal length, whatever the names hold."""
+    source = photos.rename(tmp_path / "guess")
+    calibrated = run_sift(source, tmp_path / "calibrated")
+    assert calibrated.plan.guessed == frozenset()
+    assert not any(row.guessed_focal for row in calibrated.rows)
+    batch = run_sift(source, tmp_path / "out", K=None)
+    assert batch.plan.guessed == {f"view{i}.png" for i in range(COUNT)}
+    for row in batch.rows:
+        assert row.guessed_focal
+        for name in (row.name1, row.name2):
+            (warning,) = guess_camera(source / name).warnings
+            assert warning in row.warnings
+
+
+def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
+    from PIL import Image
+
+    with Image.open(photos / "view0.png") as image:
+        exif = image.getexif()
+        exif[0x0112] = 6
+        image.save(photos / "view0.jpg", exif=exif, quality=95)
+    (photos / "view0.png").unlink()
+    batch = run_sift(photos, tmp_path / "out")
+    told = [row for row in batch.rows if any("EXIF orientation 6" in w for w in row.warnings)]
+    assert [row.name1 for row in told] == ["view0.jpg"] * (COUNT - 1)
+    (warning,) = batch.plan.cameras["view0.jpg"].warnings
+    assert told[0].warnings.count(warning) == 1
