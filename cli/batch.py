@@ -101,6 +101,8 @@ def work_through(
     from dgc_pose.batch.work import MatcherSettings
 
     opened = open_source(Path(source), inputs.root)
+    for line in opened.left_out:
+        click.echo(f"warning: {line}", err=True)
     pairs = inputs.pairs
     if pairs is None and opened.pairs is None and default_pairs is not None:
         pairs = default_pairs(len(opened.names))
