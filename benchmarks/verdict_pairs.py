@@ -27,6 +27,7 @@ from dgc_pose.benchmarks.verdicts import PairKind, VerdictScore
 from dgc_pose.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.image import Image, load_image
+from dgc_pose.image_folder import search_images
 from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
 from dgc_pose.synthesis.photos import held_back_paths
 from dgc_pose.synthesis.render.scene_pair import PairKind as SceneKind
@@ -34,7 +35,6 @@ from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
 Parts = tuple[Image, Image, Truth]  # of a pair, whose ids are still to be put in
 Change = Literal["roll 90", "roll 180", "4x zoom", "night"]
-_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff"}
 _VIEW = (800, 600)  # pixels of the views with procedural textures, and of the facade
 
 
@@ -88,7 +88,7 @@ def unrelated_scenes(folders: Sequence[Path], count: int, seed: int) -> Group:
     """
     scenes = []
     for folder in folders:
-        found = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
+        found = [folder / name for name in search_images(folder).names if "/" not in name]
         if not found:
             raise InputError(f"{folder}: no photographs")
         scenes.append(found)

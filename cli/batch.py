@@ -104,6 +104,8 @@ def work_through(
     from dgc_pose.batch.work import MatcherSettings
 
     opened = open_source(Path(source), inputs.root)
+    for line in opened.left_out:
+        click.echo(f"warning: {line}", err=True)
     if len(opened.names) < least_images:
         raise InputError(f"{source}: {len(opened.names)} images, and a model needs {least_images}")
     pairs = inputs.pairs

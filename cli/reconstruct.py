@@ -16,7 +16,7 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.options import option
+from dgc_pose.options import check_options, option
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.reconstruction import Model
@@ -34,6 +34,16 @@ class MapperChoice:
         False,
         "Let bundle adjustment change focal lengths and distortion; always with --guess-focal.",
     )
+    mapper_threads: int = option(
+        1,
+        "Threads of the mapper; with more than one, models of the same photographs differ in "
+        "their last digits.",
+        min=1,
+        max=1024,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @click.command()
@@ -90,7 +100,11 @@ def reconstruct(
     matched = time.perf_counter()
     options = reconstruction.ReconstructionOptions(
         sharing.options,
-        MappingOptions(mapping.mapper, mapping.refine_intrinsics or bool(batch.plan.guessed)),
+        MappingOptions(
+            mapping.mapper,
+            mapping.refine_intrinsics or bool(batch.plan.guessed),
+            threads=mapping.mapper_threads,
+        ),
     )
     with images_bar() as progress:
         model, exported = reconstruction.reconstruct(batch, out, options, progress)

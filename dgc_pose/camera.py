@@ -18,7 +18,7 @@ from dgc_pose.array_files import read_array
 from dgc_pose.arrays import as_numpy
 from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.inputs import read_as, read_text
+from dgc_pose.inputs import existing, read_as, read_text
 from dgc_pose.pixels import rescale
 
 # If the principal point is farther from the middle, as a share of the image's side, K may belong to
@@ -95,12 +95,9 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
     principal point, half a pixel more than ours. files: whether the text may be a path; False for a
     text of a stranger. Raises InputError of one line, naming `name`.
     """
-    try:
-        is_file = files and Path(text).is_file()
-    except (OSError, ValueError):  # such as a text too long for a path
-        is_file = False
-    if is_file:
-        return as_camera(_read_matrix(Path(text), name), name)
+    path = existing(text) if files else None
+    if path is not None:
+        return as_camera(_read_matrix(path, name), f"{name}: {path}")
     words = re.split(r"\s*,\s*", text.strip())
     numbers = _floats(words)
     if numbers is None and len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
@@ -193,17 +190,19 @@ def _listed(numbers: np.ndarray) -> str:
 def _read_matrix(path: Path, name: str) -> np.ndarray:
     """The numbers of a file, (3, 3) if they are nine; commas and line breaks are as blanks."""
     try:
-        with read_as("a matrix", path):
-            if path.suffix == ".npy":
+        with read_as("a 3x3 matrix", path):
+            if path.suffix.lower() == ".npy":
                 matrix = read_array(path)
             else:
-                text = read_text(path, limit=_MAX_FILE_BYTES).replace(",", " ")
+                text = read_text(path, "a 3x3 matrix", _MAX_FILE_BYTES).replace(",", " ")
                 matrix = np.loadtxt(io.StringIO(text), ndmin=2)
             if not matrix.size:
                 raise InputError(f"{path} is empty")
             return matrix.reshape(3, 3) if matrix.size == 9 else matrix
-    except (InputError, OSError) as error:
-        raise InputError(f"{name}: {path} is not a file with a 3x3 matrix") from error
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    except OSError as error:
+        raise InputError(f"{name}: {path}: {error.strerror or error}") from error
 
 
 def _parse_colmap(words: list[str], name: str) -> Camera:

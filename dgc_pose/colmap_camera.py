@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import ImageError, InputError, reason
+from dgc_pose.files import scratch_folder
 from dgc_pose.inputs import read_bytes
 from dgc_pose.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
 
+    from dgc_pose.image_header import Header
+
 # Largest error of a point that is undistorted and distorted again, in focal lengths: a hundredth of
 # a pixel at a focal length of 1000.
 _MAX_ROUND_TRIP = 1e-5
+_READ = ("JPEG", "PNG", "TIFF", "BMP", "PPM", "HDR", "PFM")  # formats that pycolmap reads
+_EXIF = b"Exif\0\0"  # the start of an EXIF block in JPEG
 
 
 @dataclass(frozen=True)
@@ -87,13 +94,32 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
     from dgc_pose.image import MAX_BYTES, check_header
 
     try:
-        check_header(read_bytes(path, MAX_BYTES, ImageError), path)  # pycolmap decodes the pixels
-        with quiet():  # about odd EXIF data
-            camera = pycolmap.infer_camera_from_image(path)
-    except (ValueError, RuntimeError, OSError) as error:
-        raise ImageError(f"{path} does not exist or is not an image that can be read") from error
+        header = check_header(read_bytes(path, MAX_BYTES, ImageError), path)
+        # pycolmap decodes the pixels; quiet: about odd EXIF data
+        with _readable(path, header) as file, quiet():
+            camera = pycolmap.infer_camera_from_image(file)
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, RuntimeError) as error:
+        raise ImageError(f"{path}: COLMAP reads no camera from it: {reason(error)}") from error
     size = (int(camera.width), int(camera.height))
     return pixel_matrix(camera), size, bool(camera.has_prior_focal_length)
+
+
+@contextmanager
+def _readable(path: Path, header: Header) -> Iterator[Path]:
+    """An image file for pycolmap: another one of the same size and EXIF data, if it does not read
+    the format."""
+    import PIL.Image
+
+    if header.format in _READ:
+        yield path
+        return
+    with scratch_folder() as folder:
+        blank = folder / "blank.jpg"
+        exif = header.exif.removeprefix(_EXIF)  # WebP has it without
+        PIL.Image.new("L", header.size).save(blank, exif=_EXIF + exif if exif else b"")
+        yield blank
 
 
 def pixel_matrix(camera: pycolmap.Camera) -> np.ndarray:

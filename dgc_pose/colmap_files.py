@@ -45,6 +45,12 @@ def camera_of(camera: pycolmap.Camera) -> Camera:
     return Camera(K, (int(camera.width), int(camera.height)), distortion)
 
 
+def find_file(folder: Path, name: str) -> Path | None:
+    """The file of a folder that has a name in small letters, or the same in capitals."""
+    alike = sorted(path for path in folder.iterdir() if path.name.lower() == name)
+    return next((path for path in reversed(alike) if path.is_file()), None)
+
+
 def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
     """The cameras of a cameras.txt or cameras.bin by their number, and the number of the camera of
     each image, if images.txt or images.bin lies beside it; else none.
@@ -53,7 +59,7 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
     """
     from dgc_pose.colmap_library import pycolmap
 
-    ending = path.suffix
+    ending = path.suffix.lower()
     content = read_bytes(path, TEXT_BYTES)
     with scratch_folder() as folder:
         for name in ("cameras", "images", "points3D"):  # pycolmap reads whole models alone
@@ -68,8 +74,8 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
             raise InputError(f"{path}: not COLMAP's cameras ({reason(error)})") from None
     if not cameras:
         raise InputError(f"{path}: no cameras in this file")
-    images = path.with_name(f"images{ending}")
-    if not images.is_file():
+    images = find_file(path.parent, f"images{ending}")
+    if images is None:
         return cameras, {}
     with open_regular(images) as stream, read_as("COLMAP's images", images):
         return cameras, _read_text(stream) if ending == ".txt" else _read_binary(stream)

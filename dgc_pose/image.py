@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from dgc_pose.arrays import as_numpy, is_tensor
-from dgc_pose.errors import ImageError, InputError
-from dgc_pose.image_header import Header, read_header
+from dgc_pose.errors import ImageError, InputError, reason
+from dgc_pose.image_header import Header, UnreadableFormatError, read_header
 from dgc_pose.inputs import read_bytes, read_start
 from dgc_pose.stderr import quiet
 
@@ -63,10 +63,10 @@ def load_image(
     minimum and maximum, over all colours together, to 0 and 255.
 
     Files give their pixels as stored, to which K refers: an EXIF orientation is not applied, with a
-    warning.
+    warning. HEIC has a rotation of its own, which is part of decoding: K refers to the result.
 
-    Raises ImageError, with the path, if a file is missing, empty, corrupt or too large; InputError,
-    with `name`, if an array has the wrong shape, is empty or is not finite.
+    Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt or
+    too large; InputError, with `name`, if an array has the wrong shape, is empty or not finite.
     """
     if isinstance(source, Image):
         return source
@@ -80,9 +80,10 @@ def load_image(
 
 def _read_file(path: Path) -> Image:
     data = _read_bytes(path)
-    notes = orientation_notes(check_header(data, path), path)
+    header = check_header(data, path)
+    notes = orientation_notes(header, path)
     # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-    array = _decoded(data, path, cv2.IMREAD_UNCHANGED)
+    array = _decoded(data, path, header, cv2.IMREAD_UNCHANGED)
     try:
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
             rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
@@ -105,8 +106,7 @@ def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarr
     """
     path = Path(path)
     data = _read_bytes(path)
-    check_header(data, path)
-    return _decoded(data, path, flags)
+    return _decoded(data, path, check_header(data, path), flags)
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -164,31 +164,49 @@ def _read_bytes(path: Path, start: int | None = None) -> bytes:
     return data
 
 
-def _decoded(data: bytes, path: Path, flags: int) -> np.ndarray:
+def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
+    """Pixels in the order BGR. Of HEIC 8-bit colours without alpha, whatever the flags."""
+    array: np.ndarray | None
     try:
-        with quiet():
-            array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        if header.format == "HEIF":
+            array = _decoded_heif(data)
+        else:
+            with quiet():
+                array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except MemoryError:
         raise ImageError(f"{path} needs more memory than there is") from None
     except cv2.error as error:
         if error.code == cv2.Error.STS_NO_MEM:
             raise ImageError(f"{path} needs more memory than there is") from None
-        array = None
-    if array is None:
-        raise ImageError(f"{path} is corrupt, or not an image that can be read")
+        raise ImageError(f"{path} is corrupt: {error.err}") from None
+    except Exception as error:  # of libheif
+        raise ImageError(f"{path} is corrupt: {reason(error)}") from error
+    if array is None:  # OpenCV does not say why
+        raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
     check_pixel_count(array.shape[1], array.shape[0], path)
     return array
+
+
+def _decoded_heif(data: bytes) -> np.ndarray:
+    import pillow_heif
+
+    decoded = np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True))
+    grey = decoded.ndim == 2
+    return cv2.cvtColor(decoded, cv2.COLOR_GRAY2BGR) if grey else decoded[:, :, :3].copy()
 
 
 def check_header(data: bytes, path: Path) -> Header:
     """What an encoded image says of itself, after a check of its size, before it is decoded.
 
-    Raises ImageError, with the path, if it has too many pixels, or no header that can be read.
+    Raises ImageError, with the path, if it has too many pixels, a header that cannot be read, or is
+    no image of a format that is read.
     """
     try:
         header = read_header(data)
+    except UnreadableFormatError as error:
+        raise ImageError(f"{path} is {error}") from None
     except Exception as error:  # each format's reader raises its own
-        raise ImageError(f"{path} is corrupt, or not an image that can be read") from error
+        raise ImageError(f"{path} is corrupt: {reason(error)}") from error
     check_pixel_count(*header.size, path)
     return header
 

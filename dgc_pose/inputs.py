@@ -6,6 +6,7 @@ one, so each kind of file is read within `read_as`, which names the file.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
@@ -18,6 +19,19 @@ from typing import Any, BinaryIO
 from dgc_pose.errors import DgcPoseError, InputError, reason
 
 TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
+
+
+def existing(text: str) -> Path | None:
+    """The path that a text is; None if nothing of that name can be there. What is there and cannot
+    be reached counts: its reader says why."""
+    try:
+        os.stat(text)
+    except ValueError:  # a zero byte
+        return None
+    except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG):
+            return None
+    return Path(text)
 
 
 def read_bytes(

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from dgc_pose.camera import Camera, as_camera, check_size, guess_camera, parse_camera
 from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.image import load_image
 
 K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])
 SIZE = (640, 480)
@@ -281,8 +282,63 @@ def test_files_that_hold_no_matrix_are_refused(tmp_path: Path, name: str, conten
 def test_a_pickled_array_is_not_unpickled(tmp_path: Path) -> None:
     path = tmp_path / "K.npy"
     np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(InputError, match="3x3"):
+    with pytest.raises(InputError, match=r"^K: .*K\.npy .*Python objects"):
         parse_camera(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("K.txt", b"1 2 3\n4 5 6\n", "K.txt must have shape (3, 3), not (2, 3)"),
+        ("K.txt", b"one two three", "could not convert string 'one'"),
+        ("K.txt", bytes(range(256)), "K.txt: a 3x3 matrix is text, and this is not"),
+        ("K.txt", b"1 " * 9000, "K.txt is too large: 18000 bytes, at most 4096 are read"),
+        ("K.txt", b"", "K.txt is empty"),
+        ("K.npy", b"1 0 0\n0 1 0\n0 0 1\n", "K.npy is not an .npy that can be read"),
+        ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY is not an .npy that can be read"),
+    ],
+)
+def test_a_file_without_a_K_is_refused_with_what_it_is(
+    tmp_path: Path, name: str, content: bytes, said: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        parse_camera(str(path), "K1")
+    assert str(caught.value).startswith("K1: ") and said in str(caught.value)
+
+
+def test_what_the_system_says_of_a_K_file_goes_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault that root meets too: its memory begins with a page that is not there."""
+    with pytest.raises(InputError, match="^K1: /proc/self/mem: Input/output error$"):
+        parse_camera("/proc/self/mem", "K1")
+    with pytest.raises(InputError, match="is a folder, and only regular files are read"):
+        parse_camera(str(tmp_path), "K1")
+    loop = tmp_path / "loop"
+    loop.symlink_to(loop)
+    with pytest.raises(InputError, match="^K1: .*loop: Too many levels of symbolic links$"):
+        parse_camera(str(loop), "K1")
+    path = tmp_path / "k.txt"
+    np.savetxt(path, K)
+
+    def refuse(*_: object) -> int:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    for reached in ("open", "stat"):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"dgc_pose.inputs.os.{reached}", refuse)
+            patch.setattr("dgc_pose.inputs.os.open", refuse)
+            with pytest.raises(InputError, match=r"^K1: .*k\.txt: Permission denied$"):
+                parse_camera(str(path), "K1")
+
+
+def test_a_camera_longer_than_a_name_of_a_file_is_a_text() -> None:
+    numbers = ",".join(f"{value:.30f}" for value in (700, 720, 330, 250, -0.2, 0.05, 0.002, -0.001))
+    text = f"OPENCV,640,480,{numbers}"
+    assert len(text) > 255
+    assert parse_camera(text).distortion == Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001))
 
 
 # --- distortion -----------------------------------------------------------------------------------
@@ -387,6 +443,25 @@ def test_a_guess_from_exif_says_so(tmp_path: Path) -> None:
     expected = 50 / diagonal_35mm * np.hypot(360, 240)
     assert camera.focal == pytest.approx(expected, rel=0.01)
     assert "EXIF" in camera.warnings[0]
+
+
+@pytest.mark.parametrize("format", ["WEBP", "GIF", "HEIF"])
+def test_a_guess_from_a_format_that_colmap_does_not_read(tmp_path: Path, format: str) -> None:
+    path = tmp_path / "photo"
+    image = PIL.Image.new("RGB", (360, 240))
+    exif = image.getexif()
+    exif.get_ifd(0x8769)[0xA405] = 50  # FocalLengthIn35mmFilm
+    if format == "HEIF":
+        exif[0x0112] = 6  # the file gets a rotation, which is part of decoding
+        pytest.importorskip("pillow_heif").register_heif_opener()
+    image.save(path, format, exif=exif.tobytes())
+    camera = guess_camera(path)
+    size = (240, 360) if format == "HEIF" else (360, 240)
+    assert camera.size == size == load_image(path).size
+    np.testing.assert_allclose(camera.K[:2, 2], (np.array(size) - 1) / 2)
+    focal = 1.2 * 360 if format == "GIF" else 50 / np.hypot(36, 24) * np.hypot(360, 240)
+    assert camera.focal == pytest.approx(focal, rel=0.01)
+    assert ("EXIF" in camera.warnings[0]) == (format != "GIF")
 
 
 @pytest.mark.parametrize("content", [None, b"", b"junk"])

@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import os
 import struct
+import sys
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import PIL.Image
+import PIL.ImageOps
 import pytest
 import torch
 from hypothesis import given
@@ -18,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.image import Image, load_image, resize
+from dgc_pose.image import Image, image_size, load_image, read_pixels, resize
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
 
@@ -156,6 +158,115 @@ def test_a_file_that_is_no_image_is_refused(tmp_path: Path, content: bytes) -> N
     path.write_bytes(content)
     with pytest.raises(ImageError, match=r"text\.jpg"):
         load_image(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"hello", "is not an image of a known format"),
+        (b"BM, a motorway", "is not an image of a known format"),
+        (b"P2: 718.9 0 607.2 0", "is not an image of a known format"),  # KITTI's calib.txt
+        (b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + b"\0" * 99, "is not an image of a known format"),
+        (b"\xff\xd8\xff", "is corrupt: "),
+        (b"\x89PNG\r\n\x1a\n", "is corrupt: it has no end"),
+        (b"#?RADIANCE\n", "is corrupt: its header says no width and height"),
+        (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
+    ],
+)
+def test_what_a_file_is_that_cannot_be_read(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "photo.jpg"
+    path.write_bytes(content)
+    for read in (load_image, image_size):
+        with pytest.raises(ImageError) as caught:
+            read(path)
+        assert str(caught.value).startswith(f"{path} {said}")
+
+
+@pytest.mark.parametrize("tag", [(254, 1), (50706, 0x0401)], ids=["thumbnail", "DNG"])
+@pytest.mark.parametrize("order", "<>")
+def test_a_raw_file_is_no_photograph_of_the_size_of_its_thumbnail(
+    tmp_path: Path, tag: tuple[int, int], order: str
+) -> None:
+    start = b"II*\0" if order == "<" else b"MM\0*"
+    entries = [struct.pack(order + "HHII", key, 4, 1, value) for key, value in ((256, 9), tag)]
+    path = tmp_path / "raw.nef"
+    path.write_bytes(start + struct.pack(order + "IH", 8, 2) + b"".join(entries) + bytes(4))
+    with pytest.raises(ImageError, match="raw file"):
+        load_image(path)
+
+
+@pytest.mark.parametrize("name", ["photo", "photo.jfif", "photo.mp4", "photo.HEIC"])
+def test_the_content_tells_the_format(tmp_path: Path, rgb: np.ndarray, name: str) -> None:
+    path = tmp_path / name
+    PIL.Image.fromarray(rgb).save(path, "PNG")
+    np.testing.assert_array_equal(load_image(path).pixels, rgb)
+
+
+def heic(path: Path, pixels: np.ndarray, orientation: int = 1) -> Path:
+    """An orientation becomes HEIF's own rotation, as in the files of telephones."""
+    pytest.importorskip("pillow_heif").register_heif_opener()
+    image = PIL.Image.fromarray(pixels)
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    image.save(path, "HEIF", quality=-1, chroma=444, exif=exif.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_the_rotation_of_heic_is_part_of_decoding(
+    tmp_path: Path, rgb: np.ndarray, orientation: int
+) -> None:
+    path = heic(tmp_path / "photo.heic", rgb, orientation)
+    stored = PIL.Image.fromarray(rgb)
+    stored.getexif()[0x0112] = orientation
+    expected = np.asarray(PIL.ImageOps.exif_transpose(stored))
+    image = load_image(path)
+    assert image.warnings == ()
+    assert image_size(path) == image.size == expected.shape[1::-1]
+    assert np.abs(image.pixels.astype(int) - expected).mean() < 3
+    assert np.abs(read_pixels(path)[:, :, ::-1].astype(int) - expected).mean() < 3
+
+
+@pytest.mark.parametrize("mode", ["L", "RGBA", "RGB;16"])
+def test_heic_of_other_values_becomes_rgb(tmp_path: Path, rgb: np.ndarray, mode: str) -> None:
+    pillow_heif = pytest.importorskip("pillow_heif")
+    grey = np.repeat(rgb[:, :, :1], 3, axis=2)
+    values = {
+        "L": grey[:, :, 0],
+        "RGBA": np.dstack([grey, grey[:, :, 0]]),
+        "RGB;16": grey.astype(np.uint16) * 257,
+    }[mode]
+    path = tmp_path / "photo.heic"
+    pillow_heif.from_bytes(mode, (70, 50), values.tobytes()).save(path, quality=-1, chroma=444)
+    assert np.abs(load_image(path).pixels.astype(int) - grey).mean() < 3
+
+
+def test_a_truncated_heic_is_corrupt(tmp_path: Path, rgb: np.ndarray) -> None:
+    path = heic(tmp_path / "short.heic", rgb)
+    path.write_bytes(path.read_bytes()[:-500])
+    with pytest.raises(ImageError, match=r"short\.heic is corrupt: .*end of file"):
+        load_image(path)
+
+
+def test_a_huge_heic_is_refused_by_its_header(
+    tmp_path: Path, rgb: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = heic(tmp_path / "huge.heic", rgb)
+    monkeypatch.setattr("dgc_pose.image.MAX_PIXELS", 70 * 50 - 1)
+    with pytest.raises(ImageError, match=r"huge\.heic is too large: 70 x 50"):
+        load_image(path)
+
+
+def test_heic_without_its_package_is_not_corrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "IMG_1.HEIC"
+    path.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(ImageError) as caught:
+        load_image(path)
+    needs = "is HEIC, which needs pillow-heif: pip install pillow-heif"
+    assert str(caught.value) == f"{path} {needs}"
 
 
 MAGIC = (b"", b"\xff\xd8\xff\xe1", b"P5 3 ", b"BM", b"II*\0", b"GIF89a", b"RIFF")

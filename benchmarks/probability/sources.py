@@ -19,8 +19,8 @@ from dgc_pose.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.files import replaced
 from dgc_pose.image import Image, load_image
+from dgc_pose.image_folder import search_images
 
-_SUFFIXES = {".jpg", ".jpeg", ".png"}
 _RENDERED_SIZE = 640  # pixels a side
 _BLANK_SIZE = (640, 480)
 _DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
@@ -148,7 +148,7 @@ def _textureless(folders: list[Path], source: Source) -> Iterator[Callable[[], P
 
 
 def _photographs_in(folders: list[Path]) -> list[Path]:
-    return [p for f in folders for p in sorted(f.rglob("*")) if p.suffix.lower() in _SUFFIXES]
+    return [p for f in folders for p in sorted(f / name for name in search_images(f).names)]
 
 
 def _photographs(first: Path, second: Path) -> PosedPair:

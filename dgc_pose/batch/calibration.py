@@ -23,9 +23,9 @@ import numpy as np
 
 from dgc_pose.camera import Camera, camera_for, guess_camera, parse_camera
 from dgc_pose.colmap_camera import Distortion
-from dgc_pose.colmap_files import read_model_cameras
+from dgc_pose.colmap_files import find_file, read_model_cameras
 from dgc_pose.errors import InputError
-from dgc_pose.inputs import read_as, read_json, read_text
+from dgc_pose.inputs import existing, read_as, read_json, read_text
 
 _OPENCV = ("k1", "k2", "p1", "p2")  # of transforms.json, in COLMAP's order
 _KITTI_LINE = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")
@@ -48,12 +48,18 @@ class Calibration:
 
         Raises InputError if there is none, or if it is for another size.
         """
-        own = self.by_name.get(name) or self._of_folder(root, name) or self.common
+        own = self.named(name) or self._of_folder(root, name) or self.common
         if own is not None:
             return camera_for(own, size, f"{self.where}: {name}: K")
         if self.guess:
             return guess_camera(root / name)
-        raise InputError(f"{self.where}: no camera for {name}: give --K, or --guess-focal")
+        if self.by_name:
+            raise InputError(f"{self.where} has no camera for {name}")
+        raise InputError(f"no camera for {name}: give --K, or --guess-focal")
+
+    def named(self, name: str) -> Camera | None:
+        """The camera that the file has for an image; transforms.json may leave out the ending."""
+        return self.by_name.get(name) or self.by_name.get(str(PurePosixPath(name).with_suffix("")))
 
     def _of_folder(self, root: Path, name: str) -> Camera | None:
         for part in reversed((root.resolve() / name).parts):
@@ -67,42 +73,50 @@ def read_calibration(text: str | None, guess: bool = False) -> Calibration:
 
     Raises InputError, with the path, if the file is malformed.
     """
-    if text is None:
-        return Calibration("--K", guess=guess)
-    path = Path(text)
+    path = None if text is None else existing(text)
+    try:
+        known = None if path is None else _read_file(path)
+    except OSError as error:
+        raise InputError(f"--K: {error.filename or path}: {error.strerror or error}") from error
+    if known is None:
+        known = Calibration("--K", common=None if text is None else parse_camera(text, "--K"))
+    return replace(known, guess=guess)
+
+
+def _read_file(path: Path) -> Calibration | None:
+    """The cameras of a file or a folder; None for any other file, such as one of a matrix."""
     if path.is_dir():
-        return _colmap(_model_file(path), guess)
-    if path.is_file():
-        if path.name in ("cameras.txt", "cameras.bin"):
-            return _colmap(path, guess)
-        if path.suffix == ".csv":
-            return Calibration(str(path), _csv_cameras(path), guess=guess)
-        if path.suffix == ".json":
-            return replace(_transforms(path), guess=guess)
-        lines = _kitti_lines(path)
-        if lines:
-            return Calibration(str(path), by_folder=lines, common=next(iter(lines.values())))
-    return Calibration("--K", common=parse_camera(text, "--K"), guess=guess)
+        return _colmap(_model_file(path))
+    if path.name.lower() in ("cameras.txt", "cameras.bin"):
+        return _colmap(path)
+    if path.suffix.lower() == ".csv":
+        return Calibration(str(path), _csv_cameras(path))
+    if path.suffix.lower() == ".json":
+        return _transforms(path)
+    lines = _kitti_lines(path)
+    if not lines:
+        return None
+    return Calibration(str(path), by_folder=lines, common=next(iter(lines.values())))
 
 
 def _model_file(folder: Path) -> Path:
     for name in ("cameras.bin", "cameras.txt"):
-        if (folder / name).is_file():
-            return folder / name
+        if (path := find_file(folder, name)) is not None:
+            return path
     raise InputError(f"--K: {folder} holds no cameras.txt and no cameras.bin")
 
 
-def _colmap(path: Path, guess: bool) -> Calibration:
+def _colmap(path: Path) -> Calibration:
     cameras, by_image = read_model_cameras(path)
     if by_image:
         named = {name: cameras[key] for name, key in by_image.items() if key in cameras}
-        return Calibration(str(path), named, guess=guess)
+        return Calibration(str(path), named)
     if len(cameras) != 1:
         raise InputError(
             f"{path}: {len(cameras)} cameras, and no images.txt or images.bin beside it to say "
             "which is whose"
         )
-    return Calibration(str(path), common=next(iter(cameras.values())), guess=guess)
+    return Calibration(str(path), common=next(iter(cameras.values())))
 
 
 def _csv_cameras(path: Path) -> dict[str, Camera]:
@@ -162,14 +176,12 @@ def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
 
 def _nerf_names(file_path: str) -> set[str]:
     """The names that an image of transforms.json may have in a folder: relative to the file, or
-    without its folder, and with an ending if it lacks one."""
+    without its folder."""
     path = PurePosixPath(file_path)
     shapes = {path.as_posix(), path.name}
     if len(path.parts) > 1:
         shapes.add(PurePosixPath(*path.parts[1:]).as_posix())
-    if path.suffix:
-        return shapes
-    return {shape + end for shape in shapes for end in (".png", ".jpg", ".jpeg", ".JPG", ".PNG")}
+    return shapes
 
 
 def _kitti_lines(path: Path) -> dict[int, Camera]:

@@ -13,11 +13,8 @@ from dgc_pose.camera import Camera
 from dgc_pose.colmap_files import read_database
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.image import image_header, orientation_notes
+from dgc_pose.image_folder import search_images
 
-_ENDINGS = (
-    *(".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".ppm", ".pgm"),
-    *(".jp2", ".avif"),
-)
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change
 
@@ -30,6 +27,7 @@ class Source:
     names: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...] | None  # None: they are to be chosen
     cameras: Mapping[str, Camera]  # those that the source itself has
+    left_out: tuple[str, ...] = ()  # what a folder holds beside images, a line for each reason
 
 
 @dataclass(frozen=True)
@@ -51,36 +49,26 @@ def open_source(path: Path, root: Path | None = None) -> Source:
     if path.is_dir():
         if root is not None:
             raise InputError(f"--root is for a list or a database, and {path} is a folder")
-        source = Source(path, image_names(path), None, {})
+        content = search_images(path)
+        source = Source(path, content.names, None, {}, content.left_out)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")
     elif path.suffix.lower() in _DATABASES:
-        content = read_database(path)
-        pairs = content.pairs or None
-        source = Source(root or path.parent, content.names, pairs, content.cameras)
+        database = read_database(path)
+        pairs = database.pairs or None
+        source = Source(root or path.parent, database.names, pairs, database.cameras)
     else:
         found = read_pair_list(path)
         names = tuple(dict.fromkeys(name for pair in found.pairs for name in pair))
         source = Source(root or path.parent, names, found.pairs, found.cameras)
     if len(source.names) < 2:
         what = "no image" if not source.names else "a single image"
-        raise InputError(f"{path}: {what} there, and a pair needs two")
+        raise InputError(
+            "; ".join([f"{path}: {what} there, and a pair needs two", *source.left_out])
+        )
     if not source.root.is_dir():
         raise InputError(f"{source.root}: no such folder of images")
     return source
-
-
-def image_names(folder: Path) -> tuple[str, ...]:
-    """The images below a folder, relative to it, sorted; hidden ones are passed over."""
-    found = (path for path in folder.rglob("*") if path.suffix.lower() in _ENDINGS)
-    names = [path.relative_to(folder) for path in found if path.is_file()]
-    return tuple(
-        sorted(
-            name.as_posix()
-            for name in names
-            if not any(part.startswith(".") for part in name.parts)
-        )
-    )
 
 
 def survey(source: Source, calibration: Calibration) -> Survey:
@@ -105,7 +93,7 @@ def survey(source: Source, calibration: Calibration) -> Survey:
             continue
         size = header.size
         own = source.cameras.get(name)
-        if own is not None and calibration.common is None and name not in calibration.by_name:
+        if own is not None and calibration.common is None and calibration.named(name) is None:
             given = Calibration("the list" if own.size is None else "the database", {name: own})
             camera = given.camera(source.root, name, size)
         else:

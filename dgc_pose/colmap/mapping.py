@@ -23,7 +23,7 @@ class MappingOptions:
     mapper: MapperName = "incremental"
     refine_intrinsics: bool = False  # focal lengths and distortion, in bundle adjustment
     seed: int = 0
-    threads: int = -1  # -1: all cores
+    threads: int = 1  # with more, models differ in their last digits; -1: all cores
 
 
 class MappingError(DgcPoseError):

@@ -20,7 +20,7 @@ import numpy as np
 
 from dgc_pose.image import Image, resize_by
 from dgc_pose.matching.view import View
-from dgc_pose.network.config import STRIDE
+from dgc_pose.network.config import LONGEST, STRIDE
 from dgc_pose.pixels import Size, cell_centres, rescale
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.runtime.start import log_softmax, match_scores
@@ -76,7 +76,13 @@ class _Candidate:
 
 
 def likely_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
-    """Views of both images at one rotation and scale; None if the images as they are match best."""
+    """Views of both images at one rotation and scale; None if the images as they are match best.
+
+    An image that the network squeezes is not rotated: its copy would be nearly all border, and many
+    times as large as others.
+    """
+    if any(max(image.size) > LONGEST * min(image.size) for image in (image1, image2)):
+        return None
     thumbnails = _Thumbnails(engine, image1, image2)
     found = [thumbnails.compare(angle, 0) for angle in _ANGLES]
     upright = found[0].entropy

@@ -14,7 +14,7 @@ INPUT_SIZE = 240  # pixels a side of both input images, if they are squared
 STRIDE = 16  # pixels of an input image per cell of the coarsest level
 LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4
 COARSEST = 4  # index of the level that the correlation runs on
-_LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
+LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class NetworkConfig:
         if not self.any_shape:
             return INPUT_SIZE, INPUT_SIZE
         side = INPUT_SIZE // STRIDE
-        elongation = math.sqrt(min(max(size[0] / size[1], 1 / _LONGEST), _LONGEST))
+        elongation = math.sqrt(min(max(size[0] / size[1], 1 / LONGEST), LONGEST))
         return STRIDE * round(side * elongation), STRIDE * round(side / elongation)
 
     @property

@@ -15,10 +15,10 @@ from tqdm import tqdm
 
 from dgc_pose.errors import ImageError
 from dgc_pose.image import read_pixels
+from dgc_pose.image_folder import search_images
 from dgc_pose.synthesis.render import TextureBank
 
 SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input
-_SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tif", ".tiff", ".webp"}
 _log = logging.getLogger(__name__)
 _HELD_BACK = 20  # one photograph in so many is held back for validation
 
@@ -78,7 +78,10 @@ def resized_planes(pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
 
 def _split(root: str | Path, limit: int | None = None) -> tuple[list[Path], list[Path]]:
     """The first `limit` photographs below a folder, sorted: those that train, those held back."""
-    paths = sorted(p for p in Path(root).rglob("*") if p.suffix.lower() in _SUFFIXES)[:limit]
+    content = search_images(root)
+    for line in content.left_out:
+        _log.warning("%s: %s", root, line)
+    paths = sorted(Path(root, name) for name in content.names)[:limit]
     training = [path for path in paths if not _is_held_back(path)]
     return training, [path for path in paths if _is_held_back(path)]
 

@@ -35,7 +35,7 @@ class PosedFrame:
         """(h, w) float32, metres, 0 if unknown. Raises ImageError with the path."""
         stored = read_pixels(self.depth)
         if stored.ndim != 2:
-            raise ImageError(f"{self.depth} is corrupt, or not a depth image of one channel")
+            raise ImageError(f"{self.depth} is not a depth image of one channel")
         return stored.astype(np.float32) * np.float32(_DEPTH_STEP)
 
 

@@ -130,8 +130,58 @@ def test_a_broken_file_is_named(tmp_path: Path, name: str, text: str, reason: st
 
 
 def test_without_a_camera() -> None:
-    with pytest.raises(InputError, match="give --K, or --guess-focal"):
+    with pytest.raises(InputError, match=r"^no camera for a\.jpg: give --K, or --guess-focal$"):
         _K(read_calibration(None), "a.jpg")
+
+
+def test_a_file_that_lacks_an_image_is_named(tmp_path: Path) -> None:
+    table = _write(tmp_path / "K.csv", "name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
+    frame = {"file_path": "a", "fl_x": 500, "w": 640, "h": 480}
+    nerf = _write(tmp_path / "transforms.json", json.dumps({"frames": [frame]}))
+    for path in (table, nerf):
+        calibration = read_calibration(path)
+        assert _K(calibration, "a.jpg")[0] == 500
+        with pytest.raises(InputError) as caught:
+            _K(calibration, "b.jpg")
+        assert str(caught.value) == f"{path} has no camera for b.jpg"
+
+
+def test_names_in_capitals_are_read_alike(tmp_path: Path) -> None:
+    table = _write(tmp_path / "K.CSV", "name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
+    frame = {"file_path": "a.jpg", "fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5}
+    nerf = _write(tmp_path / "T.JSON", json.dumps({"frames": [frame]}))
+    model = tmp_path / "MODEL"
+    model.mkdir()
+    cameras = _write(
+        model / "CAMERAS.TXT",
+        "1 PINHOLE 640 480 500 510 320.5 240.5\n2 PINHOLE 640 480 600 610 320.5 240.5\n",
+    )
+    _write(model / "IMAGES.TXT", "1 1 0 0 0 0 0 0 1 a.jpg\n\n2 1 0 0 0 0 0 0 2 b.jpg\n\n")
+    for path in (table, nerf, cameras, str(model)):
+        assert _K(read_calibration(path), "a.jpg") == [500, 510, 320, 240]
+    assert _K(read_calibration(cameras), "b.jpg") == [600, 610, 320, 240]
+
+
+def test_a_camera_longer_than_a_name_of_a_file_is_a_text() -> None:
+    numbers = ",".join(f"{value:.30f}" for value in (500, 510, 320.5, 240.5, 0.01, 0, 0, 0))
+    text = f"OPENCV,640,480,{numbers}"
+    assert len(text) > 255
+    assert _K(read_calibration(text), "a.jpg") == [500, 510, 320, 240]
+
+
+@pytest.mark.parametrize("name", ["K.csv", "transforms.json", "cameras.txt", "k.txt"])
+def test_what_the_system_says_of_a_file_goes_through(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    path = _write(tmp_path / name, "text")
+
+    def refuse(*_: object) -> int:
+        raise PermissionError(13, "Permission denied", path)
+
+    monkeypatch.setattr("dgc_pose.inputs.os.open", refuse)
+    with pytest.raises(InputError) as caught:
+        read_calibration(path)
+    assert str(caught.value) == f"--K: {path}: Permission denied"
 
 
 def test_cameras_survive_json() -> None:

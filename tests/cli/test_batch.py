@@ -109,8 +109,11 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     table.write_text(
         f"name,fx,fy,cx,cy,width,height\na.png,{K_text()},240,180\nb.png,{K_text()},240,150\n"
     )
+    (folder / "notes.txt").write_text("of the day")
     done = CliRunner().invoke(main, [*map(str, ["batch", folder, *options, "--K", table])])
     assert done.exit_code == 0, done.output
+    left_out = "1 file left out (first: notes.txt): not an image of a known format"
+    assert f"warning: {left_out}\n" in done.stderr
 
 
 @pytest.mark.parametrize("kind", ["csv", "colmap", "nerf"])

@@ -10,6 +10,7 @@ import json
 import shutil
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -49,6 +50,7 @@ _TEXTS = dict.fromkeys((".txt", ".csv", ".json", ""), mutators.TEXT)
 _IMAGES = {
     **dict.fromkeys((".jpg", ".tiff", ".bmp", ".ppm", ".webp", ".gif", ".jp2"), mutators.BYTES),
     **dict.fromkeys((".pgm", ".hdr", ".pfm", ".pam", ".ras", ".avif", ".jpeg"), mutators.BYTES),
+    ".heic": mutators.BYTES,
     ".png": mutators.PNG,
 }
 _K = "300 0 159.5\n0 300 119.5\n0 0 1\n"
@@ -66,6 +68,10 @@ def _make_images(folder: Path) -> None:
             picture.save(folder / f"plain.{ending}")
         except (KeyError, OSError, ValueError):  # a Pillow without that format
             continue
+    with suppress(ImportError):
+        import pillow_heif
+
+        pillow_heif.from_pillow(picture).save(folder / "plain.heic")
     exif = picture.getexif()
     exif[0x0112], exif[0x010F] = 6, "camera"
     picture.save(folder / "turned.jpeg", exif=exif)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -44,6 +45,18 @@ def _window(side: float) -> np.ndarray:
 def test_equal_views_need_no_search() -> None:
     image = Image(_scene())
     assert likely_views(_engine(), image, Image(image.pixels[8:, 5:].copy())) is None
+
+
+@pytest.mark.parametrize("size", [(500, 1), (1, 500), (3000, 2), (3000, 300)])
+@pytest.mark.parametrize("first", [True, False])
+def test_a_thin_image_is_not_rotated(size: tuple[int, int], first: bool) -> None:
+    """Copies of 1x500 rotated by 45 degrees would have 4 million pixels each."""
+    thin, scene = Image(resize(_scene(), size)), Image(_scene())
+    encoded: list[np.ndarray] = []
+    engine = SimpleNamespace(native=lambda pixels, cells: encoded.append(pixels))
+    pair = (thin, scene) if first else (scene, thin)
+    assert likely_views(engine, *pair) is None  # type: ignore[arg-type]
+    assert not encoded
 
 
 @pytest.mark.parametrize("angle", [75.0, 190.0])

@@ -1,0 +1,92 @@
+"""The images below a folder, told by their content, and what of the folder is left out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from dgc_pose.errors import ImageError
+from dgc_pose.image_header import START_BYTES, unreadable
+from dgc_pose.inputs import read_start
+
+
+@dataclass(frozen=True)
+class FolderImages:
+    """What a folder holds."""
+
+    names: tuple[str, ...]  # of the images, relative to the folder, sorted
+    left_out: tuple[str, ...]  # a line for each reason: how many, the first of them, and the reason
+
+
+def search_images(folder: str | Path) -> FolderImages:
+    """The images below a folder, whatever their names end in.
+
+    Links are followed, hidden names are passed over, and no folder is searched twice. Raises
+    OSError, with the path, if the folder cannot be read.
+    """
+    root = Path(folder)
+    names: list[str] = []
+    left_out: dict[tuple[str, str], list[str]] = {}
+    for path, failure in _walk(root):
+        if failure is not None and path == root:
+            raise failure
+        name = path.relative_to(root).as_posix()
+        why = _why_not(path, name) if failure is None else _said(failure)
+        if why is None:
+            names.append(name)
+        else:
+            left_out.setdefault(("file" if failure is None else "folder", why), []).append(name)
+    return FolderImages(
+        tuple(sorted(names)),
+        tuple(
+            f"{len(without)} {kind}{'s' * (len(without) > 1)} left out (first: {min(without)}): "
+            f"{why}"
+            for (kind, why), without in left_out.items()
+        ),
+    )
+
+
+def _walk(root: Path) -> Iterator[tuple[Path, OSError | None]]:
+    """The files below a folder, and the folders that cannot be read, with the error.
+
+    Links to folders come last, so that a file has the name of the folder that it lies in.
+    """
+    searched: set[str] = set()
+    folders, links = [root], list[Path]()
+    while folders or links:
+        folder = folders.pop() if folders else links.pop(0)
+        resolved = os.path.realpath(folder)
+        if resolved in searched:
+            continue
+        searched.add(resolved)
+        try:
+            entries = sorted(os.listdir(folder))
+        except OSError as failure:
+            yield folder, failure
+            continue
+        for path in (folder / name for name in entries if not name.startswith(".")):
+            if not os.path.isdir(path):
+                yield path, None
+            else:
+                (links if path.is_symlink() else folders).append(path)
+
+
+def _why_not(path: Path, name: str) -> str | None:
+    """Why a file is not taken as an image; None if it is one."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:  # as HDF5 and COLMAP hold names
+        return "a name that is not UTF-8"
+    try:
+        start = read_start(path, START_BYTES, ImageError)
+    except OSError as failure:
+        return _said(failure)
+    except ImageError:
+        return "no regular file"
+    return unreadable(start) if start else "empty"
+
+
+def _said(failure: OSError) -> str:
+    return failure.strerror or str(failure)

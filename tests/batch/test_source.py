@@ -1,0 +1,54 @@
+"""The images that a batch works on, and what of a folder is left out."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from dgc_pose.batch.calibration import read_calibration
+from dgc_pose.batch.source import open_source, survey
+from dgc_pose.errors import InputError
+
+
+def _save(path: Path, format: str, count: int = 0) -> None:
+    pixels = np.random.default_rng(count).integers(0, 256, (48, 64, 3), np.uint8)
+    PIL.Image.fromarray(pixels).save(path, format)
+
+
+def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
+    _save(tmp_path / "a.jfif", "JPEG")
+    _save(tmp_path / "b.gif", "GIF")
+    (tmp_path / "notes.txt").write_text("of the day")
+    source = open_source(tmp_path)
+    assert source.names == ("a.jfif", "b.gif")
+    assert source.left_out == (
+        "1 file left out (first: notes.txt): not an image of a known format",
+    )
+    found = survey(source, read_calibration("50,50,32,24"))
+    assert {camera.size for camera in found.cameras.values()} == {(64, 48)} and not found.bad
+
+
+def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    for name in ("1.heic", "2.heic"):
+        (tmp_path / name).write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    with pytest.raises(InputError) as caught:
+        open_source(tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path}: no image there, and a pair needs two; 2 files left out (first: 1.heic): "
+        "HEIC, which needs pillow-heif: pip install pillow-heif"
+    )
+
+
+def test_heic_is_read_where_its_package_is_installed(tmp_path: Path) -> None:
+    pytest.importorskip("pillow_heif").register_heif_opener()
+    for count, name in enumerate(("1.heic", "2.HEIC")):
+        _save(tmp_path / name, "HEIF", count)
+    source = open_source(tmp_path)
+    assert source.names == ("1.heic", "2.HEIC") and source.left_out == ()
+    found = survey(source, read_calibration(None, guess=True))
+    assert {camera.size for camera in found.cameras.values()} == {(64, 48)} and not found.bad

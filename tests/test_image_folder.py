@@ -1,0 +1,124 @@
+"""Which files of a folder are images, and what is said of the others."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+
+from dgc_pose.image_folder import search_images
+
+_HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
+
+
+def _save(path: Path, format: str = "JPEG") -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = np.random.default_rng(0).integers(0, 256, (6, 8, 3), np.uint8)
+    PIL.Image.fromarray(pixels).save(path, format)
+
+
+def test_images_are_told_by_their_content(tmp_path: Path) -> None:
+    formats = {
+        "a.JPG": "JPEG",
+        "b.jfif": "JPEG",
+        "c": "PNG",
+        "d.gif": "GIF",
+        "e.txt": "TIFF",
+        "f/g.heic": "WEBP",
+        "f/h.jp2": "JPEG2000",
+        "i.dat": "BMP",
+        "j.pnm": "PPM",
+    }
+    for name, format in formats.items():
+        _save(tmp_path / name, format)
+    found = search_images(tmp_path)
+    assert found.names == tuple(sorted(formats))
+    assert found.left_out == ()
+
+
+def test_what_is_left_out_is_counted_by_its_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    _save(tmp_path / "a.jpg")
+    for name in ("3.HEIC", "1.heic", "sub/2.heic"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(_HEIC)
+    (tmp_path / "notes.txt").write_text("of the day")
+    (tmp_path / "cameras.bin").write_bytes(bytes(64))
+    (tmp_path / "b.jpg").touch()
+    (tmp_path / "gone.jpg").symlink_to(tmp_path / "nowhere")
+    os.mkfifo(tmp_path / "pipe")
+    found = search_images(tmp_path)
+    assert found.names == ("a.jpg",)
+    assert sorted(found.left_out) == [
+        "1 file left out (first: b.jpg): empty",
+        "1 file left out (first: gone.jpg): No such file or directory",
+        "1 file left out (first: pipe): no regular file",
+        "2 files left out (first: cameras.bin): not an image of a known format",
+        "3 files left out (first: 1.heic): HEIC, which needs pillow-heif: pip install pillow-heif",
+    ]
+
+
+def test_hidden_names_are_passed_over(tmp_path: Path) -> None:
+    for name in ("a.jpg", ".hidden.jpg", ".thumbnails/b.jpg", "sub/.c.jpg"):
+        _save(tmp_path / name)
+    (tmp_path / ".DS_Store").write_bytes(b"text")
+    found = search_images(tmp_path)
+    assert (found.names, found.left_out) == (("a.jpg",), ())
+
+
+def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
+    """A file has the name of the folder that it lies in, and a loop of links comes to an end."""
+    elsewhere = tmp_path / "elsewhere"
+    _save(elsewhere / "deep" / "b.jpg")
+    folder = tmp_path / "folder"
+    _save(folder / "z" / "a.jpg")
+    (folder / "all").symlink_to(folder)
+    (folder / "before").symlink_to(folder / "z")
+    (folder / "other").symlink_to(elsewhere)
+    (folder / "other2").symlink_to(elsewhere)
+    (elsewhere / "back").symlink_to(folder)
+    (folder / "file").symlink_to(folder / "z" / "a.jpg")
+    found = search_images(folder)
+    assert found.names == ("file", "other/deep/b.jpg", "z/a.jpg")
+    assert found.left_out == ()
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    assert search_images(link).names == found.names
+
+
+def test_unreadable_folders_and_files_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a fault that root meets too."""
+    for name in ("a.jpg", "locked.jpg", "sub/b/c.jpg", "sub/d/e.jpg"):
+        _save(tmp_path / name)
+    listdir, opened = os.listdir, os.open
+
+    def list_some(path: Path) -> list[str]:
+        if Path(path).parent.name == "sub":
+            raise PermissionError(13, "Permission denied", str(path))
+        return listdir(path)
+
+    def open_some(path: Path, *rest: int) -> int:
+        if Path(path).name == "locked.jpg":
+            raise PermissionError(13, "Permission denied", str(path))
+        return opened(path, *rest)
+
+    monkeypatch.setattr("dgc_pose.image_folder.os.listdir", list_some)
+    monkeypatch.setattr("dgc_pose.inputs.os.open", open_some)
+    found = search_images(tmp_path)
+    assert found.names == ("a.jpg",)
+    assert sorted(found.left_out) == [
+        "1 file left out (first: locked.jpg): Permission denied",
+        "2 folders left out (first: sub/b): Permission denied",
+    ]
+    with pytest.raises(PermissionError):
+        search_images(tmp_path / "sub" / "b")
+    with pytest.raises(FileNotFoundError):
+        search_images(tmp_path / "nowhere")
