@@ -84,6 +84,7 @@ def _run(
             try:
                 outcome = future.result()
             except BrokenProcessPool:
+                pools[number].shutdown()  # its process has an exit code then
                 codes = [process.exitcode for process in processes if process.exitcode is not None]
                 raise DgcPoseError(
                     f"a worker process {_ended(codes)}: --resume goes on from the pairs that were "
