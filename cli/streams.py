@@ -45,5 +45,5 @@ def standard_streams() -> Iterator[None]:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")
     if sys.stdout is None:
         raise InputError("stdout is closed")
-    with redirect_stdout(_Stdout(sys.stdout)):  # type: ignore[type-var]
+    with redirect_stdout(_Stdout(sys.stdout)):
         yield

@@ -152,7 +152,7 @@ def _clear(target: Path, stem: str) -> None:
         if number.isdecimal() and not _is_running(int(number)):
             with suppress(OSError):
                 shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
-                _log.warning("%s: removed, left by a run that was killed", left)
+                _log.warning("%s: removed, left by a run that has ended", left)
 
 
 def _is_running(process: int) -> bool:
@@ -226,11 +226,10 @@ def replaced_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(left, ignore_errors=True)
 
 
-def require_room(path: Path, size: int = 2**20) -> None:
+def require_room(path: Path, size: int) -> None:
     """Raise OSError, with the path, unless so many bytes can be written beside it.
 
-    For libraries that end the process, or say nothing, when a disk is full. After such a library
-    has written, the default shows whether it could: what failed was less.
+    For libraries that end the process, or say nothing, when a disk is full.
     """
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:  # without a name: nothing is left

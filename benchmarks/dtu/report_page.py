@@ -62,7 +62,7 @@ def write_report(
     methods, errors = by_method(rows), columns(rows)
     for left in out.glob(".report-*"):
         shutil.rmtree(left, ignore_errors=True)
-        _log.warning("%s: removed, left by a run that was killed", left)
+        _log.warning("%s: removed, left by a run that has ended", left)
     with tempfile.TemporaryDirectory(dir=out, prefix=".report-") as name:
         folder = Path(name)
         for figure_name, figure in plot_histograms(errors, pairs.protocol).items():

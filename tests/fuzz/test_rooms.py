@@ -79,12 +79,12 @@ def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> 
 
 
 def test_room_is_looked_for_without_a_trace(tmp_path: Path) -> None:
-    require_room(tmp_path / "model")
+    require_room(tmp_path / "model", 2**20)
     assert os.listdir(tmp_path) == []
     with pytest.raises(OSError, match="no/model"):
-        require_room(tmp_path / "no/model")
+        require_room(tmp_path / "no/model", 2**20)
     code = "import resource\nfrom pathlib import Path\nfrom dgc_pose.files import require_room\n"
-    code += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nrequire_room(Path('model'))"
+    code += "resource.setrlimit(resource.RLIMIT_FSIZE, (9, 9))\nrequire_room(Path('model'), 10)"
     found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)
     assert b"File too large: 'model'" in found.stderr
 
