@@ -16,7 +16,7 @@ from itertools import islice
 from typing import Any, Generic
 
 from dgc_pose.benchmarks.methods import Engine, Engines, Method
-from dgc_pose.benchmarks.pool import pose_pool, result
+from dgc_pose.benchmarks.pool import pose_pool
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, map_errors
@@ -50,7 +50,7 @@ class Evaluation(Generic[Score]):
         The same whatever `first` and `workers`: batches begin at the same pairs, and the seed of a
         pair is its own.
 
-        Raises what reading a pair raises, and DgcPoseError if a process of the pool was killed.
+        Raises what reading a pair raises, and DgcPoseError if a process of the pool ended.
         """
         batch, workers = self.options.batch, self.options.workers
         number = first - first % batch
@@ -63,9 +63,9 @@ class Evaluation(Generic[Score]):
                         waiting.append([submit(job) for job in jobs])
                     number += 1
                 while waiting and (len(waiting) > 2 * workers or _all_done(waiting[0])):
-                    yield [result(future) for future in waiting.popleft()]
+                    yield [future.result() for future in waiting.popleft()]
             while waiting:
-                yield [result(future) for future in waiting.popleft()]
+                yield [future.result() for future in waiting.popleft()]
 
     def match(self, batch: Sequence[PosedPair]) -> list[list[Job[Score]]]:
         """Match pairs together: for each a job a method."""

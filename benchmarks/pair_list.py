@@ -17,6 +17,7 @@ import numpy as np
 
 from dgc_pose.camera import Camera, as_camera
 from dgc_pose.errors import InputError
+from dgc_pose.files import save_text
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.inputs import read_text
 
@@ -74,7 +75,7 @@ def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:
     Raises InputError for a name with a blank in it, which the format cannot hold.
     """
     text = "".join(format_pair(pair) + "\n" for pair in pairs)
-    Path(path).write_text(text, encoding="utf-8")
+    save_text(path, text)
 
 
 def format_pair(pair: Pair) -> str:

@@ -15,7 +15,7 @@ import cv2
 
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, score
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.errors import DgcPoseError, process_end
 
 
 @contextmanager
@@ -24,7 +24,7 @@ def pose_pool(
 ) -> Iterator[Callable[[Job[Score]], Future[Scored[Score]]]]:
     """A function that has a job done: in this process at once, or by one of `workers` others.
 
-    kind: of the records.
+    kind: of the records. Raises DgcPoseError if a process ends before its work.
     """
     if workers == 1:
         yield _done_here
@@ -33,26 +33,30 @@ def pose_pool(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker)
     others = set(multiprocessing.active_children())
+    started: set[multiprocessing.process.BaseProcess] = set()
+
+    def submit(job: Job[Score]) -> Future[Scored[Score]]:
+        future = pool.submit(score, job)
+        started.update(set(multiprocessing.active_children()) - others)
+        return future
+
     try:
-        yield lambda job: pool.submit(score, job)
+        yield submit
+    except BrokenProcessPool:
+        pool.shutdown()  # it ends the other processes by SIGTERM
+        codes = {process.exitcode or 0 for process in started} - {-signal.SIGTERM}
+        end = process_end(min(codes, default=-signal.SIGTERM))
+        raise DgcPoseError(
+            f"a process that estimates poses ended: {end}; "
+            "--resume goes on from the last pair that was done"
+        ) from None
     except BaseException:
         # A job inside a library's call handles no signal; an interrupt must not wait for it.
-        for process in set(multiprocessing.active_children()) - others:
+        for process in started:
             process.terminate()
         raise
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def result(future: Future[Scored[Score]]) -> Scored[Score]:
-    """Wait for a job. Raises what the job raised, DgcPoseError if its process was killed."""
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        raise DgcPoseError(
-            "a process that estimates poses was killed (out of memory?); "
-            "--resume goes on from the last pair that was done"
-        ) from None
 
 
 def _done_here(job: Job[Score]) -> Future[Scored[Score]]:

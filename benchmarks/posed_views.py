@@ -14,7 +14,7 @@ from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, require_no_input
+from dgc_pose.files import replaced, require_no_input, writing
 from dgc_pose.image import load_image, resize_by
 
 
@@ -52,7 +52,7 @@ class PosedViews:
             small = resize_by(load_image(self.root / name).pixels, scale)
             new = str(Path(name).with_suffix(".png"))
             (folder / new).parent.mkdir(parents=True, exist_ok=True)
-            with replaced(folder / new) as stage:
+            with replaced(folder / new) as stage, writing(stage):
                 stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
             cameras[new] = camera.resized((small.shape[1], small.shape[0]))
             poses[new] = self.poses[name]

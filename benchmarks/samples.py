@@ -12,6 +12,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.scores import Key
 from dgc_pose.errors import InputError
+from dgc_pose.files import save_text
 from dgc_pose.inputs import read_json
 from dgc_pose.matches import Matches
 
@@ -64,18 +65,18 @@ def write_sample(out: Path, key: Key, sample: MatchSample) -> None:
         "points2": sample.points2.round(_DECIMALS).tolist(),
         "inliers": sample.inliers.tolist(),
     }
-    path.write_text(json.dumps(record) + "\n", encoding="utf-8")
+    save_text(path, json.dumps(record) + "\n")
 
 
 def read_sample(out: Path, key: Key) -> MatchSample:
     """Read what `write_sample` wrote. Raises InputError with the path if it is no sample, OSError
     if it cannot be read."""
     path = sample_path(out, key)
+    record = read_json(path, "a sample of matches")
     try:
-        record = read_json(path, "a sample of matches")
         return MatchSample(record["points1"], record["points2"], record["inliers"])
     except InputError as error:
-        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     except (ValueError, KeyError, TypeError, OverflowError):
         raise InputError(f"{path}: not a sample of matches") from None
 

@@ -19,7 +19,7 @@ from dgc_pose.benchmarks.samples import write_sample
 from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
 from dgc_pose.benchmarks.scoring import Scored
 from dgc_pose.errors import InputError
-from dgc_pose.files import only_writer, staged, write_text
+from dgc_pose.files import only_writer, replaced, write_text, writing
 from dgc_pose.inputs import read_as, read_bytes, read_json
 
 SETTINGS = "run.json"
@@ -105,17 +105,22 @@ class RunStore(Generic[Score]):
     def _open(self, path: Path) -> TextIO:
         """The table with the rows that are kept, ready for more."""
         with (
-            staged(str(path)) as stage,
-            stage(str(path)).open("w", newline="", encoding="utf-8") as stream,
+            replaced(path) as stage,
+            writing(stage),
+            stage.open("w", newline="", encoding="utf-8") as stream,
         ):
             csv.writer(stream).writerow(_columns(self._kind, path.name))
             for score in self.scores:
                 self._write(path.name, stream, score)
-        return self._stack.enter_context(path.open("a", newline="", encoding="utf-8"))
+        stream = path.open("a", newline="", encoding="utf-8")
+        self._stack.callback(writing(path)(stream.close))
+        return stream
 
     def _write(self, name: str, stream: TextIO, score: Score) -> None:
-        csv.writer(stream).writerow([getattr(score, field) for field in self._kind.tables[name]])
-        stream.flush()
+        row = [getattr(score, field) for field in self._kind.tables[name]]
+        with writing(stream.name):
+            csv.writer(stream).writerow(row)
+            stream.flush()
 
 
 def keys_of(pairs: PairSet[Score], methods: Sequence[str]) -> list[list[Key]]:

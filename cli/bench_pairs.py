@@ -42,7 +42,7 @@ from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged
+from dgc_pose.files import save_text, staged
 from dgc_pose.matchers import SIFT
 from dgc_pose.network.stored import shipped
 from dgc_pose.options import MAX_SEED, check_options, option
@@ -144,7 +144,7 @@ def bench_pairs(
             table = map_table(with_maps)
         data = json_text(summary_data(summaries))
         if json_path is not None:
-            stage(json_path).write_text(data, encoding="utf-8")
+            save_text(stage(json_path), data)
     if out is not None:
         _write_summary(out, data, results)
     click.echo(heading(defaults.estimation))
@@ -161,5 +161,5 @@ def _write_summary(out: str, data: str, results: Mapping[str, Sequence[PairScore
     )
     summary, errors = str(Path(out, "summary.json")), str(Path(out, "errors.png"))
     with staged(summary, errors) as stage:
-        stage(summary).write_text(data, encoding="utf-8")
+        save_text(stage(summary), data)
         save_figure(plot_errors(rotation, translation), stage(errors))

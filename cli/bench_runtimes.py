@@ -10,7 +10,7 @@ import click
 from dgc_pose.benchmarks.runtimes import differences, row, summary
 from dgc_pose.cli.bench_run import limit_option, listed_pairs, root_option
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.files import staged
+from dgc_pose.files import save_text, staged
 from dgc_pose.matching import DEFAULT_WEIGHTS
 
 
@@ -42,5 +42,5 @@ def bench_runtimes(
             click.echo(row(one))
         if json_path is not None:
             text = json.dumps([asdict(one) for one in found], indent=1) + "\n"
-            stage(json_path).write_text(text, encoding="utf-8")
+            save_text(stage(json_path), text)
     click.echo(summary(found))

@@ -24,7 +24,7 @@ from dgc_pose.benchmarks.speed import (
 )
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import RUNTIME_HELP, split_names
-from dgc_pose.files import scratch_folder, staged
+from dgc_pose.files import save_text, scratch_folder, staged
 from dgc_pose.image import load_image
 from dgc_pose.matchers import refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
@@ -104,7 +104,7 @@ def bench_speed(
         setup = Setup(*pair, dense, refined(dense, RefinementOptions()))
         data = _measure(setup, nets, repetitions)
         if json_path is not None:
-            stage(json_path).write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+            save_text(stage(json_path), json.dumps(data, indent=1) + "\n")
 
 
 def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict[str, object]:

@@ -12,7 +12,7 @@ from dgc_pose.cli.options import CameraChoice, MatcherChoice
 from dgc_pose.cli.output import json_text, matches_arrays, pose_data, pose_text, write_npz
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files import staged
+from dgc_pose.files import save_text, staged
 from dgc_pose.options import option
 
 
@@ -66,7 +66,7 @@ def estimate(
         trace = run_pipeline(image1, image2, cameras.resolve, matcher, estimation)
         pose, data = trace.pose, json_text(pose_data(trace.pose))
         if json_file is not None:
-            stage(json_file).write_text(data, encoding="utf-8")
+            save_text(stage(json_file), data)
         if outputs.matches is not None:
             arrays = matches_arrays(trace.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)

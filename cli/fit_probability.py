@@ -14,7 +14,7 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged
+from dgc_pose.files import save_text, staged
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.options import check_options, option
 
@@ -76,8 +76,8 @@ def fit_probability(choice: FitChoice) -> None:
     from dgc_pose.viz import save_figure
 
     with staged(model, text, figure) as stage:
-        stage(model).write_text(found.models, encoding="utf-8")
-        stage(text).write_text(found.report + "\n", encoding="utf-8")
+        save_text(stage(model), found.models)
+        save_text(stage(text), found.report + "\n")
         save_figure(found.figure, stage(figure))
     click.echo(found.report)
 

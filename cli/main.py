@@ -1,7 +1,7 @@
 """The command `dgc-pose`: its sub-commands, and the one place that prints their errors.
 
 A sub-command's module is imported when it is called, so that `dgc-pose --help` is quick.
-Exit codes: 0 done, 1 an error of dgc-pose itself, 2 unusable input, 3 no pose (set by the
+Exit codes: 0 done, 1 an error that no code here expects, 2 unusable input, 3 no pose (set by the
 sub-command), 128 and the signal's number if one stopped it.
 """
 
@@ -21,14 +21,13 @@ from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
 from dgc_pose.cli.signals import Stopped, stopped_by_signals
+from dgc_pose.cli.streams import standard_streams
 from dgc_pose.cli.warnings_as_lines import plain_warnings
-from dgc_pose.errors import DgcPoseError, missing_package, reason
+from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason
 
-FAULT = 1  # of dgc-pose itself
+UNEXPECTED = 1
 UNUSABLE_INPUT = 2
 PIPE = 13  # SIGPIPE, which Windows has not
-# How libraries say that memory is lacking, in errors of many classes.
-NO_MEMORY = ("allocate memory", "out of memory", "failed to map segment", "Unable to allocate")
 LONGEST = 1000  # characters of a message
 INTERRUPTED = 130  # what shells report after SIGINT
 # Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
@@ -103,7 +102,7 @@ class LazyGroup(click.Group):
         given = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
         debug = DEBUG in given
         try:
-            with stopped_by_signals(), plain_warnings(shown=debug):
+            with stopped_by_signals(), standard_streams(), plain_warnings(shown=debug):
                 status = super().main(*args, **kwargs)
                 sys.stdout.flush()  # a full disk shows here, and not when the process ends
         except BaseException as error:
@@ -126,6 +125,8 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
             return _with_path_hint(error, given), UNUSABLE_INPUT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
+        case ImageSizeError():
+            return f"{error} (--max-pixels sets that number)", UNUSABLE_INPUT
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
         case BrokenPipeError() | Stopped(number=13):  # PIPE
@@ -140,13 +141,8 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
         case ModuleNotFoundError() if (missing := missing_package(error)) is not None:
             return missing, UNUSABLE_INPUT
         case MemoryError():
-            return "there is not enough memory for this", UNUSABLE_INPUT
-    if "embedded null" in str(error):
-        return "a path cannot hold a zero byte", UNUSABLE_INPUT
-    if any(words in str(error) for words in NO_MEMORY):
-        return "there is not enough memory for this", UNUSABLE_INPUT
-    kind = type(error).__name__
-    return f"{kind}: {reason(error)} (an error of dgc-pose; --debug shows the trace)", FAULT
+            return f"not enough memory: {reason(error)}", UNUSABLE_INPUT
+    return f"{type(error).__name__}: {reason(error)} ({DEBUG} shows the trace)", UNEXPECTED
 
 
 def _with_path_hint(error: click.NoSuchOption, given: Sequence[str]) -> str:
@@ -158,11 +154,10 @@ def _with_path_hint(error: click.NoSuchOption, given: Sequence[str]) -> str:
 
 
 def _describe(error: OSError) -> str:
-    if error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}"
-    if error.strerror:
-        return f"an output cannot be written: {error.strerror}"
-    return str(error)
+    """The system's words, with the files that it names."""
+    names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    where = " -> ".join(names) or type(error).__name__
+    return f"{where}: {error.strerror or reason(error)}"
 
 
 def _one_line(message: str) -> str:

@@ -22,7 +22,7 @@ from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
-from dgc_pose.files import staged
+from dgc_pose.files import save_text, staged, writing
 from dgc_pose.network.stored import shipped
 from dgc_pose.options import check_options, option
 from dgc_pose.viz import save_figure
@@ -90,10 +90,10 @@ def run_map_bench(
         distance = "max of |dx|, |dy|" if bench.per_axis else "Euclidean"
         text = json_text({**data.facts, "pck_distance": distance, **report_data(scores)})
         if bench.json_path is not None:
-            stage(bench.json_path).write_text(text, encoding="utf-8")
+            save_text(stage(bench.json_path), text)
         if bench.out is not None:
             files = {name: stage(path) for name, path in paths.items()}
-            files["summary.json"].write_text(text, encoding="utf-8")
+            save_text(files["summary.json"], text)
             _write_figures(files, scores, distance)
             for name, method in zip(pictures, nets, strict=True):
                 if worst.of(method):
@@ -103,7 +103,8 @@ def run_map_bench(
 
 def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> None:
     """The table of the pairs, the PCK curves by group, and the reliability diagram."""
-    with files["pairs.csv"].open("w", newline="", encoding="utf-8") as stream:
+    table = files["pairs.csv"]
+    with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
         write_pairs(stream, scores)
     groups: list[str | None] = [*groups_of(scores)] or [None]
     curves = {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.estimation import RelativePose
-from dgc_pose.files import finite_or_none
+from dgc_pose.files import finite_or_none, writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 
@@ -102,7 +102,7 @@ def vector_line(vector: np.ndarray) -> str:
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays to exactly this path (numpy would append .npz to a bare name)."""
-    with path.open("wb") as stream:
+    with writing(path), path.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import signal
 import socket
@@ -58,7 +59,7 @@ def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int
         import uvicorn
 
         from dgc_pose.serve.app import Example, Server
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'dgc-pose[serve]'") from None
     from dgc_pose.serve.factory import EstimatorFactory
     from dgc_pose.serve.guard import own_hosts
@@ -87,8 +88,18 @@ def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int
             limit_concurrency=32,
             timeout_graceful_shutdown=2,
         )
+
+        class Web(uvicorn.Server):
+            async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+                # uvicorn waits for the requests under way, and prints a trace if it cancels one.
+                server.close()
+                await asyncio.sleep(0.5)  # for the answers that say so
+                for connection in list(self.server_state.connections):
+                    connection.transport.close()
+                await super().shutdown(sockets)
+
         url = f"http://{HOST}:{port}/?token={token}"
-        return _run(uvicorn.Server(config), server, bound, url, address.browser)
+        return _run(Web(config), server, bound, url, address.browser)
 
 
 def _run(web: uvicorn.Server, server: Server, bound: socket.socket, url: str, browser: bool) -> int:

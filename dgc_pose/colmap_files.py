@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from dgc_pose import colmap_camera
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files import scratch_folder
+from dgc_pose.files import scratch_folder, writing
 from dgc_pose.inputs import TEXT_BYTES, open_regular, read_as, read_bytes, require_regular
 from dgc_pose.stderr import quiet
 
@@ -64,7 +64,8 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
     with scratch_folder() as folder:
         for name in ("cameras", "images", "points3D"):  # pycolmap reads whole models alone
             own = content if name == "cameras" else _NOTHING[ending]
-            (folder / f"{name}{ending}").write_bytes(own)
+            with writing(folder / f"{name}{ending}"):
+                (folder / f"{name}{ending}").write_bytes(own)
         model = pycolmap.Reconstruction()
         try:
             with quiet():

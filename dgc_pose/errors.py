@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 _REASON = 160  # characters of a library's message that are told
 
 
@@ -15,6 +17,10 @@ class InputError(DgcPoseError, ValueError):
 
 class ImageError(DgcPoseError):
     """An image file that is missing, empty, corrupt or too large; the message holds the path."""
+
+
+class ImageSizeError(ImageError):
+    """An image of more pixels than are read; the message holds the path and both numbers."""
 
 
 class WeightsError(DgcPoseError):
@@ -41,6 +47,13 @@ def missing_package(failure: ModuleNotFoundError) -> str | None:
     if name is None:
         return None
     return f"this needs {name}, which is not installed: pip install {name}"
+
+
+def process_end(code: int | None) -> str:
+    """How a process ended, in words, from the exit code that `multiprocessing` gives."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    return f"signal {-code}, {signal.strsignal(-code)}"
 
 
 def reason(failure: BaseException) -> str:

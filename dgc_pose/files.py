@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import glob
 import logging
 import math
@@ -40,7 +39,6 @@ _STARTS: dict[str, tuple[bytes, ...]] = {
     "eps": (b"%!PS",),
     "db": (b"SQLite format 3\0",),
 }
-_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _HOST = re.sub(r"\W", "-", platform.node())[:24]  # process numbers are those of one machine
 _LONGEST = 180  # bytes of an output's name within that of its temporary file; 255 is the most
 _log = logging.getLogger(__name__)
@@ -154,7 +152,7 @@ def _clear(target: Path, stem: str) -> None:
         if number.isdecimal() and not _is_running(int(number)):
             with suppress(OSError):
                 shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
-                _log.warning("%s: removed, left by a run that was killed", left)
+                _log.warning("%s: removed, left by a run that has ended", left)
 
 
 def _is_running(process: int) -> bool:
@@ -173,13 +171,28 @@ def _is_running(process: int) -> bool:
 
 
 def _named(error: OSError, partial: dict[str, Path]) -> OSError:
-    """The error with the output's path in place of the temporary one's, or of none."""
+    """The error with the output's path in place of the temporary one's."""
     for path, file in partial.items():
         if error.filename is not None and str(error.filename) == str(file):
             return OSError(error.errno, error.strerror, path)
-    if error.filename is None and error.errno in _NO_SPACE:
-        return OSError(error.errno, error.strerror, ", ".join(partial))
     return error
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Around code that writes to this file alone: what the system says of no file is said of it."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def save_text(path: str | Path, text: str) -> None:
+    """Write a text as UTF-8. Raises OSError, with the path."""
+    with writing(path):
+        Path(path).write_text(text, encoding="utf-8")
 
 
 @contextmanager
@@ -213,11 +226,10 @@ def replaced_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(left, ignore_errors=True)
 
 
-def require_room(path: Path, size: int = 2**20) -> None:
+def require_room(path: Path, size: int) -> None:
     """Raise OSError, with the path, unless so many bytes can be written beside it.
 
-    For libraries that end the process, or say nothing, when a disk is full. After such a library
-    has written, the default shows whether it could: what failed was less.
+    For libraries that end the process, or say nothing, when a disk is full.
     """
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:  # without a name: nothing is left
@@ -280,4 +292,4 @@ def finite_or_none(value: float | None) -> float | None:
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all. Raises what `staged` raises."""
     with staged(str(path)) as stage:
-        stage(str(path)).write_text(text, encoding="utf-8")
+        save_text(stage(str(path)), text)

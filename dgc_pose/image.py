@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.arrays import as_numpy, is_tensor
-from dgc_pose.errors import ImageError, InputError, reason
+from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.image_header import Header, UnreadableFormatError, read_header
 from dgc_pose.inputs import read_bytes, read_start
 from dgc_pose.stderr import quiet
@@ -138,11 +138,10 @@ def max_pixels() -> int:
 
 
 def check_pixel_count(width: int, height: int, path: Path) -> None:
-    """Raise ImageError, with the path and how to raise the bound, for too many pixels."""
+    """Raise ImageSizeError, with the path, for too many pixels."""
     if width * height > max_pixels():
-        raise ImageError(
-            f"{path} is too large: {width} x {height}, at most {max_pixels()} pixels are read "
-            f"(--max-pixels, or {MAX_PIXELS_VARIABLE} in the environment)"
+        raise ImageSizeError(
+            f"{path} is too large: {width} x {height}, at most {max_pixels()} pixels are read"
         )
 
 

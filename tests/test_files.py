@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import errno
 import os
 
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged
+from dgc_pose.files import staged, writing
 
 
 def test_outputs_appear_together_at_the_end(tmp_path):
@@ -27,6 +28,19 @@ def test_after_an_exception_all_is_as_before(tmp_path):
         raise RuntimeError
     assert os.listdir(tmp_path) == ["kept.txt"]
     assert kept.read_text() == "old"
+
+
+def test_an_error_of_no_file_is_none_of_the_outputs(tmp_path):
+    with pytest.raises(OSError) as caught, staged(str(tmp_path / "a.txt")):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.filename is None
+
+
+def test_an_error_of_the_writing_has_the_outputs_name(tmp_path):
+    out = str(tmp_path / "a.txt")
+    with pytest.raises(OSError) as caught, staged(out) as stage, writing(stage(out)):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.filename == out and caught.value.errno == errno.ENOSPC
 
 
 def test_an_output_that_cannot_be_written_leaves_nothing(tmp_path):

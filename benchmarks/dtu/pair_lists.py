@@ -27,7 +27,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
 )
 from dgc_pose.benchmarks.pair_list import FIELDS
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced
+from dgc_pose.files import replaced, writing
 from dgc_pose.inputs import read_text
 
 PAIRS = 3000  # of the paper
@@ -103,6 +103,7 @@ def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
     """Write pairs as CSV, with their rotation, overlap and baseline."""
     with (
         replaced(Path(path)) as temporary,
+        writing(temporary),
         temporary.open("w", newline="", encoding="utf-8") as stream,
     ):
         names = [field.name for field in fields(ViewPair)]

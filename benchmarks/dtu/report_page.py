@@ -18,6 +18,7 @@ from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
 from dgc_pose.benchmarks.samples import method_file_name, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
+from dgc_pose.files import save_text
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
@@ -61,7 +62,7 @@ def write_report(
     methods, errors = by_method(rows), columns(rows)
     for left in out.glob(".report-*"):
         shutil.rmtree(left, ignore_errors=True)
-        _log.warning("%s: removed, left by a run that was killed", left)
+        _log.warning("%s: removed, left by a run that has ended", left)
     with tempfile.TemporaryDirectory(dir=out, prefix=".report-") as name:
         folder = Path(name)
         for figure_name, figure in plot_histograms(errors, pairs.protocol).items():
@@ -77,7 +78,7 @@ def write_report(
         chosen = pictured_pairs(methods, pictured)
         data = page_data(out, pairs, methods, chosen)
         page = _render(folder, data, len(chosen), facts, table)
-        (folder / PAGE).write_text(page, encoding="utf-8")
+        save_text(folder / PAGE, page)
         written = [out / file.name for file in sorted(folder.iterdir())]
         for path in written:
             os.replace(folder / path.name, path)

@@ -21,7 +21,7 @@ from dgc_pose.benchmarks.probability.plan import Part, Source
 from dgc_pose.benchmarks.probability.sources import PlannedPair
 from dgc_pose.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, write_text
+from dgc_pose.files import replaced, write_text, writing
 from dgc_pose.inputs import read_as, read_json
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
@@ -113,7 +113,7 @@ def _write(path: Path, pair: PlannedPair, made: PosedPair, found: MatchResult) -
     arrays |= _arrays("", found.matches)
     if found.map_matches is not None:
         arrays |= _arrays("map_", found.map_matches)
-    with replaced(path) as stage, stage.open("wb") as stream:
+    with replaced(path) as stage, writing(stage), stage.open("wb") as stream:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 

@@ -164,5 +164,5 @@ def _regression(strength: float) -> Any:
 def _sklearn(name: str) -> Any:
     try:
         return importlib.import_module(f"sklearn.{name}")
-    except ImportError:
+    except ModuleNotFoundError:
         raise InputError("the fit needs scikit-learn: pip install 'dgc-pose[fit]'") from None

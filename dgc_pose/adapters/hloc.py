@@ -14,7 +14,7 @@ import numpy as np
 from dgc_pose.batch.matches_file import group_name, new_file
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced
+from dgc_pose.files import replaced, save_text
 
 FEATURES, MATCHES, PAIRS = "features.h5", "matches.h5", "pairs.txt"
 _NONE = -1  # in matches0
@@ -54,4 +54,4 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
                 scores = (matches0 != _NONE).astype(np.float16)
                 group.create_dataset("matching_scores0", data=scores)
         lines = (f"{name0} {name1}\n" for name0, name1 in shared.pairs)
-        pairs.write_text("".join(lines), encoding="utf-8")
+        save_text(pairs, "".join(lines))

@@ -19,7 +19,7 @@ import cv2
 
 from dgc_pose.batch.schedule import Spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.errors import DgcPoseError, process_end
 
 # Worked through in any order; the same outcomes whatever the workers.
 RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
@@ -85,19 +85,13 @@ def _run(
                 outcome = future.result()
             except BrokenProcessPool:
                 pools[number].shutdown()  # its process has an exit code then
-                codes = [process.exitcode for process in processes if process.exitcode is not None]
+                codes = {process.exitcode for process in processes} - {None}
                 raise DgcPoseError(
-                    f"a worker process {_ended(codes)}: --resume goes on from the pairs that were "
-                    "done"
+                    f"a worker process ended ({'; '.join(map(process_end, codes))}): --resume goes "
+                    "on from the pairs that were done"
                 ) from None
             submit(number)
             yield outcome
-
-
-def _ended(codes: Sequence[int]) -> str:
-    """How processes with these exit codes ended."""
-    names = {f"by {signal.Signals(-code).name}" if code < 0 else f"with {code}" for code in codes}
-    return f"ended {' and '.join(sorted(names))}".strip()
 
 
 _worker: list[CoreWorker] = []  # of this process, once it has been started

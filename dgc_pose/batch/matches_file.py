@@ -18,6 +18,7 @@ import numpy as np
 
 from dgc_pose.array_files import ARRAY_BYTES
 from dgc_pose.errors import InputError, reason
+from dgc_pose.files import writing
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +63,8 @@ def new_file(path: Path) -> Iterator[Any]:
         yield file
         file.flush()
         image = file.id.get_file_image()
-    try:
+    with writing(path):
         path.write_bytes(image)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def read_matches(group: h5py.Group) -> PairMatches:

@@ -32,7 +32,7 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     """
     try:
         import ray
-    except ImportError:
+    except ModuleNotFoundError:
         raise InputError("--engine ray needs Ray: pip install 'dgc-pose[ray]'") from None
     starts = not ray.is_initialized()
     if starts:

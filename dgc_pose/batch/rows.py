@@ -13,7 +13,7 @@ import numpy as np
 
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
-from dgc_pose.files import finite_or_none
+from dgc_pose.files import finite_or_none, writing
 from dgc_pose.inputs import read_as, require_regular
 
 # Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
@@ -136,9 +136,11 @@ def _fits(value: object, kind: str, name: str) -> bool:
 
 def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
     """Rows as JSON Lines, strict JSON."""
+    lines = (json.dumps(row_data(row), allow_nan=False) + "\n" for row in rows)
     with path.open("w", encoding="utf-8") as stream:
-        for row in rows:
-            stream.write(json.dumps(row_data(row), allow_nan=False) + "\n")
+        for line in lines:
+            with writing(path):
+                stream.write(line)
 
 
 def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
@@ -194,7 +196,7 @@ def require_pyarrow() -> tuple[Any, Any]:
     try:
         import pyarrow
         import pyarrow.parquet
-    except ImportError:
+    except ModuleNotFoundError:
         raise InputError(
             "Parquet needs pyarrow: pip install 'dgc-pose[batch]', or take --format jsonl"
         ) from None

@@ -36,7 +36,7 @@ from dgc_pose.batch.rows import (
 from dgc_pose.batch.source import FileState
 from dgc_pose.batch.work import Matched
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, require_room
+from dgc_pose.files import replaced, require_room, writing
 from dgc_pose.inputs import read_as, read_json
 
 SUMMARY, MATCHES, PARTS = "summary.json", "matches.h5", "parts"
@@ -223,5 +223,5 @@ def _parse_rows(
 def _flush(path: Path) -> None:
     """Bring a file to the disk before it takes its name: a machine that loses its power must not
     leave an empty one."""
-    with path.open("rb") as stream:
+    with writing(path), path.open("rb") as stream:
         os.fsync(stream.fileno())

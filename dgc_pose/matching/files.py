@@ -88,16 +88,16 @@ class FileMatcher(Matcher):
         Raises InputError, with the path, if the file is missing or malformed.
         """
         path = self.path(image1.name, image2.name)
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
-                return self._match(path, image1, image2)
-        except InputError as error:
-            raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
-        except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+        with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
+            arrays = _read(path)
+            try:
+                return self._match(arrays, image1, image2)
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from None
+            except (TypeError, ValueError, OverflowError) as error:
+                raise InputError(f"{path}: cannot be read ({reason(error)})") from None
 
-    def _match(self, path: Path, image1: Image, image2: Image) -> MatchResult:
-        arrays = _read(path)
+    def _match(self, arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> MatchResult:
         if "flow" in arrays or "map" in arrays:
             found = _map(arrays, image1, image2)
             matches = textured(select_matches(found, self.options), image1, image2)

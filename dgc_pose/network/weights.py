@@ -12,7 +12,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import WeightsError
-from dgc_pose.files import replaced
+from dgc_pose.files import replaced, writing
 from dgc_pose.inputs import read_as, require_regular
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
@@ -53,7 +53,7 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
         for key, value in net.state_dict().items()
         if not key.endswith(COUNTER)
     }
-    with replaced(Path(path)) as temporary:
+    with replaced(Path(path)) as temporary, writing(temporary):
         # Not save_file, whose files only their owner may read.
         temporary.write_bytes(save(state, metadata={"preset": net.config.name}))
 

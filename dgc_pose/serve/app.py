@@ -26,7 +26,7 @@ from dgc_pose.serve.factory import EstimatorFactory
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.options import ServeOptions
 from dgc_pose.serve.store import ImageStore, StoredImage
-from dgc_pose.serve.worker import Busy, Worker, WorkError
+from dgc_pose.serve.worker import Busy, Worker
 from dgc_pose.version import version
 
 # The files of the page by what a client may ask for; no other name reaches a path.
@@ -85,12 +85,7 @@ class Server:
         self.app = Starlette(
             routes=routes,
             middleware=[Middleware(Guard, token=token, hosts=hosts)],
-            exception_handlers={
-                WorkError: _told,
-                InputError: _told,
-                _TooLarge: _told,
-                _TooSlow: _told,
-            },
+            exception_handlers={DgcPoseError: _told, ClientDisconnect: _unheard},
         )
 
     def start(self) -> None:
@@ -197,8 +192,8 @@ class Server:
                         file.write(part)
         except TimeoutError:
             raise _TooSlow(self.options.upload_seconds) from None
-        except ClientDisconnect:
-            raise InputError("the client left") from None
+        except OSError as error:
+            raise _NoRoom(f"the server's temporary folder: {error.strerror}") from None
 
     async def _read(self, path: Path, name: str) -> tuple[StoredImage, Preview]:
         call: Callable[[], Preview] = partial(
@@ -229,6 +224,15 @@ class _TooSlow(DgcPoseError):
 
     def __init__(self, seconds: float) -> None:
         super().__init__(f"the file did not arrive within {seconds:g} seconds")
+
+
+class _NoRoom(DgcPoseError):
+    status = 507
+
+
+async def _unheard(request: Request, error: Exception) -> Response:
+    """The client left before its request was there."""
+    return Response(status_code=400)
 
 
 async def _told(request: Request, error: Exception) -> Response:

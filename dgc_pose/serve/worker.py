@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
 
-from dgc_pose.errors import DgcPoseError, missing_package, reason
+from dgc_pose.errors import DgcPoseError, missing_package, process_end, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
@@ -94,9 +94,9 @@ class Worker:
                 pipe.send((method, arguments))
                 return self._answer(pipe, seconds, report)
             except (EOFError, OSError):
-                self._end()
+                code = self._end()
                 self._check_open()
-                raise Crashed("the file or the pair brought its worker down") from None
+                raise Crashed(f"the worker's process ended: {process_end(code)}") from None
             except TimedOut:
                 self._end()
                 raise
@@ -155,13 +155,17 @@ class Worker:
             else:
                 raise {"refused": Refused, "failed": Crashed}[kind](value)
 
-    def _end(self) -> None:
+    def _end(self) -> int | None:
+        """End the process, if it has not ended. Returns its exit code."""
+        code = None
         if self._process is not None:
             self._process.kill()
             self._process.join()
+            code = self._process.exitcode
         if self._pipe is not None:
             self._pipe.close()
         self._process, self._pipe = None, None
+        return code
 
 
 def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None:
@@ -186,8 +190,8 @@ def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None
             pipe.send(("done", value))
         except (DgcPoseError, OSError) as error:
             pipe.send(("refused", " ".join(str(error).split())))
-        except MemoryError:
-            pipe.send(("refused", "this takes more memory than the server gives"))
+        except MemoryError as error:
+            pipe.send(("refused", f"not enough memory: {reason(error)}"))
         except Exception as error:
             missing = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
             if missing is not None:

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from dgc_pose.files import writing
 from dgc_pose.training.processes import joint_sum
 
 _LONGEST_ROW = 4096  # bytes
@@ -62,7 +63,7 @@ def append(path: Path, row: Row) -> None:
         _drop_half_row(path)
         with path.open(newline="") as file:
             columns = next(csv.reader(file), columns)
-    with path.open("a", newline="") as file:
+    with writing(path), path.open("a", newline="") as file:
         writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore")
         if is_new:
             writer.writeheader()

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
-from dgc_pose.files import replaced
+from dgc_pose.files import replaced, writing
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
@@ -223,7 +223,7 @@ class Trainer:
             "stage": self._stage.name,
             **self._stage.state_dict(),
         }
-        with replaced(self.out / CHECKPOINT) as temporary:
+        with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
             torch.save(state, temporary)
 
     def _load(self, path: Path) -> None:

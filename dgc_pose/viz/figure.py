@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
+from dgc_pose.files import writing
 
 # What matplotlib draws without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
@@ -36,10 +37,12 @@ def save_figure(figure: Figure, path: str | Path, *, picture_format: str = "png"
     """Write the figure in the given format, whatever the ending of the path.
 
     Titles and legends are shown as they are: names of files may hold what would be a formula.
+    Raises OSError, with the path.
     """
     for axes in figure.axes:
         legend = axes.get_legend()
         for text in (axes.title, *axes.texts, *(legend.get_texts() if legend else ())):
             text.set_parse_math(False)
             text.set_text(text.get_text().encode("utf-8", "replace").decode())
-    figure.savefig(path, format=picture_format, dpi=100)
+    with writing(path):
+        figure.savefig(path, format=picture_format, dpi=100)

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from dgc_pose.cli.main import SUBCOMMANDS, main
-from dgc_pose.errors import DgcPoseError, WeightsError
+from dgc_pose.errors import DgcPoseError, ImageSizeError, WeightsError
 from dgc_pose.version import build
 
 
@@ -130,7 +130,21 @@ def test_misuse_is_one_line_and_exit_2(arguments, words):
             OSError(28, "No space left on device", "out.npz"),
             "error: out.npz: No space left on device\n",
         ),
-        (OSError("strange"), "error: strange\n"),
+        (OSError("strange"), "error: OSError: strange\n"),
+        (OSError(30, "Read-only file system"), "error: OSError: Read-only file system\n"),
+        (
+            OSError(28, "No space left on device", "a.db", None, "/tmp/a.db"),
+            "error: a.db -> /tmp/a.db: No space left on device\n",
+        ),
+        (
+            ImageSizeError("a.png is too large: 9 x 9"),
+            "error: a.png is too large: 9 x 9 (--max-pixels sets that number)\n",
+        ),
+        (MemoryError(), "error: not enough memory: MemoryError\n"),
+        (
+            MemoryError("Unable to allocate 3 GiB"),
+            "error: not enough memory: Unable to allocate 3 GiB\n",
+        ),
     ],
 )
 def test_errors_of_input_are_one_line_and_exit_2(raising, error, line):
@@ -156,9 +170,16 @@ def test_a_signal_to_stop_is_one_line_and_the_shells_code(raising, number):
 
 
 @pytest.mark.parametrize(
-    ("error", "words"), [(ZeroDivisionError("by 0"), "ZeroDivisionError: by 0"), (KeyError(3), "3")]
+    ("error", "words"),
+    [
+        (ZeroDivisionError("by 0"), "ZeroDivisionError: by 0"),
+        (KeyError(3), "3"),
+        (RuntimeError("[..] can't allocate memory: 9"), "RuntimeError: [..] can't allocate memory"),
+        (ValueError("out of memory.png"), "ValueError: out of memory.png"),
+        (ValueError("embedded null byte"), "ValueError: embedded null byte"),
+    ],
 )
-def test_an_error_of_our_own_is_one_line_and_exit_1(raising, error, words):
+def test_an_unexpected_error_is_one_line_in_its_own_words_and_exit_1(raising, error, words):
     result = raising(error)
     assert (result.exit_code, result.stdout) == (1, "")
     assert words in result.stderr and "--debug shows the trace" in result.stderr
@@ -170,12 +191,6 @@ def test_debug_shows_the_trace(raising):
     assert result.exit_code == 1
     assert "Traceback" in result.stderr and "raise error" in result.stderr
     assert "Traceback" not in raising(ZeroDivisionError("by 0")).stderr
-
-
-@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("[..] can't allocate memory: 9")])
-def test_too_little_memory_is_one_line_and_exit_2(raising, error):
-    result = raising(error)
-    assert (result.exit_code, result.stderr) == (2, "error: there is not enough memory for this\n")
 
 
 def test_a_message_is_short_and_plain(raising):

@@ -1,17 +1,21 @@
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import urllib.error
 import urllib.request
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from dgc_pose.cli.main import main
+from dgc_pose.serve.guard import TOKEN_HEADER
 
 
 @contextmanager
@@ -53,8 +57,6 @@ def test_weights_that_are_missing_end_it_with_one_line(tmp_path):
 
 
 def test_a_port_that_is_taken_is_refused(tmp_path):
-    import socket
-
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -76,3 +78,60 @@ def test_without_the_extra_the_message_names_it(monkeypatch):
 def test_unusable_options_are_refused(arguments):
     result = CliRunner().invoke(main, ["serve", *arguments])
     assert result.exit_code == 2 and result.stderr.startswith("error: ")
+
+
+def _workers(process):
+    """Numbers of the server's worker processes."""
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(k) for k in children if b"spawn_main" in Path(f"/proc/{k}/cmdline").read_bytes()]
+
+
+def _kill(workers):
+    for worker in workers:
+        with suppress(ProcessLookupError):
+            os.kill(worker, signal.SIGKILL)
+
+
+def _post(url, path, body=b""):
+    base, token = url.split("/?token=")
+    headers = {TOKEN_HEADER: token}
+    request = urllib.request.Request(base + path, body, headers, method="POST")
+    return urllib.request.urlopen(request, timeout=60)
+
+
+def _half_post(url, path):
+    """A connection that has sent the start of a request."""
+    base, token = url.split("/?token=")
+    host = base.removeprefix("http://")
+    connection = socket.create_connection(host.split(":"), timeout=60)
+    head = f"POST {path} HTTP/1.1\r\nHost: {host}\r\n{TOKEN_HEADER}: {token}\r\n"
+    connection.sendall(f"{head}Content-Length: 5000\r\n\r\nabc".encode())
+    return connection
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="finds processes as Linux does")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_during_a_pose_ends_it_without_a_trace(tmp_path, number):
+    with started(tmp_path, "--weights", "sift") as process, ExitStack() as cleared:
+        url = process.stdout.readline().strip()
+        example = json.load(_post(url, "/example"))
+        first, second = (image["id"] for image in example["images"])
+        camera = {"kind": "k", "k1": example["k"][0]}
+        workers = _workers(process)
+        assert len(workers) == 2
+        for worker in workers:  # so that the pose takes longer than any machine's server waits
+            os.kill(worker, signal.SIGSTOP)
+        cleared.callback(_kill, workers)
+        body = json.dumps({"image1": first, "image2": second, "camera": camera}).encode()
+        answers = (
+            _post(url, "/poses", body),
+            _half_post(url, "/images"),
+            _half_post(url, "/poses"),
+        )
+        _half_post(url, "/poses").close()  # a client that leaves
+        process.send_signal(number)
+        assert json.loads(answers[0].read()) == {"error": "the server is ending"}
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 0 and errors == ""
+    assert not any(os.path.exists(f"/proc/{worker}") for worker in workers)
+    assert list(tmp_path.iterdir()) == []

@@ -50,8 +50,8 @@ NUMBERS = (
     "\udcff",
 )
 OUTPUTS = ("", "dir", "dir/", "one.png", "text.txt", "K.txt", "/dev/null", "fifo", "loop", "no/x/y")
-OUTPUTS += ("x" * 5000, "a\0b", "-/", "link")
-FOLDERS = ("", "one.png", "K.txt", "/dev/null", "fifo", "loop/x", "run", "a\0b", "x" * 5000)
+OUTPUTS += ("x" * 5000, "-/", "link")
+FOLDERS = ("", "one.png", "K.txt", "/dev/null", "fifo", "loop/x", "run", "x" * 5000)
 INPUTS = (
     "",
     "nowhere",
@@ -64,7 +64,7 @@ INPUTS = (
     "junk",
     "/proc/kmsg",
 )
-INPUTS += ("x" * 5000, "a\0b", "\udcff.png", "huge.png", "claims.png", "junk.npy", "junk.pth")
+INPUTS += ("x" * 5000, "\udcff.png", "huge.png", "claims.png", "junk.npy", "junk.pth")
 
 K = ("--K", dense_scene.K_TEXT)
 _BATCH = (*K, "--workers", "1", "--refine", "none", "--runs", "1")

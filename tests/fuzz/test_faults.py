@@ -201,7 +201,7 @@ def test_a_png_that_claims_a_huge_chunk_or_size_is_refused_unread(tmp_path: Path
         (tmp_path / name).write_bytes(data)
         with pytest.raises(ImageError, match=name):
             load_image(tmp_path / name)
-    with pytest.raises(ImageError, match=r"20000 x 20000, at most 210000000 .*--max-pixels"):
+    with pytest.raises(ImageError, match=r"20000 x 20000, at most 210000000 pixels are read$"):
         load_image(tmp_path / "size.png")
 
 

@@ -19,18 +19,18 @@ import sys, time, types
 import click
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.main import main
-from dgc_pose.files import staged
+from dgc_pose.files import save_text, staged
 
 @click.command()
 @click.option("--json", "out", type=OutputFile("json"))
 @click.option("--size", type=int, default=4)
 def demo(out, size):
     with staged(out) as stage:
-        stage(out).write_text("{" + "x" * size)
+        save_text(stage(out), "{" + "x" * size)
         if size == 4:
             print("ready", flush=True)
         if sys.stdin.readline():
-            stage(out).write_text('{"whole": 1}')
+            save_text(stage(out), '{"whole": 1}')
     click.echo("done")
 
 module = types.ModuleType("dgc_pose.cli.demo")
@@ -103,7 +103,29 @@ def test_a_full_stdout_is_one_line(tmp_path: Path) -> None:
         process = start(tmp_path, "--size", "5", stdout=full)
         _, told = process.communicate("on\n", timeout=60)
     assert process.returncode == 2
-    assert told == "error: an output cannot be written: No space left on device\n"
+    assert told == "error: stdout: No space left on device\n"
+
+
+def test_a_closed_stdout_is_one_line_before_the_work(tmp_path: Path) -> None:
+    process = start(tmp_path, preexec_fn=lambda: os.close(1))
+    _, told = process.communicate("on\n", timeout=60)
+    assert (process.returncode, told) == (2, "error: stdout is closed\n")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_file_does_not_take_the_place_of_a_closed_stream(tmp_path: Path) -> None:
+    """What a library prints would be in it."""
+    code = COMMAND.replace("with staged", "kept = open('kept', 'w')\n    with staged")
+    code = code.replace('click.echo("done")', "os.write(2, b'noise')")
+    process = subprocess.run(
+        [sys.executable, "-c", f"import os{code}", "demo", "--json", "out.json", "--size", "5"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.DEVNULL,
+        preexec_fn=lambda: os.close(2),
+    )
+    assert process.returncode == 0
+    assert (tmp_path / "kept").read_bytes() == b""
 
 
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:

@@ -79,12 +79,12 @@ def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> 
 
 
 def test_room_is_looked_for_without_a_trace(tmp_path: Path) -> None:
-    require_room(tmp_path / "model")
+    require_room(tmp_path / "model", 2**20)
     assert os.listdir(tmp_path) == []
     with pytest.raises(OSError, match="no/model"):
-        require_room(tmp_path / "no/model")
+        require_room(tmp_path / "no/model", 2**20)
     code = "import resource\nfrom pathlib import Path\nfrom dgc_pose.files import require_room\n"
-    code += "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nrequire_room(Path('model'))"
+    code += "resource.setrlimit(resource.RLIMIT_FSIZE, (9, 9))\nrequire_room(Path('model'), 10)"
     found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)
     assert b"File too large: 'model'" in found.stderr
 
@@ -113,3 +113,24 @@ def test_a_clock_that_jumps_changes_no_result(
     assert found == whole[:3]
     ends = [line.split(",")[-2:] for line in Path("out/results.csv").read_text().splitlines()]
     assert all(0 < float(seconds) < 1000 for line in ends[1:] for seconds in line)
+
+
+@pytest.mark.parametrize("kind", ["cameras", "database"])
+def test_temporary_files_without_room_are_told_under_their_own_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """They once read as the fault of the input that they are a copy of."""
+    view_folder(tmp_path / "views", 2)
+    (tmp_path / "t").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "t"))
+    (tmp_path / "cameras.txt").write_text("# a camera a line\n" * 1000)
+    (tmp_path / "x.db").write_bytes(bytes(20_000))
+    words = {
+        "cameras": (*BATCH, "--K", "cameras.txt", *QUICK),
+        "database": ("batch", "x.db", *BATCH[2:4], "--weights", "sift", *QUICK),
+    }
+    found = full(tmp_path, 10_000, "foreseen", *words[kind])
+    assert (found.returncode, found.stdout) == (2, "")
+    assert found.stderr.count("\n") == 1 and found.stderr.endswith(": File too large\n")
+    assert f"{tmp_path / 't'}/dgc-pose." in found.stderr
+    assert os.listdir(tmp_path / "t") == []

@@ -238,6 +238,12 @@ def test_too_large_a_file_is_refused_before_it_is_read(client, folder):
     assert sorted(folder.iterdir()) == before
 
 
+def test_too_many_pixels_are_told_without_an_option_of_the_command(client):
+    answer = send(client, encoded(".png", np.zeros((1000, 1100, 3), np.uint8)))
+    words = "the file is too large: 1100 x 1000, at most 1000000 pixels are read"
+    assert answer.json() == {"error": words}
+
+
 # Poses
 
 
@@ -338,6 +344,14 @@ def test_no_path_of_a_client_is_opened(client, pictures, tmp_path):
     assert "fx,fy,cx,cy" in error
     for identifier in (pictures[0], "../one.png", None, 5, ["a"], {"a": 1}):
         assert "no longer there" in poses(client, identifier, second, {"kind": "auto"})["error"]
+
+
+def test_a_full_temporary_folder_is_told_as_one(client, server, monkeypatch, tmp_path):
+    monkeypatch.setattr(server._store, "_folder", tmp_path / "gone")
+    answer = send(client, encoded(".png"))
+    assert answer.status_code == 507
+    error = {"error": "the server's temporary folder: No such file or directory"}
+    assert answer.json() == error
 
 
 @pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"null", 5000 * b"[", b"{" + 20_000 * b" "])

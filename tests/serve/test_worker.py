@@ -34,7 +34,7 @@ def test_calls_share_a_process_which_is_another_one(worker):
     ("method", "error", "message"),
     [
         ("hang", TimedOut, "stopped after 0.2 seconds"),
-        ("crash", Crashed, "brought its worker down"),
+        ("crash", Crashed, "the worker's process ended: signal 6"),
         ("refuse", Refused, "this will not do"),
         ("fail", Crashed, "ZeroDivisionError"),
     ],

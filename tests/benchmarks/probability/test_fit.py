@@ -199,7 +199,7 @@ def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
 
 def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
     def missing(name: str) -> None:
-        raise ImportError(name)
+        raise ModuleNotFoundError(name)
 
     monkeypatch.setattr("importlib.import_module", missing)
     data = _records(400, 0, "fit")
