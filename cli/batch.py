@@ -147,9 +147,18 @@ def batch_options(work: WorkChoice) -> BatchOptions:
 
 def report(batch: Batch) -> None:
     """Print what a batch found, the images that could not be used, and the first warning."""
+    from dgc_pose.batch.rows import FAILED
+
     summary = batch.summary
     for name, reason in summary["bad_images"].items():
         click.echo(f"bad image {name}: {reason}", err=True)
+    if failed := [row for row in batch.rows if row.status == FAILED]:
+        first = failed[0]
+        click.echo(
+            f"{len(failed)} pairs failed (first: {first.name1} {first.name2}: {first.reason}): "
+            "--resume matches them again",
+            err=True,
+        )
     if summary["guessed_focal"]:
         click.echo(
             f"warning: the focal length of {summary['guessed_focal']} images is a guess; expect "

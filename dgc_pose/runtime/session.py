@@ -12,7 +12,7 @@ import numpy as np
 from dgc_pose.errors import WeightsError
 from dgc_pose.onnx_library import onnxruntime
 
-_QUIET = 3  # log errors alone
+_QUIET = 4  # errors are raised, and need not be printed
 _MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
 
 
@@ -36,7 +36,10 @@ class Session:
         options.add_external_initializers(list(weights), self._values)
         try:
             self._session = onnxruntime.InferenceSession(
-                str(path), options, providers=["CPUExecutionProvider"]
+                str(path),
+                options,
+                providers=["CPUExecutionProvider"],
+                enable_fallback=0,  # it would try the same again, and print
             )
         except Exception as error:  # onnxruntime's errors have no common base of their own
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
