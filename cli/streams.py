@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
+from io import TextIOWrapper
 from typing import Any, TextIO
 
 from dgc_pose.errors import InputError
@@ -45,5 +46,7 @@ def standard_streams() -> Iterator[None]:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")
     if sys.stdout is None:
         raise InputError("stdout is closed")
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
     with redirect_stdout(_Stdout(sys.stdout)):
         yield
