@@ -43,7 +43,7 @@ class Address:
 
 
 @click.command()
-@dataclass_options(MatcherChoice, "matcher", only=("weights", "device", "runtime", "half_precision"))
+@dataclass_options(MatcherChoice, "matcher", only=("weights", "device", "runtime"))
 @dataclass_options(Address, "address")
 @dataclass_options(ServeOptions, "limits")
 def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int:
