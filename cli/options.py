@@ -98,7 +98,7 @@ class MatcherChoice:
     device: DeviceName = option("auto", "Where the network runs.")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
     half_precision: bool = option(
-        False, "Convolutions in bfloat16, by torch: faster on a GPU, less exact."
+        False, "Convolutions in bfloat16, by torch: less exact, faster on a device that has it."
     )
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     refine: RefineChoice = field(default_factory=RefineChoice)

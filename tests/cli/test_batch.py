@@ -226,3 +226,8 @@ def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
     assert done.exit_code == 2, done.output
     assert "matches.h5" in done.stderr.splitlines()[-1]
     assert [path.name for path in out.iterdir()] == ["batch"]
+
+
+def test_a_batch_of_another_precision_is_not_resumed(photos: Path, finished: Path) -> None:
+    options = ["--out", finished, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
+    assert_refused(["batch", photos, *options, "--half-precision"], "had half_precision false")
