@@ -14,7 +14,6 @@ from torch import Tensor, nn
 
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.network.device import multiplies_bfloat16
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 
@@ -82,9 +81,8 @@ def time_forwards(
     ways: dict[str, DGCNet] = {
         "torch, eager": net,
         "batch norm folded": for_inference(net),
+        "bfloat16": half,
     }
-    if multiplies_bfloat16(images[0].device):
-        ways["bfloat16"] = half
     total = sum(multiply_adds(net))
     seconds: dict[str, list[float]] = {way: [] for way in ways}
     rates = []

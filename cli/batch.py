@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -127,7 +126,12 @@ def work_through(
             choice,
             out,
             matcher=MatcherSettings(
-                matcher.weights, matcher.device, matcher.matching, refinement, matcher.runtime
+                matcher.weights,
+                matcher.device,
+                matcher.matching,
+                refinement,
+                matcher.runtime,
+                matcher.half_precision,
             ),
             estimation=estimation,
             options=batch_options(work),
@@ -139,8 +143,9 @@ def work_through(
 def batch_options(work: WorkChoice) -> BatchOptions:
     """How a batch is worked through; a worker for each core unless their number is given."""
     from dgc_pose.batch.run import BatchOptions
+    from dgc_pose.threads import usable_cpus
 
-    workers = work.workers or len(os.sched_getaffinity(0))
+    workers = work.workers or usable_cpus()
     memory = None if work.memory is None else int(work.memory * _GIB)
     return BatchOptions(workers, memory, work.format, work.resume)
 

@@ -97,6 +97,9 @@ class MatcherChoice:
     )
     device: DeviceName = option("auto", "Where the network runs.")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
+    half_precision: bool = option(
+        False, "Convolutions in bfloat16, by torch: less exact, faster on a device that has it."
+    )
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     refine: RefineChoice = field(default_factory=RefineChoice)
 
@@ -108,6 +111,7 @@ class MatcherChoice:
             self.weights,
             device=self.device,
             runtime=self.runtime,
+            half_precision=self.half_precision,
             matching=self.matching,
             refinement=self.refine.options(self.matching),
         )

@@ -44,9 +44,6 @@ class TrainFiles:
         "Which frames make a pair: near, up to 60 degrees apart; far, up to 90, and far views "
         "likelier than near ones.",
     )
-    precision: Literal["auto", "float32", "bfloat16"] = option(
-        "auto", "Precision of the convolutions; auto: bfloat16 if the processor supports it."
-    )
     limit: int | None = option(None, "Most photographs to use.", min=1, max=10**9)
 
     def __post_init__(self) -> None:
@@ -78,7 +75,7 @@ def train(files: TrainFiles, options: RunOptions) -> None:
     """
     import torch
 
-    from dgc_pose.network.device import choose_device, multiplies_bfloat16
+    from dgc_pose.network.device import choose_device
     from dgc_pose.synthesis.photos import load_photos
     from dgc_pose.training.processes import process_group, rank
     from dgc_pose.training.progress import ProgressLine
@@ -90,12 +87,7 @@ def train(files: TrainFiles, options: RunOptions) -> None:
     real_share = files.real_share
     if real_share is None:
         real_share = 0.25 if files.rgbd else 0.0
-    options = replace(
-        options,
-        pairs=replace(options.pairs, real_share=real_share),
-        half_precision=files.precision == "bfloat16"
-        or (files.precision == "auto" and multiplies_bfloat16(device)),
-    )
+    options = replace(options, pairs=replace(options.pairs, real_share=real_share))
     with process_group(device) as own_device:
         photos = load_photos(files.photos, limit=files.limit)
         trainer = Trainer(

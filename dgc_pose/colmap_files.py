@@ -148,11 +148,15 @@ def read_database(path: Path) -> DatabaseContent:
                 images = database.read_all_images()
                 keys, _ = database.read_all_matches()
         except _FAILURES as error:
-            raise InputError(f"{path} is not a COLMAP database that can be read ({reason(error)})") from None
+            raise InputError(
+                f"{path} is not a COLMAP database that can be read ({reason(error)})"
+            ) from None
     try:
         return _content(cameras, images, keys)
     except (KeyError, ValueError, TypeError, OverflowError) as error:
-        raise InputError(f"{path} is not a COLMAP database that can be read ({reason(error)})") from None
+        raise InputError(
+            f"{path} is not a COLMAP database that can be read ({reason(error)})"
+        ) from None
 
 
 def _require_plain(path: Path) -> None:

@@ -10,6 +10,7 @@ from importlib import metadata, resources
 from importlib.util import find_spec
 from pathlib import Path
 
+from dgc_pose.threads import usable_cpus
 from dgc_pose.version import build, version
 
 Facts = dict[str, dict[str, str]]  # by heading, then by name
@@ -38,7 +39,7 @@ VARIABLES = (
     "OPENBLAS_NUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
     "CUDA_VISIBLE_DEVICES",
-    "DGC_POSE_RUNTIME",
+    "DGC_POSE_MAX_PIXELS",
 )
 ABSENT = "not installed"
 
@@ -68,7 +69,7 @@ def _machine() -> dict[str, str]:
         "Python": f"{platform.python_version()} ({sys.executable})",
         "system": platform.platform(),
         "processor": _processor(),
-        "processors": f"{_usable()} of {os.cpu_count()} usable",
+        "processors": f"{usable_cpus()} of {os.cpu_count()} usable",
         "memory": _memory(),
     }
 
@@ -83,12 +84,6 @@ def _processor() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
-
-
-def _usable() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _memory() -> str:

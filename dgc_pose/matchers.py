@@ -50,6 +50,7 @@ def load_matcher(
     *,
     device: str = "auto",
     runtime: RuntimeName = "auto",
+    half_precision: bool = False,
     matching: MatchingOptions | None = None,
     refinement: RefinementOptions | None = _DEFAULT,
     caches: MatcherCaches | None = None,
@@ -58,7 +59,8 @@ def load_matcher(
 
     name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), "sift", or an
     optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". runtime:
-    what runs it, see `load_engine`. matching: how matches are selected from a dense map.
+    what runs it, see `load_engine`. half_precision: its convolutions in bfloat16, by torch; faster
+    on a GPU, less exact. matching: how matches are selected from a dense map.
     refinement: of a network's matches; None for the matches of its map. SIFT and the flows are
     never refined here; a `Refiner` around them does it.
     caches: to keep what is computed of an image from pair to pair; None to keep nothing.
@@ -81,7 +83,12 @@ def load_matcher(
             return FlowMatcher(flow, matching)
     features, native = (None, None) if caches is None else (caches.features, caches.native)
     dense = load_dense_matcher(
-        name, device=device, runtime=runtime, options=matching, cache=features
+        name,
+        device=device,
+        runtime=runtime,
+        half_precision=half_precision,
+        options=matching,
+        cache=features,
     )
     return dense if refinement is None else refined(dense, refinement, native)
 

@@ -133,7 +133,7 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
     usable = [
         (one, own)
         for one, evidence in samples
-        if (own := getattr(evidence, f"{part}_error_90_deg")) is not None
+        if (own := getattr(evidence, f"jackknife_{part}_90_deg")) is not None
     ]
     X = np.array([[log_error(own)] for _, own in usable])
     errors = np.array([max(getattr(one, f"{part}_error_deg"), 1e-4) for one, _ in usable])

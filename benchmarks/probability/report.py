@@ -193,7 +193,7 @@ def reliability_figure(found: Mapping[str, Sequence[Judged]]) -> Figure:
 
 
 def _expected(evidence: Evidence, model: ProbabilityModel, part: str) -> float:
-    own = getattr(evidence, f"{part}_error_90_deg")
+    own = getattr(evidence, f"jackknife_{part}_90_deg")
     if own is None:
         return math.nan
     factors = {"rotation": model.rotation_error, "translation": model.translation_error}

@@ -120,6 +120,7 @@ def run_batch(
         "weights": matcher.weights,
         "weights_sha256": _weights_hash(matcher.weights),
         "runtime": matcher.runtime,
+        "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
         "refinement": None if matcher.refinement is None else asdict(matcher.refinement),
         "estimation": asdict(estimation),

@@ -38,6 +38,7 @@ class MatcherSettings:
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     refinement: RefinementOptions | None = field(default_factory=RefinementOptions)
     runtime: RuntimeName = "auto"
+    half_precision: bool = False
 
     def load(self, caches: MatcherCaches | None = None) -> Matcher:
         """Raises what `load_matcher` raises."""
@@ -45,6 +46,7 @@ class MatcherSettings:
             self.weights,
             device=self.device,
             runtime=self.runtime,
+            half_precision=self.half_precision,
             matching=self.matching,
             refinement=self.refinement,
             caches=caches,

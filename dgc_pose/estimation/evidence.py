@@ -48,9 +48,9 @@ class Evidence:
     collinear: bool  # the inliers of either image lie on one line
     occupied_cells: int  # grid cells with inliers, in the image with fewer of them
     key_points: bool  # whether the matches are independent detections
-    # Nine times in ten the error is below, by the jackknife alone; or unknown.
-    rotation_error_90_deg: float | None
-    translation_error_90_deg: float | None
+    # Nine times in ten the error is below, as the jackknife has it, not calibrated; or unknown.
+    jackknife_rotation_90_deg: float | None
+    jackknife_translation_90_deg: float | None
     residual: float  # median epipolar error of the inliers, over the threshold
     threshold_cells: float  # the threshold over the side of a grid cell, mean of both images
     hull_cells: float  # area of the inliers' convex hull in grid cells, the smaller of both images
@@ -111,8 +111,10 @@ def gather(
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=_occupied_cells(inliers),
         key_points=problem.key_points,
-        rotation_error_90_deg=None if covariance is None else error_radius_deg(covariance[:3, :3]),
-        translation_error_90_deg=(
+        jackknife_rotation_90_deg=(
+            None if covariance is None else error_radius_deg(covariance[:3, :3])
+        ),
+        jackknife_translation_90_deg=(
             None if covariance is None else error_radius_deg(covariance[3:, 3:])
         ),
         residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,

@@ -85,12 +85,12 @@ FEATURES: Mapping[str, Feature] = {
         lambda e: f"the inliers cover only {e.hull_cells:.0f} grid cells",
     ),
     "rotation_error": Feature(
-        lambda e: _log(e.rotation_error_90_deg, 0.02, 60),
+        lambda e: _log(e.jackknife_rotation_90_deg, 0.02, 60),
         -1,
         lambda e: "the inliers hardly determine the rotation",
     ),
     "translation_error": Feature(
-        lambda e: _log(e.translation_error_90_deg, 0.05, 120),
+        lambda e: _log(e.jackknife_translation_90_deg, 0.05, 120),
         -1,
         lambda e: "the inliers hardly determine the translation",
     ),
@@ -205,8 +205,8 @@ class ProbabilityModel:
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten."""
         factors = (
-            self.rotation_error.factor(evidence.rotation_error_90_deg),
-            self.translation_error.factor(evidence.translation_error_90_deg),
+            self.rotation_error.factor(evidence.jackknife_rotation_90_deg),
+            self.translation_error.factor(evidence.jackknife_translation_90_deg),
         )
         scale = np.repeat(factors, 3)
         scaled: np.ndarray = covariance * np.outer(scale, scale)

@@ -114,7 +114,7 @@ def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     behind = _behind(evidence, options)
     if behind is not None:
         return behind
-    error = evidence.rotation_error_90_deg
+    error = evidence.jackknife_rotation_90_deg
     if error is not None and error > options.max_rotation_error_deg:
         reason = (
             f"the {evidence.num_inliers} inliers do not determine the pose: its rotation may be "

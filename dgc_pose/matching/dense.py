@@ -176,13 +176,13 @@ def load_dense_matcher(
     options: MatchingOptions | None = None,
     cache: FeatureCache | None = None,
     runtime: RuntimeName = "auto",
+    half_precision: bool = False,
 ) -> DenseMatcher:
     """The network alone, without refinement: shipped weights by name, or those of a file (see
-    `load_network`).
-
-    Raises WeightsError if the weights cannot be loaded, InputError if there is no such device.
+    `load_network`). device, runtime, half_precision: see `load_engine`, also for what is raised.
     """
-    return DenseMatcher(load_engine(weights, device=device, runtime=runtime), options, cache)
+    engine = load_engine(weights, device=device, runtime=runtime, half_precision=half_precision)
+    return DenseMatcher(engine, options, cache)
 
 
 def _cycle_error(forward: DecodedMap, reverse: DecodedMap, view2: View) -> np.ndarray:

@@ -126,6 +126,12 @@ class DGCNet(nn.Module):
             ]
         return features
 
+    def coarse_features(self, image: Tensor) -> list[Tensor]:
+        """Features of levels 2 to 4 (strides 4, 8 and 16) of a normalised image (B, 3, 16 h, 16 w),
+        as the convolutions give them: bfloat16 at half precision."""
+        with self._precision(image):
+            return self.pyramid.coarse(image)
+
     def _encode(self, image: Tensor) -> list[Tensor]:
         with self._precision(image):
             features = self.pyramid(image)

@@ -18,14 +18,18 @@ _DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of a graphics card, on 
 
 
 def load_engine(
-    weights: str | Path = DEFAULT_WEIGHTS, *, device: str = "auto", runtime: RuntimeName = "auto"
+    weights: str | Path = DEFAULT_WEIGHTS,
+    *,
+    device: str = "auto",
+    runtime: RuntimeName = "auto",
+    half_precision: bool = False,
 ) -> Engine:
     """An engine of shipped weights by name, or of those of a file (see `network.weights`).
 
     device: "auto", "cpu" or "cuda". runtime: "onnx", ONNX Runtime, which runs weights of the
     presets with graphs on the CPU and never imports torch; "torch", which runs all; "auto", ONNX
     Runtime for shipped weights on the CPU and torch for everything else. Without torch, "auto" is
-    ONNX Runtime.
+    ONNX Runtime. half_precision: convolutions in bfloat16, which torch alone does.
 
     Raises WeightsError if the weights cannot be loaded, InputError if there is no such device, or
     if the runtime is not installed or cannot do what is asked for.
@@ -33,7 +37,11 @@ def load_engine(
     path = find_weights(weights)
     if runtime == "onnx" and device not in ("auto", "cpu"):
         raise InputError(f"ONNX Runtime is used on the CPU, not on {device}: choose torch for that")
-    if runtime == "onnx" or (runtime == "auto" and _prefers_onnx(str(weights), path, device)):
+    if runtime == "onnx" and half_precision:
+        raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
+    if runtime == "auto" and not half_precision and _prefers_onnx(str(weights), path, device):
+        runtime = "onnx"
+    if runtime == "onnx":
         from dgc_pose.runtime.onnx_engine import load_onnx_engine
 
         return load_onnx_engine(path)
@@ -42,7 +50,7 @@ def load_engine(
     from dgc_pose.network.device import choose_device
     from dgc_pose.runtime.torch_engine import load_torch_engine
 
-    return load_torch_engine(path, choose_device(device))
+    return load_torch_engine(path, choose_device(device), half_precision)
 
 
 def default_runtime() -> RuntimeName:

@@ -16,7 +16,6 @@ from torch import Tensor
 from dgc_pose.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.device import multiplies_bfloat16
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
@@ -109,25 +108,23 @@ class TorchEngine:
 
     @torch.inference_mode()
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
-        """As `Engine.native`.
-
-        Convolutions run in bfloat16 if the device multiplies it: the cosines of true matches change
-        by less than a hundredth, and the pass takes half the time.
-        """
         planes = self._input(pixels, (cells[0] * STRIDE, cells[1] * STRIDE))
-        device = planes.device
-        with torch.autocast(device.type, torch.bfloat16, enabled=multiplies_bfloat16(device)):
-            levels = self.net.pyramid.coarse(planes)
-        fine, middle, coarse = map(_unit, levels)
+        fine, middle, coarse = map(_unit, self.net.coarse_features(planes))
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
 
     def _input(self, pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
         return network_input(pixels, size, next(self.net.parameters()).device)
 
 
-def load_torch_engine(weights: str | Path, device: torch.device) -> TorchEngine:
-    """An engine of weights by name or path (see `load_network`), made faster for inference."""
+def load_torch_engine(
+    weights: str | Path, device: torch.device, half_precision: bool = False
+) -> TorchEngine:
+    """An engine of weights by name or path (see `load_network`), made faster for inference.
+
+    half_precision: convolutions in bfloat16.
+    """
     net = load_network(weights, device)
+    net.half_precision = half_precision
     return TorchEngine(for_inference(net), network_fingerprint(net))
 
 

@@ -78,9 +78,11 @@ class RunOptions:
     validation_count: int = option(
         64, "Pairs of held-back photographs.", flag="--validation-pairs", min=1, max=2**20
     )
+    half_precision: bool = option(
+        False, "Convolutions in bfloat16, everything else in single precision."
+    )
     validate_minutes: float = 5.0  # between validations
     save_minutes: float = 1.0  # between checkpoints
-    half_precision: bool = False  # convolutions in bfloat16, all else in single precision
     average_decay: float = 0.998  # at most, of the exponential moving average of the weights
 
     def __post_init__(self) -> None:

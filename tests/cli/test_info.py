@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import dgc_pose
+import dgc_pose.cli
 from dgc_pose import environment
 from dgc_pose.cli.main import main
 
@@ -60,3 +62,15 @@ def test_a_variable_that_is_set_is_shown(monkeypatch):
     monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
     found = environment.environment()["environment"]
     assert found["OMP_NUM_THREADS"] == "1" and "OMP_WAIT_POLICY" not in found
+
+
+def test_each_variable_of_the_package_is_one_that_it_reads():
+    folder = Path(dgc_pose.__file__).parent
+    code = "".join(
+        path.read_text()
+        for top in (folder, Path(dgc_pose.cli.__path__[0]))
+        for path in top.rglob("*.py")
+        if path.name != "environment.py"
+    )
+    read = set(re.findall(r"\"(DGC_POSE_\w+)\"", code))
+    assert {name for name in environment.VARIABLES if name.startswith("DGC_POSE")} == read

@@ -1,5 +1,7 @@
 """From matches to a pose or to a failure, on every kind of scene and with every library."""
 
+from dataclasses import fields
+
 import numpy as np
 import poselib
 import pycolmap
@@ -380,3 +382,15 @@ def test_something_else_than_matches_is_refused_by_name():
     camera, _ = two_view_scene(count=1).cameras
     with pytest.raises(InputError, match="matches"):
         estimate_pose((np.zeros((30, 2)), np.zeros((30, 2))), camera, camera)
+
+
+def test_one_name_is_one_number_in_the_pose_and_in_its_evidence():
+    """The expected errors of the pose are calibrated, those of the evidence are not."""
+    scene = two_view_scene(count=400, sigma_px=1.0, outliers=0.3)
+    pose = estimate_pose(scene.matches, *scene.cameras, EstimationOptions(runs=1))
+    names = [field.name for field in fields(pose.evidence) if hasattr(pose, field.name)]
+    assert "cheirality_ratio" in names
+    for name in names:
+        assert getattr(pose, name) == getattr(pose.evidence, name), name
+    assert pose.rotation_error_90_deg != pose.evidence.jackknife_rotation_90_deg > 0
+    assert pose.translation_error_90_deg != pose.evidence.jackknife_translation_90_deg > 0

@@ -114,7 +114,7 @@ SCENARIOS: Mapping[str, Scenario] = {
         lambda folder: [
             *("train", "--photos", f"{folder}/photos", "--out", "out", "--steps", "6"),
             *("--preset", "dgcm-lite0", "--batch", "1", "--validation-pairs", "1"),
-            *("--threads", "1", "--precision", "float32"),
+            *("--threads", "1"),
         ],
         again=("--resume",),
         disturbed=("--stop-after", "0.03"),  # so that checkpoints are written

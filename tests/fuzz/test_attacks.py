@@ -310,7 +310,7 @@ def test_a_database_that_computes_is_refused(tmp_path: Path, statement: str) -> 
             database.execute("DROP TABLE matches")
         database.execute(statement)
         database.commit()
-    with pytest.raises(InputError, match=r"a\.db: not a COLMAP database .*comput"):
+    with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
         read_database(path)
 
 

@@ -38,11 +38,7 @@ def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
     np.testing.assert_allclose(on_device.matchability, on_cpu.matchability, atol=1e-3)
 
 
-def test_refinement_by_features_is_that_of_the_cpu(
-    images: list[Image], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The pretended device knows no bfloat16.
-    monkeypatch.setattr("dgc_pose.runtime.torch_engine.multiplies_bfloat16", lambda device: False)
+def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
     net = load_network("dgcm-lite").eval()
     options = RefinementOptions(source="features")
     on_cpu = refined(DenseMatcher(TorchEngine(net)), options).match(*images).matches

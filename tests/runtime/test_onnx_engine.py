@@ -81,9 +81,7 @@ def test_features_are_torch_s(engines: Engines, pictures: list[np.ndarray]) -> N
     for level in ("coarse", "middle", "fine"):
         own, other = getattr(found, level), getattr(native, level)
         assert own.flags.c_contiguous and own.dtype == np.float32 and own.shape == other.shape
-        # bfloat16, which torch uses where the machine multiplies it, is a hundredth off.
-        assert (own * other).sum(-1).min() > 0.99
-        assert np.quantile((own * other).sum(-1), 0.01) > 0.999
+        np.testing.assert_allclose(own, other, atol=1e-4)
 
 
 def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np.ndarray]) -> None:

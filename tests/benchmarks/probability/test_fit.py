@@ -169,8 +169,8 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
             inlier_ratio=ratio,
             occupied_cells=int(cells),
             map_agreement=agreement,
-            rotation_error_90_deg=own,
-            translation_error_90_deg=own,
+            jackknife_rotation_90_deg=own,
+            jackknife_translation_90_deg=own,
         )
         found.append(Record(f"s {k}", "s", f"{part} {k % 5}", part, True, evidence, error, error))
     return found
