@@ -27,7 +27,7 @@ _NAME, _LINE = 4096, 2**16  # the longest name, and line of an image, bytes
 _NOTHING = {".txt": b"", ".bin": struct.pack("<Q", 0)}  # a file of no images or no points
 
 
-_FAILURES = (RuntimeError, ValueError, KeyError, TypeError, MemoryError, sqlite3.Error)
+_FAILURES = (RuntimeError, ValueError, KeyError, TypeError, ArithmeticError, MemoryError)
 
 
 @dataclass(frozen=True)
@@ -147,16 +147,10 @@ def read_database(path: Path) -> DatabaseContent:
                 cameras = {own.camera_id: own for own in database.read_all_cameras()}
                 images = database.read_all_images()
                 keys, _ = database.read_all_matches()
-        except _FAILURES as error:
-            raise InputError(
-                f"{path} is not a COLMAP database that can be read ({reason(error)})"
-            ) from None
-    try:
-        return _content(cameras, images, keys)
-    except (KeyError, ValueError, TypeError, OverflowError) as error:
-        raise InputError(
-            f"{path} is not a COLMAP database that can be read ({reason(error)})"
-        ) from None
+            return _content(cameras, images, keys)
+        except (*_FAILURES, sqlite3.Error) as error:
+            why = reason(error)
+            raise InputError(f"{path} is not a COLMAP database that can be read ({why})") from None
 
 
 def _require_plain(path: Path) -> None:
