@@ -1,7 +1,8 @@
 """pycolmap. Everything else imports it from here.
 
 Its import sets handlers of signals, also of SIGTERM: a process would then print a stack trace and
-end at once, and leave its temporary files. The handlers that were there before are set again.
+end at once, and leave its temporary files. The handlers that were there before are set again, and
+its log is turned off.
 """
 
 from __future__ import annotations
@@ -19,5 +20,9 @@ for _number, _handler in _before.items():
     with suppress(ValueError):  # not in the main thread, which alone may do it
         if _handler is not None:
             signal.signal(_number, _handler)
+
+# What goes wrong is raised: its log would be printed, and left in files among the temporary ones.
+pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
+pycolmap.logging.logtostderr = True
 
 __all__ = ["pycolmap"]

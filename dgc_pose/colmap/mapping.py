@@ -34,7 +34,6 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
     """The model with the most images. Raises MappingError if there is none."""
     from dgc_pose.colmap_library import pycolmap
 
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value  # errors are raised
     pycolmap.set_random_seed(options.seed)
     with scratch_folder() as folder:
         try:

@@ -22,7 +22,6 @@ def sift_database(
 
     if database.exists():
         raise InputError(f"{database} is there already")
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads = threads
     extraction.use_gpu = False

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import tempfile
 from itertools import combinations
 from pathlib import Path
 
@@ -154,9 +156,10 @@ def _assert_hloc_reads(folder: Path, database: bytes) -> None:
 
 
 def test_nothing_to_reconstruct(
-    views: tuple[Path, list[View]], batch: Batch, tmp_path: Path
+    views: tuple[Path, list[View]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A batch without a pose, and two images that make no model."""
+    """A batch without a pose, and two images that make no model; COLMAP's log is not shown, and no
+    file of it is left."""
     out = tmp_path / "pair"
     two = tmp_path / "pairs.txt"
     two.write_text("view0.png view1.png\n")
@@ -177,6 +180,8 @@ def test_nothing_to_reconstruct(
     )
     with pytest.raises(MappingError, match="incremental mapper made no model"):
         reconstruct(pair, tmp_path / "model")
+    assert capfd.readouterr() == ("", "")
+    assert not list(Path(tempfile.gettempdir()).glob(f".*.log.*.{os.getpid()}"))
     rows = (out / "pairs.jsonl").read_text().replace('"ok"', '"no_model"')
     (out / "pairs.jsonl").write_text(rows)
     with pytest.raises(InputError, match="has a pose"):
