@@ -12,14 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from dgc_pose.errors import InputError, reason
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.inputs import read_text
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 1  # of the file
@@ -217,11 +215,6 @@ class ProbabilityModel:
 def shipped_models() -> Mapping[str, ProbabilityModel]:
     """The models of the package, by kind of matches."""
     return models_of(files("dgc_pose.estimation").joinpath(_SHIPPED).read_text("utf-8"), _SHIPPED)
-
-
-def read_models(path: Path) -> Mapping[str, ProbabilityModel]:
-    """The models of a file. Raises InputError, with the path, if it is none."""
-    return models_of(read_text(path, "a model of the probability"), str(path))
 
 
 def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:

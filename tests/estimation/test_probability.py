@@ -19,7 +19,6 @@ from dgc_pose.estimation.probability import (
     FEATURES,
     match_kind,
     models_of,
-    read_models,
     shipped_models,
 )
 from dgc_pose.estimation.verdict import judge
@@ -142,11 +141,9 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
         _text(reference={}),
     ],
 )
-def test_a_file_that_is_no_model_is_refused_by_its_name(text: str, tmp_path) -> None:
-    path = tmp_path / "model.json"
-    path.write_text(text)
+def test_a_text_that_is_no_model_is_refused_by_its_name(text: str) -> None:
     with pytest.raises(InputError, match="model.json: not a model of the probability"):
-        read_models(path)
+        models_of(text, "model.json")
 
 
 def test_the_package_s_own_file_can_be_read() -> None:

@@ -21,7 +21,8 @@ from dgc_pose.benchmarks.probability.plan import Source, read_plan
 from dgc_pose.camera import Camera
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.colmap_camera import Distortion
-from dgc_pose.estimation.probability import FEATURES, FORMAT, read_models
+from dgc_pose.estimation.probability import FEATURES, FORMAT, models_of
+from dgc_pose.inputs import read_text
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.store import StoredImage
 
@@ -170,6 +171,12 @@ RESULT_DOORS = (
         _read_collection,
         {".json": mutators.JSON, ".npz": mutators.ZIP},
     ),
-    Door("models", _make_models, lambda _, path: read_models(path), {".json": mutators.JSON}, 0.5),
+    Door(
+        "models",
+        _make_models,
+        lambda _, path: models_of(read_text(path), str(path)),
+        {".json": mutators.JSON},
+        0.5,
+    ),
     Door("requests", _make_requests, _read_request, {".json": mutators.JSON}),
 )
