@@ -126,28 +126,36 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     cameras of photographs that have not changed.
     """
 
-    def require(what: str, old: Any, new: Any) -> None:
-        if old != new:
-            old, new = (shortened(json.dumps(value)) for value in (old, new))
-            raise InputError(
-                f"{out / PLAN}: that batch had {what} {old}, not {new}: --resume needs the same"
-            )
-
-    require("the folder", str(before.root), str(now.root))
-    for key, value in json.loads(json.dumps(now.settings)).items():
-        require(key, before.settings.get(key), value)
+    where = out / PLAN
+    _require_same("the folder", str(before.root), str(now.root), where)
+    _require_same("the option", before.settings, json.loads(json.dumps(now.settings)), where)
     for name in sorted({*before.names} ^ {*now.names}):
-        require(name, *("in its source" if name in plan.names else None for plan in (before, now)))
+        verb = "had" if name in before.names else "lacked"
+        raise InputError(f"{where}: that batch {verb} {name}: --resume needs the same photographs")
     if len(now.pairs):
-        require("the pairs", before.pairs.tolist(), now.pairs.tolist())
+        pairs = ([plan.pair(i) for i in range(len(plan.pairs))] for plan in (before, now))
+        _require_same("the pair", *(dict(enumerate(listed, start=1)) for listed in pairs), where)
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     for name in unchanged:
         cameras = (plan.cameras.get(name) for plan in (before, now))
-        require(f"for {name} the camera", *(camera and _plain(camera) for camera in cameras))
+        data = (None if camera is None else _calibration(camera) for camera in cameras)
+        _require_same(f"of {name} the", *data, where)
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
 
 
-def _plain(camera: Camera) -> Any:
+def _calibration(camera: Camera) -> dict[str, Any]:
     """The numbers of a camera, without what was said of them."""
     return {key: value for key, value in camera_data(camera).items() if key != "warnings"}
+
+
+def _require_same(what: str, old: Any, new: Any, where: Path) -> None:
+    """Raise InputError for values that differ, of dictionaries for the first key that does."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        for key in {**old, **new}:
+            _require_same(f"{what} {key}", old.get(key), new.get(key), where)
+    elif old != new:
+        old, new = (shortened(json.dumps(value)) for value in (old, new))
+        raise InputError(
+            f"{where}: that batch had {what} {old}, not {new}: --resume needs the same"
+        )

@@ -49,22 +49,28 @@ def _files(out: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
 
 
-def _add(photos: Path) -> None:
+def _add(photos: Path) -> Path:
     shutil.copy(photos / "view0.png", photos / "added.png")
+    return photos
 
 
-def _remove(photos: Path) -> None:
+def _remove(photos: Path) -> Path:
     (photos / "view0.png").unlink()
+    return photos
+
+
+def _move(photos: Path) -> Path:
+    return shutil.copytree(photos, photos.with_name("elsewhere"))
 
 
 CHANGES = {
-    "K": (lambda photos: None, {"K": OTHER_K}, "for view0.png the camera"),
-    "guessed": (lambda photos: None, {"K": None}, "for view0.png the camera"),
-    "folder": (None, {}, "the folder"),
-    "added": (_add, {}, 'added.png null, not "in its source"'),
-    "removed": (_remove, {}, 'view0.png "in its source", not null'),
-    "pairs": (lambda photos: None, {"pairs": "sequential:1"}, "pairs"),
-    "seed": (lambda photos: None, {"estimation": EstimationOptions(seed=9)}, "estimation"),
+    "K": (None, {"K": OTHER_K}, "had of view0.png the K [["),
+    "guessed": (None, {"K": None}, "had of view0.png the K [["),
+    "folder": (_move, {}, "had the folder "),
+    "added": (_add, {}, "lacked added.png"),
+    "removed": (_remove, {}, "had view0.png"),
+    "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
+    "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }
 
 
@@ -81,12 +87,8 @@ def test_what_differs_is_named_and_nothing_changes(
         run_sift(photos, out)
     before = _files(out)
     apply, options, words = CHANGES[change]
-    source = photos
-    if apply is None:
-        source = shutil.copytree(photos, tmp_path / "elsewhere")
-    else:
-        apply(photos)
-    with pytest.raises(InputError, match="that batch had .*--resume needs the same") as raised:
+    source = photos if apply is None else apply(photos)
+    with pytest.raises(InputError, match="that batch .*--resume needs the same") as raised:
         run_sift(source, out, resume=True, **options)  # type: ignore[arg-type]
     assert words in str(raised.value) and "\n" not in str(raised.value)
     assert _files(out) == before
@@ -201,3 +203,13 @@ def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
     assert [row.name1 for row in told] == ["view0.jpg"] * (COUNT - 1)
     (warning,) = batch.plan.cameras["view0.jpg"].warnings
     assert told[0].warnings.count(warning) == 1
+
+
+def test_another_list_of_pairs_of_the_same_photographs(photos: Path, tmp_path: Path) -> None:
+    listed = photos / "pairs.txt"
+    listed.write_text("view0.png view1.png\nview1.png view2.png\n")
+    run_sift(listed, tmp_path / "out", pairs=None)
+    listed.write_text("view0.png view1.png\nview0.png view2.png\n")
+    words = r'had the pair 2 \["view1.png", "view2.png"\], not \["view0.png", "view2.png"\]'
+    with pytest.raises(InputError, match=words):
+        run_sift(listed, tmp_path / "out", pairs=None, resume=True)

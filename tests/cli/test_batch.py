@@ -264,4 +264,6 @@ def test_two_photographs_are_refused_before_they_are_matched(photos: Path, tmp_p
 
 def test_a_batch_of_another_precision_is_not_resumed(photos: Path, finished: Path) -> None:
     options = ["--out", finished, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
-    assert_refused(["batch", photos, *options, "--half-precision"], "had half_precision false")
+    assert_refused(
+        ["batch", photos, *options, "--half-precision"], "had the option half_precision false"
+    )
