@@ -18,6 +18,7 @@ from multi_view import SIZE, K, K_text
 from dgc_pose.batch.run import read_batch
 from dgc_pose.cli.main import main
 from dgc_pose.colmap_files import read_database
+from dgc_pose.matching.sift import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 
@@ -266,4 +267,20 @@ def test_a_batch_of_another_precision_is_not_resumed(photos: Path, finished: Pat
     options = ["--out", finished, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
     assert_refused(
         ["batch", photos, *options, "--half-precision"], "had the option half_precision false"
+    )
+
+
+def test_failed_pairs_are_told(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise np.linalg.LinAlgError("singular")
+
+    monkeypatch.setattr(SiftMatcher, "match", fail)
+    options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
+    done = CliRunner().invoke(main, [*map(str, ["batch", photos, *options])])
+    assert done.exit_code == 0 and "0 poses of 3 pairs (failed 3)" in done.stdout
+    assert done.stderr == (
+        "3 pairs failed (first: view0.png view1.png: LinAlgError: singular): "
+        "--resume matches them again\n"
     )

@@ -204,3 +204,15 @@ def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(
     assert exported.pairs == (10 if sharing == "tracks" else 9)
     with pycolmap.Database.open(tmp_path / "database.db") as database:
         assert database.num_verified_image_pairs() == exported.pairs
+
+
+@pytest.mark.parametrize("mapper", ["incremental", "global"])
+def test_the_same_photographs_give_the_same_model_to_the_bit(
+    batch: Batch, tmp_path: Path, mapper: MapperName
+) -> None:
+    options = ReconstructionOptions(mapping=MappingOptions(mapper))
+    first, second = (reconstruct(batch, tmp_path / name, options)[0] for name in "ab")
+    assert first.poses.keys() == second.poses.keys()
+    for name, pose in first.poses.items():
+        np.testing.assert_array_equal(pose, second.poses[name])
+    np.testing.assert_array_equal(first.points, second.points)
