@@ -22,7 +22,7 @@ def folder(tmp_path, monkeypatch):
     dense_scene.write_pair_list(tmp_path, pairs=3)
     maps = {"true": dense_scene.true_map(), "noise": dense_scene.noise_map()}
 
-    def load_dense_matcher(weights, *, device, runtime, options, cache):
+    def load_dense_matcher(weights, *, options, **others):
         if weights not in maps:
             raise WeightsError(f"{weights}: no such weights")
         return dense_scene.MapMatcher(maps[weights], options)

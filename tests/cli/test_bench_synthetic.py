@@ -110,7 +110,7 @@ def test_the_authors_lists_instead_of_the_sets(folder):
         (("--sets", ","), "no sets"),
         (("--list", "nosuch.csv"), "nosuch.csv"),
         (("--methods", ","), "no methods"),
-        (("--photos", "nowhere"), "0 photographs"),
+        (("--photos", "nowhere"), "nowhere: No such file or directory"),
         (("--json", "nowhere/s.json"), "nowhere/s.json"),
     ],
 )

@@ -48,7 +48,7 @@ def network(monkeypatch):
     """Replaces the network by a map; returns the function that chooses the map."""
 
     def use(found):
-        def load_dense_matcher(weights, *, device, runtime, options, cache):
+        def load_dense_matcher(weights, *, options, **others):
             return dense_scene.MapMatcher(found, options)
 
         monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)

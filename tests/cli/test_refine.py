@@ -16,7 +16,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path)
 
-    def load_dense_matcher(weights, *, device, runtime, options, cache):
+    def load_dense_matcher(weights, *, options, **others):
         return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), options)
 
     monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)

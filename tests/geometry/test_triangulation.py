@@ -12,6 +12,7 @@ from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.triangulation import (
     depths,
     epipolar_angles,
+    triangulated,
     triangulation_angles_deg,
     unit_rays,
 )
@@ -34,6 +35,13 @@ def test_exact_matches_give_their_depths(seed):
     depth1, depth2 = depths(points1, points2, R, T)
     np.testing.assert_allclose(depth1, X[:, 2], rtol=1e-6)
     np.testing.assert_allclose(depth2, local[:, 2], rtol=1e-6)
+
+
+def test_exact_matches_give_their_points():
+    X, points1, points2, _ = exact()
+    np.testing.assert_allclose(triangulated(points1, points2, R, T), X, rtol=1e-6)
+    parallel = triangulated(np.zeros((1, 2)), np.zeros((1, 2)), np.eye(3), T)
+    assert not np.isfinite(parallel).all()
 
 
 def test_exact_matches_give_the_depths_of_opencvs_points():
