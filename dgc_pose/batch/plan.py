@@ -127,19 +127,19 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     """
 
     where = out / PLAN
-    _require_same("the folder", str(before.root), str(now.root), where)
-    _require_same("the option", before.settings, json.loads(json.dumps(now.settings)), where)
+    _require_same(where, "the folder", str(before.root), str(now.root))
+    _require_same(where, "the option", before.settings, json.loads(json.dumps(now.settings)))
     for name in sorted({*before.names} ^ {*now.names}):
         verb = "had" if name in before.names else "lacked"
         raise InputError(f"{where}: that batch {verb} {name}: --resume needs the same photographs")
     if len(now.pairs):
         pairs = ([plan.pair(i) for i in range(len(plan.pairs))] for plan in (before, now))
-        _require_same("the pair", *(dict(enumerate(listed, start=1)) for listed in pairs), where)
+        _require_same(where, "the pair", *(dict(enumerate(listed, start=1)) for listed in pairs))
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     for name in unchanged:
         cameras = (plan.cameras.get(name) for plan in (before, now))
         data = (None if camera is None else _calibration(camera) for camera in cameras)
-        _require_same(f"of {name} the", *data, where)
+        _require_same(where, f"of {name} the", *data)
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
 
@@ -149,11 +149,11 @@ def _calibration(camera: Camera) -> dict[str, Any]:
     return {key: value for key, value in camera_data(camera).items() if key != "warnings"}
 
 
-def _require_same(what: str, old: Any, new: Any, where: Path) -> None:
+def _require_same(where: Path, what: str, old: Any, new: Any) -> None:
     """Raise InputError for values that differ, of dictionaries for the first key that does."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in {**old, **new}:
-            _require_same(f"{what} {key}", old.get(key), new.get(key), where)
+            _require_same(where, f"{what} {key}", old.get(key), new.get(key))
     elif old != new:
         old, new = (shortened(json.dumps(value)) for value in (old, new))
         raise InputError(
