@@ -21,6 +21,7 @@ from typing import Any
 from dgc_pose.errors import DgcPoseError, missing_package, process_end, reason
 
 Report = Callable[[str], None]  # takes what is being done, for people
+_ENDING_SECONDS = 5  # for a process that has closed its pipe
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
 
 
@@ -94,6 +95,8 @@ class Worker:
                 pipe.send((method, arguments))
                 return self._answer(pipe, seconds, report)
             except (EOFError, OSError):
+                if self._process is not None:
+                    self._process.join(_ENDING_SECONDS)  # or the exit code would be that of _end
                 code = self._end()
                 self._check_open()
                 raise Crashed(f"the worker's process ended: {process_end(code)}") from None
