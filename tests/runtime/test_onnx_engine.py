@@ -19,7 +19,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import find_weights, folded
 from dgc_pose.network.weights import save_weights
-from dgc_pose.runtime.graphs import GRAPHS, PRESETS, WEIGHTS
+from dgc_pose.runtime.graphs import GRAPHS, NATIVE, PRESETS, WEIGHTS
 from dgc_pose.runtime.onnx_engine import OnnxEngine, load_onnx_engine
 from dgc_pose.runtime.session import session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
@@ -157,3 +157,11 @@ def test_threads_are_opencv_s_and_no_more_than_openmp_allows(
     for allowed, expected in (("", 4), ("1", 1), ("3,2", 3), ("6", 4), ("many", 4), ("0", 4)):
         monkeypatch.setenv("OMP_NUM_THREADS", allowed)
         assert session_threads() == expected
+
+
+def test_what_is_raised_is_not_printed_too(capfd: pytest.CaptureFixture[str]) -> None:
+    """Sides that are no multiples of 16 fail within the graph, as a lack of memory does."""
+    native = load_onnx_engine(find_weights("dgcm-lite0"))._session(NATIVE)
+    with pytest.raises(Exception, match="Non-zero status code"):
+        native(np.zeros((20, 20, 3), np.float32))
+    assert capfd.readouterr() == ("", "")
