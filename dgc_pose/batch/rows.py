@@ -14,13 +14,13 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files import finite_or_none, writing
-from dgc_pose.inputs import read_as, require_regular
+from dgc_pose.inputs import open_regular, read_as
 
 # Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
 _COUNTS = {"R": 9, "t": 3}  # of numbers
-_LONGEST = 2**20  # characters of a row in JSON
+_LONGEST = 2**20  # bytes of a row in JSON
 _PER_WRITE = 4096  # rows of a Parquet table held in memory
 
 
@@ -180,9 +180,8 @@ def read_rows(path: Path) -> Iterator[PairRow]:
         except (arrow.ArrowException, OSError) as error:
             raise InputError(f"{path}: not a whole Parquet file ({error})") from None
         return
-    require_regular(path)
-    with read_as("a table of poses", path), path.open(encoding="utf-8") as stream:
-        lines = iter(lambda: stream.readline(_LONGEST), "")
+    with read_as("a table of poses", path), open_regular(path) as stream:
+        lines = iter(lambda: stream.readline(_LONGEST), b"")
         for number, line in enumerate(lines, start=1):
             try:
                 data = json.loads(line)

@@ -29,7 +29,14 @@ from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
 from dgc_pose.batch.similarity import similarities
 from dgc_pose.batch.source import Source, survey
-from dgc_pose.batch.store import MATCHES, SUMMARY, PartStore, read_result, rows_path
+from dgc_pose.batch.store import (
+    MATCHES,
+    SUMMARY,
+    PartStore,
+    read_result,
+    read_summary,
+    rows_path,
+)
 from dgc_pose.batch.work import (
     FEATURE_BYTES,
     Describe,
@@ -42,14 +49,9 @@ from dgc_pose.batch.work import (
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files import only_writer, write_text
-from dgc_pose.inputs import read_bytes, read_json
+from dgc_pose.inputs import read_bytes
 
 WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
-_SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
-    **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
-    **dict.fromkeys(("bad_images", "by_status"), dict),
-    "seconds": (int, float),
-}
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 
 
@@ -178,18 +180,7 @@ def read_batch(out: Path) -> Batch:
     plan = read_plan(out)
     if not (out / SUMMARY).is_file():
         raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
-    summary = read_json(out / SUMMARY, "the summary of a batch")
-    _require_summary(summary, out / SUMMARY)
-    rows = list(read_result(out, plan))
-    return Batch(out, plan, rows, summary)
-
-
-def _require_summary(data: Any, path: Path) -> None:
-    """Raise InputError unless this is the summary of a batch, as far as it is read again."""
-    if not isinstance(data, dict) or not all(
-        isinstance(data.get(name), kind) for name, kind in _SUMMARY.items()
-    ):
-        raise InputError(f"{path}: not the summary of a batch")
+    return Batch(out, plan, list(read_result(out, plan)), read_summary(out))
 
 
 def _plan_before(out: Path, resume: bool) -> Plan | None:

@@ -42,6 +42,11 @@ from dgc_pose.inputs import read_as, read_json
 SUMMARY, MATCHES, PARTS = "summary.json", "matches.h5", "parts"
 _PART = re.compile(r"(\.?)\d{9,}\.h5(\..*\.partial)?")  # also one that a kill left half-written
 _OPEN_PARTS = 64  # while the result is put together
+_SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
+    **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
+    **dict.fromkeys(("bad_images", "by_status"), dict),
+    "seconds": (int, float),
+}
 
 
 def rows_path(out: Path, plan: Plan) -> Path:
@@ -61,6 +66,18 @@ def read_result(out: Path, plan: Plan) -> Iterator[PairRow]:
         )
 
 
+def read_summary(out: Path) -> Mapping[str, Any]:
+    """The summary of a finished batch, checked as far as it is read again. Raises InputError, with
+    the path, if it is none."""
+    path = out / SUMMARY
+    data = read_json(path, "the summary of a batch")
+    if not isinstance(data, dict) or not all(
+        isinstance(data.get(name), kind) for name, kind in _SUMMARY.items()
+    ):
+        raise InputError(f"{path}: not the summary of a batch")
+    return data
+
+
 class PartStore:
     """The finished blocks of a batch, and the result of an earlier run of it."""
 
@@ -75,7 +92,8 @@ class PartStore:
         self._kept: set[int] = set()  # pairs that the result has
         self._bad: dict[str, str] = {}  # of the result, the reason by name
         self._number = -1  # of the last part; later parts hold for pairs that are in several
-        if before is not None and (out / SUMMARY).is_file():
+        self._has_result = before is not None and (out / SUMMARY).is_file()
+        if before is not None and self._has_result:
             self._read_result(before)
         self.folder.mkdir(exist_ok=True)
         for path in self._parts():
@@ -90,7 +108,8 @@ class PartStore:
     @property
     def finished(self) -> bool:
         """Whether the result has all pairs, and no part is left to be put into it."""
-        return len(self._kept) == len(self.plan.pairs) and not self._parts()
+        complete = len(self._kept) == len(self.plan.pairs)
+        return self._has_result and complete and not self._parts()
 
     @property
     def left(self) -> list[int]:
@@ -103,7 +122,7 @@ class PartStore:
             same = self.plan.same_files((row.name1, row.name2), before.states)
             if same and row.status != FAILED:
                 self._kept.add(index)
-        bad = read_json(self.out / SUMMARY, "the summary of a batch")["bad_images"]
+        bad = read_summary(self.out)["bad_images"]
         self._bad = {n: why for n, why in bad.items() if self.plan.same_files([n], before.states)}
 
     def add(self, done: Matched) -> None:
@@ -193,8 +212,13 @@ class _Part:
 
     @classmethod
     def open(cls, path: Path) -> _Part:
-        file = h5py.File(path, "r")
-        return cls(file, *_parse_rows(file, path))
+        return cls.parse(h5py.File(path, "r"), path)
+
+    @classmethod
+    def parse(cls, file: Any, path: Path) -> _Part:
+        data = json.loads(np.asarray(file["rows"]).tobytes())
+        rows = {int(i): parse_row(row, f"{path}: pair {i}") for i, row in data["rows"].items()}
+        return cls(file, rows, data["bad"], parse_states(data["states"]))
 
 
 def read_part(path: Path, plan: Plan) -> list[int]:
@@ -203,21 +227,12 @@ def read_part(path: Path, plan: Plan) -> list[int]:
     if path.suffix != ".h5":
         raise InputError(f"{path}: left half-written by a kill")
     with open_matches(path) as file, read_as("a part of a batch", path):
-        rows, _, states = _parse_rows(file, path)
+        part = _Part.parse(file, path)
         return [
             index
             for index in np.asarray(file["indices"]).tolist()
-            if rows[index].status != FAILED and plan.same_files(plan.pair(index), states)
+            if part.rows[index].status != FAILED and plan.same_files(plan.pair(index), part.states)
         ]
-
-
-def _parse_rows(
-    file: Any, path: Path
-) -> tuple[dict[int, PairRow], dict[str, str], dict[str, FileState]]:
-    """The rows, bad images and states of a part."""
-    data = json.loads(np.asarray(file["rows"]).tobytes())
-    rows = {int(i): parse_row(row, f"{path}: pair {i}") for i, row in data["rows"].items()}
-    return rows, data["bad"], parse_states(data["states"])
 
 
 def _flush(path: Path) -> None:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+from multi_view import K_text
 
+from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.rows import read_rows
-from dgc_pose.batch.run import read_batch
+from dgc_pose.batch.run import BatchOptions, read_batch, run_batch
+from dgc_pose.batch.source import open_source
+from dgc_pose.batch.work import MatcherSettings
 from dgc_pose.camera import guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -213,3 +218,30 @@ def test_another_list_of_pairs_of_the_same_photographs(photos: Path, tmp_path: P
     words = r'had the pair 2 \["view1.png", "view2.png"\], not \["view0.png", "view2.png"\]'
     with pytest.raises(InputError, match=words):
         run_sift(listed, tmp_path / "out", pairs=None, resume=True)
+
+
+def test_a_batch_without_pairs_has_an_empty_result(photos: Path, tmp_path: Path) -> None:
+    """As where no image can be compared with another; also when it is resumed before its result."""
+    out = tmp_path / "out"
+    none = replace(open_source(photos), pairs=())
+    for resume in (False, True):
+        batch = run_batch(
+            none,
+            read_calibration(K_text()),
+            None,
+            out,
+            matcher=MatcherSettings("sift"),
+            estimation=EstimationOptions(),
+            options=BatchOptions(resume=resume),
+        )
+        assert batch.rows == [] and batch.summary["pairs"] == 0
+        (out / "summary.json").unlink()
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", '{"bad_images": 3}', "no JSON"])
+def test_a_summary_that_is_none_is_named(views: Path, tmp_path: Path, content: str) -> None:
+    out = tmp_path / "out"
+    run_sift(views, out)
+    (out / "summary.json").write_text(content)
+    with pytest.raises(InputError, match="summary.json.* the summary of a batch"):
+        run_sift(views, out, resume=True)
