@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -15,7 +14,8 @@ import cv2
 
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, score
-from dgc_pose.errors import DgcPoseError, process_end
+from dgc_pose.errors import DgcPoseError
+from dgc_pose.processes import end_with_parent, process_ends
 
 
 @contextmanager
@@ -43,11 +43,9 @@ def pose_pool(
     try:
         yield submit
     except BrokenProcessPool:
-        pool.shutdown()  # it ends the other processes by SIGTERM
-        codes = {process.exitcode or 0 for process in started} - {-signal.SIGTERM}
-        end = process_end(min(codes, default=-signal.SIGTERM))
+        pool.shutdown()  # the processes have exit codes then
         raise DgcPoseError(
-            f"a process that estimates poses ended: {end}; "
+            f"a process that estimates poses ended: {process_ends(started)}; "
             "--resume goes on from the last pair that was done"
         ) from None
     except BaseException:
@@ -69,12 +67,4 @@ def _start_worker() -> None:
     # A terminal sends an interrupt to all processes: the owner of the pool answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End with the owner of the pool: if that is killed, nobody else ends this process."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    threading.Thread(target=end_with_parent, daemon=True).start()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-
 _REASON = 160  # characters of a library's message that are told
 
 
@@ -47,13 +45,6 @@ def missing_package(failure: ModuleNotFoundError) -> str | None:
     if name is None:
         return None
     return f"this needs {name}, which is not installed: pip install {name}"
-
-
-def process_end(code: int | None) -> str:
-    """How a process ended, in words, from the exit code that `multiprocessing` gives."""
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    return f"signal {-code}, {signal.strsignal(-code)}"
 
 
 def reason(failure: BaseException) -> str:

@@ -19,7 +19,8 @@ import cv2
 
 from dgc_pose.batch.schedule import Spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
-from dgc_pose.errors import DgcPoseError, process_end
+from dgc_pose.errors import DgcPoseError
+from dgc_pose.processes import end_with_parent, process_ends
 
 # Worked through in any order; the same outcomes whatever the workers.
 RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
@@ -85,10 +86,9 @@ def _run(
                 outcome = future.result()
             except BrokenProcessPool:
                 pools[number].shutdown()  # its process has an exit code then
-                codes = {process.exitcode for process in processes} - {None}
                 raise DgcPoseError(
-                    f"a worker process ended ({'; '.join(map(process_end, codes))}): --resume goes "
-                    "on from the pairs that were done"
+                    f"a worker process ended ({process_ends(processes)}): --resume goes on from "
+                    "the pairs that were done"
                 ) from None
             submit(number)
             yield outcome
@@ -100,7 +100,7 @@ _worker: list[CoreWorker] = []  # of this process, once it has been started
 def _start(job: Job) -> None:
     # A terminal sends an interrupt to all processes: the owner of the pools answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     _worker[:] = [CoreWorker(job)]
 
 
@@ -128,11 +128,3 @@ class CoreWorker:
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(1)
         return worker
-
-
-def _end_with_parent() -> None:
-    """End with the owner of the pool: if that is killed, nobody else ends this process."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
