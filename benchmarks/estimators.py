@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.scores import pose_errors
 from dgc_pose.benchmarks.table import aligned
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, EstimatorName, estimate_pose
 from dgc_pose.estimation.backend import MINIMAL
 from dgc_pose.estimation.model import Model

@@ -21,7 +21,7 @@ from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, map_errors
 from dgc_pose.matching import MatchResult
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 
 @dataclass(frozen=True)

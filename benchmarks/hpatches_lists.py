@@ -19,7 +19,7 @@ from dgc_pose.benchmarks.homographies import (
     check_matrix,
 )
 from dgc_pose.errors import InputError
-from dgc_pose.inputs import read_as, read_text
+from dgc_pose.files.inputs import read_as, read_text
 
 _MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 _COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]

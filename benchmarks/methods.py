@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matchers import CLASSICAL, SIFT, MatcherCaches, load_matcher, refined
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
@@ -27,11 +27,11 @@ from dgc_pose.matching.dense import DenseMatcher, load_dense_matcher
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
-from dgc_pose.options import field_types
 from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.source import MapMatches
 from dgc_pose.runtime.load import RuntimeName
+from dgc_pose.system.options import field_types
 
 EVERYWHERE = "/all"
 NO_REFINEMENT = "none"

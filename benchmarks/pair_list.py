@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.camera import Camera, as_camera
+from dgc_pose.cameras.camera import Camera, as_camera
 from dgc_pose.errors import InputError
-from dgc_pose.files import save_text
+from dgc_pose.files.inputs import read_text
+from dgc_pose.files.outputs import save_text
 from dgc_pose.geometry.rotation import is_rotation
-from dgc_pose.inputs import read_text
 
 FIELDS = 38
 

@@ -15,7 +15,7 @@ import cv2
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import Job, Scored, score
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.processes import end_with_parent, process_ends
+from dgc_pose.system.processes import end_with_parent, process_ends
 
 
 @contextmanager

@@ -12,9 +12,9 @@ import numpy as np
 
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
-from dgc_pose.camera import Camera, check_size
+from dgc_pose.cameras.camera import Camera, check_size
 from dgc_pose.errors import ImageError
-from dgc_pose.image import Image, load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
 
 if TYPE_CHECKING:

@@ -137,7 +137,7 @@ def rotation_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np
 
 def position_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np.ndarray:
     """Distances (N,) of the positions after the best similarity, the truth's unit."""
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     found = np.stack([model.centre(name) for name in names])
     true = np.stack([views.centre(name) for name in names])

@@ -10,7 +10,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.table import aligned
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import Trace, match_and_estimate

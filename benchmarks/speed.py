@@ -19,14 +19,14 @@ import numpy as np
 from dgc_pose.benchmarks.forwards import milliseconds, multiply_adds
 from dgc_pose.benchmarks.pair_list import bundled_pair
 from dgc_pose.benchmarks.table import aligned
-from dgc_pose.camera import Camera, check_size, parse_camera
+from dgc_pose.cameras.camera import Camera, check_size, parse_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.backend import MINIMAL
 from dgc_pose.estimation.poselib_backend import run_poselib
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.ransac import run_seeds
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DenseMatcher, MatchResult, select_matches
 from dgc_pose.matching.sift import SiftMatcher

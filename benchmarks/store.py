@@ -19,8 +19,8 @@ from dgc_pose.benchmarks.samples import write_sample
 from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
 from dgc_pose.benchmarks.scoring import Scored
 from dgc_pose.errors import InputError
-from dgc_pose.files import only_writer, replaced, write_text, writing
-from dgc_pose.inputs import read_as, read_bytes, read_json
+from dgc_pose.files.inputs import read_as, read_bytes, read_json
+from dgc_pose.files.outputs import only_writer, replaced, write_text, writing
 
 SETTINGS = "run.json"
 _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell; words of a Literal are text

@@ -24,10 +24,10 @@ from dgc_pose.benchmarks.posed_pairs import (
     require_images,
 )
 from dgc_pose.benchmarks.verdicts import PairKind, VerdictScore
-from dgc_pose.camera import Camera, guess_camera
+from dgc_pose.cameras.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image, load_image
-from dgc_pose.image_folder import search_images
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
 from dgc_pose.synthesis.photos import held_back_paths
 from dgc_pose.synthesis.render.scene_pair import PairKind as SceneKind

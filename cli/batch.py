@@ -16,7 +16,7 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
     from dgc_pose.batch.run import Batch, BatchOptions, Progress
@@ -143,7 +143,7 @@ def work_through(
 def batch_options(work: WorkChoice) -> BatchOptions:
     """How a batch is worked through; a worker for each core unless their number is given."""
     from dgc_pose.batch.run import BatchOptions
-    from dgc_pose.threads import usable_cpus
+    from dgc_pose.system.threads import usable_cpus
 
     workers = work.workers or usable_cpus()
     memory = None if work.memory is None else int(work.memory * _GIB)

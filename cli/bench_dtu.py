@@ -35,12 +35,12 @@ from dgc_pose.cli.dtu_pairs import FolderChoice
 from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.files import write_text
+from dgc_pose.files.outputs import write_text
 from dgc_pose.matchers import SIFT
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FLOWS
 from dgc_pose.network.stored import shipped
-from dgc_pose.options import option
+from dgc_pose.system.options import option
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -42,10 +42,10 @@ from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.files import save_text, staged
+from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.matchers import SIFT
 from dgc_pose.network.stored import shipped
-from dgc_pose.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
 @dataclass(frozen=True)

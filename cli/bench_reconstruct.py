@@ -26,7 +26,7 @@ from dgc_pose.colmap.mapping import MappingOptions
 from dgc_pose.colmap.reconstruction import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files import finite_or_none, write_text
+from dgc_pose.files.outputs import finite_or_none, write_text
 from dgc_pose.matching import DEFAULT_WEIGHTS
 
 

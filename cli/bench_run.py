@@ -22,8 +22,8 @@ from dgc_pose.cli.options import RUNTIME_HELP, DeviceName, RefineChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import MatchingOptions
-from dgc_pose.options import check_options, option
 from dgc_pose.runtime.load import RuntimeName, device_type
+from dgc_pose.system.options import check_options, option
 
 GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")

@@ -10,7 +10,7 @@ import click
 from dgc_pose.benchmarks.runtimes import differences, row, summary
 from dgc_pose.cli.bench_run import limit_option, listed_pairs, root_option
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.files import save_text, staged
+from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.matching import DEFAULT_WEIGHTS
 
 

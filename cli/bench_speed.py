@@ -24,8 +24,8 @@ from dgc_pose.benchmarks.speed import (
 )
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import RUNTIME_HELP, split_names
-from dgc_pose.files import save_text, scratch_folder, staged
-from dgc_pose.image import load_image
+from dgc_pose.files.outputs import save_text, scratch_folder, staged
+from dgc_pose.images.image import load_image
 from dgc_pose.matchers import refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
 from dgc_pose.network.config import INPUT_SIZE, preset

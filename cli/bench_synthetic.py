@@ -20,7 +20,7 @@ from dgc_pose.benchmarks.synthetic import SETS, listed_set, synthetic_set
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.map_bench import MapBenchOptions, run_map_bench
 from dgc_pose.cli.options import split_names
-from dgc_pose.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
 @dataclass(frozen=True)

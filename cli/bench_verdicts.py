@@ -22,8 +22,8 @@ from dgc_pose.benchmarks.verdicts import gates_table, groups_table
 from dgc_pose.cli.bench_run import RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.options import MAX_SEED, check_options, option
 from dgc_pose.refinement import RefinementOptions
+from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
 @dataclass(frozen=True)

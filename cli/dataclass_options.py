@@ -5,8 +5,8 @@
     def estimate(estimation: EstimationOptions) -> None: ...
 
 gives the command an option for each field of `EstimationOptions` that was made by
-`dgc_pose.options.option` with a help text, and passes it one instance. A field whose type is such a
-dataclass, and whose default is that class's own, contributes the options of that class.
+`dgc_pose.system.options.option` with a help text, and passes it one instance. A field whose type is
+such a dataclass, and whose default is that class's own, contributes the options of that class.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import click
 
-from dgc_pose.options import OptionInfo, field_types, option_info
+from dgc_pose.system.options import OptionInfo, field_types, option_info
 
 _FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
 Command = Callable[..., Any]

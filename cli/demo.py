@@ -12,7 +12,7 @@ from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.files import staged
+from dgc_pose.files.outputs import staged
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 

@@ -14,8 +14,8 @@ from dgc_pose.benchmarks.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged
-from dgc_pose.options import option
+from dgc_pose.files.outputs import staged
+from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from dgc_pose.cli.options import CameraChoice, MatcherChoice
 from dgc_pose.cli.output import json_text, matches_arrays, pose_data, pose_text, write_npz
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files import save_text, staged
-from dgc_pose.options import option
+from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from tqdm import tqdm
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile, OutputFolder, overwrites
 from dgc_pose.errors import InputError
-from dgc_pose.files import require_no_input
-from dgc_pose.options import check_options, option
+from dgc_pose.files.outputs import require_no_input
+from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.export import Exported, ExportOptions

@@ -14,9 +14,9 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.errors import InputError
-from dgc_pose.files import save_text, staged
+from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ import click
 from click.shell_completion import CompletionItem
 
 from dgc_pose.errors import InputError
-from dgc_pose.files import Kind, output_target, require_kind, require_no_input
+from dgc_pose.files.outputs import Kind, output_target, require_kind, require_no_input
 
 STDOUT = "-"
 DEBUG, OVERWRITE = "--debug", "--overwrite"
-MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.image, which imports OpenCV
+MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
 _PICTURES = {"jpeg": "jpg", "tiff": "tif"}  # kinds that are called by several endings
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from dgc_pose.cli.output import json_text
-from dgc_pose.environment import environment
 from dgc_pose.runtime.load import default_runtime
+from dgc_pose.system.environment import environment
 
 
 @click.command()

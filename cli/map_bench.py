@@ -22,9 +22,9 @@ from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.cli.output import json_text
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
-from dgc_pose.files import save_text, staged, writing
+from dgc_pose.files.outputs import save_text, staged, writing
 from dgc_pose.network.stored import shipped
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 from dgc_pose.viz import save_figure
 from dgc_pose.viz.map_figure import MapPicture, plot_maps
 from dgc_pose.viz.pck import plot_pck

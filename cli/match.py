@@ -9,8 +9,8 @@ from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matches_arrays, write_npz
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged
-from dgc_pose.image import load_image
+from dgc_pose.files.outputs import staged
+from dgc_pose.images.image import load_image
 
 
 @click.command()

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dgc_pose.camera import Camera, camera_for, guess_camera
+from dgc_pose.cameras.camera import Camera, camera_for, guess_camera
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching import DEFAULT_WEIGHTS, MatchingOptions
-from dgc_pose.options import option
 from dgc_pose.refinement import AlignmentOptions, FlowOptions, RefinementOptions, SourceName
 from dgc_pose.runtime.load import RuntimeName
+from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
     from dgc_pose.matching import Matcher

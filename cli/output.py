@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.estimation import RelativePose
-from dgc_pose.files import finite_or_none, writing
+from dgc_pose.files.outputs import finite_or_none, writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 

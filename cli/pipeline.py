@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.image import Image, load_image
+from dgc_pose.images.image import Image, load_image
 
 if TYPE_CHECKING:
     from dgc_pose.pose import Trace

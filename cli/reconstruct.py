@@ -16,7 +16,7 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.reconstruction import Model
@@ -127,7 +127,7 @@ def _default_pairs(images: int) -> str:
 
 
 def _draw(path: Path, model: Model) -> None:
-    from dgc_pose.files import replaced
+    from dgc_pose.files.outputs import replaced
     from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.reconstruction import plot_reconstruction
 

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.benchmarks.pair_list import bundled_pair
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import pose_data
 from dgc_pose.errors import InputError
-from dgc_pose.files import scratch_folder
+from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.options import check_options, option
 from dgc_pose.serve.options import ServeOptions
+from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
     import uvicorn

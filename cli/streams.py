@@ -10,7 +10,7 @@ from io import TextIOWrapper
 from typing import Any, TextIO
 
 from dgc_pose.errors import InputError
-from dgc_pose.files import writing
+from dgc_pose.files.outputs import writing
 
 
 class _Stdout:

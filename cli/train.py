@@ -11,8 +11,8 @@ import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.files import only_writer
-from dgc_pose.options import check_options, option
+from dgc_pose.files.outputs import only_writer
+from dgc_pose.system.options import check_options, option
 from dgc_pose.training.options import RunOptions
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dgc_pose.camera import Camera, parse_camera
+    from dgc_pose.cameras.camera import Camera, parse_camera
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
     from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-    from dgc_pose.image import Image, load_image
+    from dgc_pose.images.image import Image, load_image
     from dgc_pose.matchers import MatcherCaches, load_matcher
     from dgc_pose.matches import Matches
     from dgc_pose.matching import (
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
-    "camera": ("Camera", "parse_camera"),
+    "cameras.camera": ("Camera", "parse_camera"),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
     "estimation": ("EstimationOptions", "RelativePose", "estimate_pose"),
-    "image": ("Image", "load_image"),
+    "images.image": ("Image", "load_image"),
     "matchers": ("MatcherCaches", "load_matcher"),
     "matches": ("Matches",),
     "matching": (

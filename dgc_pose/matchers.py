@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FLOWS, FlowMatcher
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.selection import MatchingOptions
 from dgc_pose.matching.sift import KeyPointCache, SiftMatcher, key_point_cache
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.options import check_type
 from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import NativeCache, native_cache
@@ -20,6 +19,7 @@ from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.refinement.refiner import Refiner
 from dgc_pose.refinement.source import MapMatches, MatchSource
 from dgc_pose.runtime.load import RuntimeName
+from dgc_pose.system.options import check_type
 
 SIFT = "sift"
 _DEFAULT = RefinementOptions()

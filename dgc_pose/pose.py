@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dgc_pose.camera import Camera, camera_for
+from dgc_pose.cameras.camera import Camera, camera_for
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.image import Image, load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher
-from dgc_pose.options import check_type
+from dgc_pose.system.options import check_type
 
 if TYPE_CHECKING:
     import torch

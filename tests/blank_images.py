@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from dgc_pose.benchmarks.probability.blank import BLANKS, BlankKind, blank
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 
 SIZE = (320, 240)
 

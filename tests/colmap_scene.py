@@ -9,7 +9,7 @@ import numpy as np
 from multi_view import SIZE, K
 
 from dgc_pose.batch.rows import PairRow, row_of
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import PairGeometry
 from dgc_pose.estimation import RelativePose
 

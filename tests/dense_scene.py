@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching import (
     CorrespondenceMap,
     Matcher,

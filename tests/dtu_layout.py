@@ -13,7 +13,7 @@ import torch
 from demo_scene import demo_scene
 
 from dgc_pose.benchmarks.dtu.calibration import View
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras
 from dgc_pose.synthesis.render.procedural import procedural_textures

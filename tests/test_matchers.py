@@ -11,7 +11,7 @@ import torch
 
 from dgc_pose import MatcherCaches, MatchingOptions, load_dense_matcher, load_matcher
 from dgc_pose.errors import WeightsError
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights

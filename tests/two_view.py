@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 

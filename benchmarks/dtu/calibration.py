@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from dgc_pose.errors import InputError
-from dgc_pose.inputs import read_text
+from dgc_pose.files.inputs import read_text
 
 _BYTES = 2**16  # of a file with a few matrices
 ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leave

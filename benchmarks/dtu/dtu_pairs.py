@@ -18,8 +18,8 @@ from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.posed_pairs import FilePairs, PosedPair
 from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.camera import Camera
-from dgc_pose.image import Image, resize
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.images.image import Image, resize
 
 Protocol = Literal["paper", "native"]
 ViewKey = tuple[int, int, int]  # scene, view1, view2

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from dgc_pose.benchmarks.dtu.calibration import View, read_cam
 from dgc_pose.benchmarks.dtu.scene import SceneReader, light_suffix, numbered_folders
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 
 EXPECTED = "Cameras/00000000_cam.txt and Rectified/scan1, or scan1/cams/00000000_cam.txt"
 FULL_SIZE, HALF_SIZE = (1600, 1200), (800, 600)  # width, height, pixels

@@ -27,8 +27,8 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
 )
 from dgc_pose.benchmarks.pair_list import FIELDS
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, writing
-from dgc_pose.inputs import read_text
+from dgc_pose.files.inputs import read_text
+from dgc_pose.files.outputs import replaced, writing
 
 PAIRS = 3000  # of the paper
 COLUMNS = ("scene", "view1", "view2")

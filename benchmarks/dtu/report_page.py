@@ -18,7 +18,7 @@ from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
 from dgc_pose.benchmarks.samples import method_file_name, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
-from dgc_pose.files import save_text
+from dgc_pose.files.outputs import save_text
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 

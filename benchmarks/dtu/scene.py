@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from dgc_pose.benchmarks.dtu.calibration import View
-from dgc_pose.camera import Camera, check_size
+from dgc_pose.cameras.camera import Camera, check_size
 from dgc_pose.errors import InputError
-from dgc_pose.image import image_size
+from dgc_pose.images.image import image_size
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
 LIGHTS: tuple[Light, ...] = get_args(Light)

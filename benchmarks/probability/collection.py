@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.array_files import read_arrays
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.plan import Part, Source
 from dgc_pose.benchmarks.probability.sources import PlannedPair
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, write_text, writing
-from dgc_pose.inputs import read_as, read_json
+from dgc_pose.files.array_files import read_arrays
+from dgc_pose.files.inputs import read_as, read_json
+from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
 

@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from dgc_pose.errors import InputError, reason
-from dgc_pose.inputs import read_text
-from dgc_pose.options import check_options, option
+from dgc_pose.files.inputs import read_text
+from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
 SourceKind = Literal["list", "rgbd", "sparse", "dtu", "rendered", "unrelated", "textureless"]

@@ -14,7 +14,7 @@ from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
-from dgc_pose.threads import in_threads
+from dgc_pose.system.threads import in_threads
 
 # Gates that every model passes, so that its pose is known.
 ANY_POSE = VerdictOptions(

@@ -15,11 +15,11 @@ from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth, requi
 from dgc_pose.benchmarks.probability.blank import BLANKS, blank
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import Source
-from dgc_pose.camera import Camera, guess_camera
+from dgc_pose.cameras.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced
-from dgc_pose.image import Image, load_image
-from dgc_pose.image_folder import search_images
+from dgc_pose.files.outputs import replaced
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import Image, load_image
 
 _RENDERED_SIZE = 640  # pixels a side
 _BLANK_SIZE = (640, 480)

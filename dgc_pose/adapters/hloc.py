@@ -14,7 +14,7 @@ import numpy as np
 from dgc_pose.batch.matches_file import group_name, new_file
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, save_text
+from dgc_pose.files.outputs import replaced, save_text
 
 FEATURES, MATCHES, PAIRS = "features.h5", "matches.h5", "pairs.txt"
 _NONE = -1  # in matches0

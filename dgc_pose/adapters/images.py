@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 
 
 def image_of_tensor(tensor: Any, name: str) -> Image:

@@ -20,7 +20,7 @@ import cv2
 from dgc_pose.batch.schedule import Spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.processes import end_with_parent, process_ends
+from dgc_pose.system.processes import end_with_parent, process_ends
 
 # Worked through in any order; the same outcomes whatever the workers.
 RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]

@@ -16,9 +16,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from dgc_pose.array_files import ARRAY_BYTES
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files import writing
+from dgc_pose.files.array_files import ARRAY_BYTES
+from dgc_pose.files.outputs import writing
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.camera import Camera, as_camera
+from dgc_pose.cameras.camera import Camera, as_camera
 from dgc_pose.errors import InputError
-from dgc_pose.inputs import read_text
+from dgc_pose.files.inputs import read_text
 
 Names = tuple[str, str]
 

@@ -13,10 +13,10 @@ import numpy as np
 from dgc_pose.batch.calibration import camera_data, parse_camera_data
 from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.source import FileState
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError, reason, shortened
-from dgc_pose.files import write_text
-from dgc_pose.inputs import read_json
+from dgc_pose.files.inputs import read_json
+from dgc_pose.files.outputs import write_text
 
 RowFormat = Literal["jsonl", "parquet"]
 PLAN = "plan.json"

@@ -48,8 +48,8 @@ from dgc_pose.batch.work import (
 )
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files import only_writer, write_text
-from dgc_pose.inputs import read_bytes
+from dgc_pose.files.inputs import read_bytes
+from dgc_pose.files.outputs import only_writer, write_text
 
 WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.pair_files import read_pair_list
-from dgc_pose.camera import Camera
-from dgc_pose.colmap_files import read_database
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.image import image_header, orientation_notes
-from dgc_pose.image_folder import search_images
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import image_header, orientation_notes
 
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change

@@ -36,8 +36,8 @@ from dgc_pose.batch.rows import (
 from dgc_pose.batch.source import FileState
 from dgc_pose.batch.work import Matched
 from dgc_pose.errors import InputError
-from dgc_pose.files import replaced, require_room, writing
-from dgc_pose.inputs import read_as, read_json
+from dgc_pose.files.inputs import read_as, read_json
+from dgc_pose.files.outputs import replaced, require_room, writing
 
 SUMMARY, MATCHES, PARTS = "summary.json", "matches.h5", "parts"
 _PART = re.compile(r"(\.?)\d{9,}\.h5(\..*\.partial)?")  # also one that a kill left half-written

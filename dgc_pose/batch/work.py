@@ -10,10 +10,10 @@ import numpy as np
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of, unmatched_row
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.image import Image, load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache

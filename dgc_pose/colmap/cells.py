@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, neighbours_of, one_to_one
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 
 @dataclass(frozen=True)

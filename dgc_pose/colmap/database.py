@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.batch.rows import PairRow
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
-from dgc_pose.files import replaced, require_room
+from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.stderr import quiet
+from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
@@ -71,7 +71,7 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 
     matches: (M, 2) uint32, indices of key points, all of them inliers.
     """
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     geometry = pycolmap.TwoViewGeometry()
     name = CONFIGURATIONS[row.status]
@@ -94,7 +94,7 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
     Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew, or two
     focal lengths in a model of one.
     """
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     assert camera.size is not None
     K = camera.K
@@ -122,7 +122,7 @@ def _write_images(
     cameras: Mapping[str, Camera],
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera."""
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     known: dict[tuple[object, ...], int] = {}
     ids = {}
@@ -168,7 +168,7 @@ def _opened(temporary: Path, path: Path) -> Iterator[pycolmap.Database]:
     Without a transaction of pycolmap, whose end terminates the process when a disk is full. There
     is nothing to undo: the file has not taken its name.
     """
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     try:
         with quiet(), pycolmap.Database.open(temporary) as database:

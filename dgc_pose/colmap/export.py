@@ -15,7 +15,7 @@ from dgc_pose.colmap.database import CONFIGURATIONS, write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, count_by_length
 from dgc_pose.colmap.tracking import TrackOptions, track_corners
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image, load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
 
 Sharing = Literal["tracks", "cells"]

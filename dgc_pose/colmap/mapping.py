@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dgc_pose.errors import DgcPoseError, reason
-from dgc_pose.files import scratch_folder
+from dgc_pose.files.outputs import scratch_folder
 
 if TYPE_CHECKING:
     import pycolmap
@@ -32,7 +32,7 @@ class MappingError(DgcPoseError):
 
 def map_database(database: Path, images: Path, options: MappingOptions) -> pycolmap.Reconstruction:
     """The model with the most images. Raises MappingError if there is none."""
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     pycolmap.set_random_seed(options.seed)
     with scratch_folder() as folder:
@@ -53,7 +53,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
 
 
 def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions:
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     made = pycolmap.IncrementalPipelineOptions()
     made.min_model_size = LEAST_IMAGES
@@ -68,7 +68,7 @@ def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions
 
 
 def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     made = pycolmap.GlobalPipelineOptions()
     made.min_model_size = LEAST_IMAGES

@@ -14,7 +14,7 @@ from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
 from dgc_pose.colmap.mapping import MappingOptions, map_database
 from dgc_pose.errors import DgcPoseError, InputError, reason
-from dgc_pose.files import only_writer, replaced, replaced_folder, write_text
+from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, write_text
 
 if TYPE_CHECKING:
     import pycolmap
@@ -80,7 +80,7 @@ def reconstruct(
 def _require_model(model: pycolmap.Reconstruction, folder: Path, path: Path) -> None:
     """Raise DgcPoseError, with `path`, unless the folder holds the model: pycolmap says nothing of
     a disk that is full."""
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     try:
         written = pycolmap.Reconstruction(folder)

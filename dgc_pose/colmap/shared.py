@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from dgc_pose.batch.rows import PairRow
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 
 Names = tuple[str, str]

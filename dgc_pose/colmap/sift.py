@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import colmap_camera
 from dgc_pose.errors import InputError
 
@@ -18,7 +18,7 @@ def sift_database(
     cameras: by image name, with their sizes; the focal lengths count as known. Raises InputError if
     the file is there already, or COLMAP cannot hold a camera.
     """
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     if database.exists():
         raise InputError(f"{database} is there already")

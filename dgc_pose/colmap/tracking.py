@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import (
     Names,
     PairGeometry,
@@ -25,11 +25,11 @@ from dgc_pose.colmap.shared import (
     neighbours_of,
     one_to_one,
 )
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.options import check_options, option
 from dgc_pose.refinement.align import locate, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches, consistent
+from dgc_pose.system.options import check_options, option
 
 _NEIGHBOURS = 12  # matches that a local affinity is fitted to
 _SIMILAR = 1.5  # scale between images up to which neither is smoothed

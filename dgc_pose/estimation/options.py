@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from dgc_pose.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import MAX_SEED, check_options, option
 
 EstimatorName = Literal["poselib", "pycolmap", "opencv"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.colmap_library import pycolmap
 from dgc_pose.estimation.backend import VIRTUAL_FOCAL
+from dgc_pose.system.colmap_library import pycolmap
 
 
 def run_pycolmap(

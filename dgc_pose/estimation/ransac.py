@@ -8,7 +8,7 @@ from dgc_pose.estimation.backend import MINIMAL, Backend
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions, EstimatorName
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.threads import in_threads
+from dgc_pose.system.threads import in_threads
 
 # Backends with a random generator for each run. The others seed one of the process or thread.
 _THREAD_SAFE: frozenset[EstimatorName] = frozenset({"poselib"})

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.covariance import pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.model import Model
@@ -22,7 +22,7 @@ from dgc_pose.estimation.result import POSE_STATUSES, Alternative, RelativePose
 from dgc_pose.estimation.rivals import rivals
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.matches import Matches
-from dgc_pose.options import check_type
+from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import Generic, TypeVar
 
-from dgc_pose.threads import in_threads
+from dgc_pose.system.threads import in_threads
 
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")

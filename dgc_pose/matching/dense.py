@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.geometry.pixels import cell_centres, rescale, within
+from dgc_pose.geometry.sampling import bilinear
+from dgc_pose.images.image import Image
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.search import likely_views
@@ -16,10 +18,8 @@ from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.texture import textured
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
-from dgc_pose.pixels import cell_centres, rescale, within
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
 from dgc_pose.runtime.load import RuntimeName, load_engine
-from dgc_pose.sampling import bilinear
 
 # The encoder's features by image and view of it; keyed by the object, not by its pixels.
 FeatureCache = BoundedCache[tuple[Image, View], MapFeatures]

@@ -22,16 +22,16 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.array_files import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.errors import ImageError, InputError, reason
-from dgc_pose.image import Image, read_pixels
-from dgc_pose.inputs import read_bytes
+from dgc_pose.files.array_files import ARRAY_BYTES, read_array, read_arrays
+from dgc_pose.files.inputs import read_bytes
+from dgc_pose.geometry.pixels import pixel_grid, rescale
+from dgc_pose.images.image import Image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.texture import textured
-from dgc_pose.pixels import pixel_grid, rescale
 
 ENDINGS = (".flo", ".npz", ".npy", ".png")
 _FLO_MAGIC = 202021.25

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image, resize
+from dgc_pose.geometry.pixels import pixel_grid, rescale
+from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.texture import textured
-from dgc_pose.pixels import pixel_grid, rescale
 
 FlowName = Literal["dis", "farneback"]
 FLOWS: tuple[FlowName, ...] = get_args(FlowName)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 
 # Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.

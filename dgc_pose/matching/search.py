@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.image import Image, resize_by
+from dgc_pose.geometry.pixels import Size, cell_centres, rescale
+from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
-from dgc_pose.pixels import Size, cell_centres, rescale
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.runtime.start import log_softmax, match_scores
 

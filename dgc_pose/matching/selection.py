@@ -11,7 +11,7 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import ERROR_CELLS, CorrespondenceMap
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 FinestLevel = Literal[240, 120, 60]
 

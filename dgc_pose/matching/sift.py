@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import textured
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
 

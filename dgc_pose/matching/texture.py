@@ -14,11 +14,11 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
-from dgc_pose.arrays import quantiles
-from dgc_pose.image import Image, resize_by
+from dgc_pose.files.arrays import quantiles
+from dgc_pose.geometry.pixels import rescale
+from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
-from dgc_pose.pixels import rescale
-from dgc_pose.threads import in_threads
+from dgc_pose.system.threads import in_threads
 
 LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
 _GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.image import resize_by
-from dgc_pose.pixels import Size, cell_centres, within
+from dgc_pose.geometry.pixels import Size, cell_centres, within
+from dgc_pose.images.image import resize_by
 
 # Around the image: ImageNet's mean colour, which is zero for the network, as is its padding.
 _BORDER = (124, 116, 104)

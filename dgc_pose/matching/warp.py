@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dgc_pose.image import resize
-from dgc_pose.pixels import Size, rescale
+from dgc_pose.geometry.pixels import Size, rescale
+from dgc_pose.images.image import resize
 
 SHOWN_SIDE = 800  # longest side of an image that is shown, pixels
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.epipolar import (
     essential_from_pose,
     fundamental_from_essential,

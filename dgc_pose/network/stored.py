@@ -12,7 +12,7 @@ import numpy as np
 from safetensors import safe_open
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.inputs import read_as, require_regular
+from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.network.config import PRESETS, preset
 
 SUFFIX = ".safetensors"

@@ -12,8 +12,8 @@ from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import WeightsError
-from dgc_pose.files import replaced, writing
-from dgc_pose.inputs import read_as, require_regular
+from dgc_pose.files.inputs import read_as, require_regular
+from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import (

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from dgc_pose.image import resize_by
-from dgc_pose.pixels import rescale
+from dgc_pose.geometry.pixels import rescale
+from dgc_pose.images.image import resize_by
 from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.refinement.lucas_kanade import Patches, align_patches
 

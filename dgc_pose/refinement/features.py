@@ -14,11 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from dgc_pose.image import Image
+from dgc_pose.geometry.pixels import cell_centres, rescale, within
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.view import View
-from dgc_pose.pixels import cell_centres, rescale, within
 from dgc_pose.refinement.cell_consensus import likely_cells
 from dgc_pose.refinement.guide import (
     matchable_points,
@@ -30,7 +30,7 @@ from dgc_pose.refinement.guide import (
 from dgc_pose.refinement.native import NativeCache, cells_at, native_cache
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import Engine, NativeFeatures
-from dgc_pose.threads import in_threads, slices
+from dgc_pose.system.threads import in_threads, slices
 
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
 _WEAK = 0.25  # mean matchability

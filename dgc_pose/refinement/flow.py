@@ -10,14 +10,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dgc_pose.image import Image, resize_by
+from dgc_pose.geometry.pixels import pixel_grid, rescale
+from dgc_pose.geometry.sampling import bilinear
+from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.selection import even_subsample
-from dgc_pose.pixels import pixel_grid, rescale
 from dgc_pose.refinement.guide import points_in_image1
 from dgc_pose.refinement.options import FlowOptions
-from dgc_pose.sampling import bilinear
 
 ERROR_PX = 0.5  # of a match along one axis, pixels of the resized image 2
 _CYCLE_PX = 1.0  # largest cycle error, pixels of the resized image 2

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.matching.matcher import CorrespondenceMap
-from dgc_pose.pixels import rescale
-from dgc_pose.sampling import bilinear
 
 _LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
 _OUTER = 1.0  # percent of the points, on each side, that may lie outside a window

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.refinement.consistency import LocalMatches
-from dgc_pose.sampling import bilinear_at
-from dgc_pose.threads import in_threads, slices
+from dgc_pose.system.threads import in_threads, slices
 
 _ITERATIONS = 8
 _AFFINE_ITERATIONS = 12

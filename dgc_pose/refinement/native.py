@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import STRIDE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 # The source of the matches to align: the map itself, the encoder's features at native resolution,
 # or optical flow from the map's estimate. "auto": the features, and the map if those give too few.

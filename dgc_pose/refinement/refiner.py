@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import textured

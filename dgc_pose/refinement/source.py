@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.threads import in_threads
+from dgc_pose.system.threads import in_threads
 
 
 def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np.ndarray:

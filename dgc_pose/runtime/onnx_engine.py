@@ -15,11 +15,11 @@ import numpy as np
 import PIL.Image
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import resize
+from dgc_pose.geometry.pixels import Size
+from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, STRIDE, preset
 from dgc_pose.network.constants import PEAK
 from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
-from dgc_pose.pixels import Size
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 from dgc_pose.runtime.graphs import (
     GRAPHS,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import WeightsError
-from dgc_pose.onnx_library import onnxruntime
+from dgc_pose.system.onnx_library import onnxruntime
 
 _QUIET = 4  # errors are raised, and need not be printed
 _MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
@@ -54,7 +54,7 @@ class Session:
 
 
 def session_threads() -> int:
-    """As many threads as OpenCV uses (see `dgc_pose.threads`), and as OMP_NUM_THREADS allows."""
+    """As many threads as OpenCV uses (`dgc_pose.system.threads`), and as OMP_NUM_THREADS allows."""
     allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
     return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

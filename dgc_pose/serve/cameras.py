@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.camera import Camera, camera_for, guess_camera, parse_camera
+from dgc_pose.cameras.camera import Camera, camera_for, guess_camera, parse_camera
 from dgc_pose.errors import InputError
 from dgc_pose.serve.store import StoredImage
 
@@ -88,7 +88,7 @@ def command(names: tuple[str, str], flags: list[str], weights: list[str]) -> str
 def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:
     """The Python that gives the same pose."""
     guess = cameras[0].startswith("guess_camera")
-    first = "from dgc_pose.camera import guess_camera\n" if guess else ""
+    first = "from dgc_pose.cameras.camera import guess_camera\n" if guess else ""
     imported = (
         "load_matcher, trace_relative_pose"
         if guess

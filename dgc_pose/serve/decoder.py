@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError
-from dgc_pose.image import load_image, resize
+from dgc_pose.images.image import load_image, resize
 from dgc_pose.serve.worker import Report
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels

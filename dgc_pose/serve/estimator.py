@@ -11,7 +11,7 @@ import numpy as np
 
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
-from dgc_pose.image import Image, load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.metrics.epipolar import epipolar_residuals_px

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 
 @dataclass(frozen=True)

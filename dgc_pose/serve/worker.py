@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from dgc_pose.errors import DgcPoseError, missing_package, reason
-from dgc_pose.processes import process_end
+from dgc_pose.system.processes import process_end
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _ENDING_SECONDS = 5  # for a process that has closed its pipe

@@ -10,13 +10,13 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.image import load_image
-from dgc_pose.options import check_options, option
+from dgc_pose.images.image import load_image
 from dgc_pose.synthesis.batches import changed, joined
 from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.posed_depth import PosedFrame
+from dgc_pose.system.options import check_options, option
 
 SIDE = 288  # pixels; frames are kept as squares, as the network squares its input
 # Four neighbouring depths further apart than this (of the nearest) lie on several surfaces.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 
 _FLOORS, _COLUMNS = 7, 10  # windows of the facade
 

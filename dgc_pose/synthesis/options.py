@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from dgc_pose.errors import InputError
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 Range = tuple[float, float]  # (low, high)
 

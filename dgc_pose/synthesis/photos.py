@@ -14,8 +14,8 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dgc_pose.errors import ImageError
-from dgc_pose.image import read_pixels
-from dgc_pose.image_folder import search_images
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import read_pixels
 from dgc_pose.synthesis.render import TextureBank
 
 SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input

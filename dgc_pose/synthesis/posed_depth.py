@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.files.inputs import read_text
 from dgc_pose.geometry.rotation import is_rotation
-from dgc_pose.image import image_size, read_pixels
-from dgc_pose.inputs import read_text
+from dgc_pose.images.image import image_size, read_pixels
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
 _DEPTH_STEP = 1e-3  # metres

@@ -29,8 +29,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import load_image
-from dgc_pose.inputs import read_as, read_text
+from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.images.image import load_image
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.synthesis.photos import resized_planes
 from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from dgc_pose.options import check_options, option
 from dgc_pose.synthesis.options import PairOptions, SceneOptions, WarpOptions
+from dgc_pose.system.options import check_options, option
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from dgc_pose.files import writing
+from dgc_pose.files.outputs import writing
 from dgc_pose.training.processes import joint_sum
 
 _LONGEST_ROW = 4096  # bytes

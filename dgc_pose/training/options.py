@@ -7,8 +7,8 @@ from typing import Literal
 
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import preset
-from dgc_pose.options import MAX_SEED, check_options, option
 from dgc_pose.synthesis.options import PairOptions
+from dgc_pose.system.options import MAX_SEED, check_options, option
 from dgc_pose.training.schedule import Schedule
 
 InitPart = Literal["all", "encoder"]

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
-from dgc_pose.files import replaced, writing
+from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
-from dgc_pose.files import writing
+from dgc_pose.files.outputs import writing
 
 # What matplotlib draws without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")

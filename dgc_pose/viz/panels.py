@@ -15,8 +15,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 
+from dgc_pose.geometry.pixels import cell_centres
 from dgc_pose.matching.warp import shown_size, shrunk, warp_image
-from dgc_pose.pixels import cell_centres
 
 GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
 CONFIDENCE_COLOURS = "viridis"

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from dgc_pose.adapters.kornia import LoFTRShape
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matchers import load_matcher
 
 

@@ -13,7 +13,7 @@ import pytest
 import torch
 from multi_view import render_views
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matchers import load_matcher
 
 

@@ -16,8 +16,8 @@ from dgc_pose.batch.calibration import (
     parse_camera_data,
     read_calibration,
 )
-from dgc_pose.camera import Camera
-from dgc_pose.colmap_camera import Distortion
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 
 SIZE = (640, 480)
@@ -178,7 +178,7 @@ def test_what_the_system_says_of_a_file_goes_through(
     def refuse(*_: object) -> int:
         raise PermissionError(13, "Permission denied", path)
 
-    monkeypatch.setattr("dgc_pose.inputs.os.open", refuse)
+    monkeypatch.setattr("dgc_pose.files.inputs.os.open", refuse)
     with pytest.raises(InputError) as caught:
         read_calibration(path)
     assert str(caught.value) == f"--K: {path}: Permission denied"

@@ -18,7 +18,7 @@ from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import BatchOptions, read_batch, run_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.batch.work import MatcherSettings
-from dgc_pose.camera import guess_camera
+from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching.sift import SiftMatcher

@@ -12,9 +12,9 @@ from multi_view import SIZE, K
 
 from dgc_pose.batch.rows import row_of
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Match, Matched, MatcherSettings, Worker
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.matchers import load_matcher
 
 COUNT = 3

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange, changed_view
 from dgc_pose.benchmarks.pair_list import Pair
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 
 SIZE = (200, 140)
 K = np.array([[180.0, 0, 96.0], [0, 176.0, 73.0], [0, 0, 1]])

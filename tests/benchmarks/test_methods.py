@@ -16,7 +16,7 @@ from dgc_pose.benchmarks.methods import (
 )
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
 from dgc_pose.refinement import RefinementOptions

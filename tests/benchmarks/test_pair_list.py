@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.pair_list import Pair, read_pairs, write_pairs
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 
 K = "500 0 320 0 510 240 0 0 1"

@@ -14,10 +14,10 @@ from dgc_pose.benchmarks.verdict_pairs import (
     unrelated_photos,
     unrelated_scenes,
 )
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.synthesis.photos import held_back_paths, load_held_back

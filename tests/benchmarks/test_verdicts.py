@@ -22,11 +22,11 @@ from dgc_pose.benchmarks.verdicts import (
     rates,
     succeeds,
 )
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import VerdictOptions
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
 GOOD = VerdictScore(

@@ -16,8 +16,8 @@ from click.testing import CliRunner
 from multi_view import SIZE, K, K_text
 
 from dgc_pose.batch.run import read_batch
+from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cli.main import main
-from dgc_pose.colmap_files import read_database
 from dgc_pose.matching.sift import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")

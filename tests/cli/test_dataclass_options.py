@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.errors import InputError
-from dgc_pose.options import check_options, option
+from dgc_pose.system.options import check_options, option
 
 
 def _pair(text: str) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from dgc_pose.benchmarks.pair_list import bundled_pair
 from dgc_pose.cli.main import main
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 import dgc_pose
 import dgc_pose.cli
-from dgc_pose import environment
 from dgc_pose.cli.main import main
+from dgc_pose.system import environment
 
 
 @pytest.fixture(scope="module")

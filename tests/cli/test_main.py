@@ -204,7 +204,7 @@ def test_warnings_are_lines_of_their_own(monkeypatch):
     def demo():
         warnings.warn("of a library", stacklevel=1)
         logging.getLogger("matplotlib.font_manager").warning("of a font")
-        logging.getLogger("dgc_pose.files").warning("left:\n%s", "x")
+        logging.getLogger("dgc_pose.files.outputs").warning("left:\n%s", "x")
 
     monkeypatch.setattr("dgc_pose.cli.demo.demo", demo)
     assert run("demo").stderr == "warning: left: x\n"

@@ -11,10 +11,10 @@ import pytest
 from colmap_scene import camera, true_row
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
 from dgc_pose.colmap.shared import SharedMatches
-from dgc_pose.colmap_camera import Distortion
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
 

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px
 from dgc_pose.colmap.tracking import TrackOptions, track_corners
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 
 
 def _shared(noise_px: float, wrong: int = 0) -> tuple[SharedMatches, list]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance

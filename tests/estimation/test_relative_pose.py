@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.camera import Camera, parse_camera
+from dgc_pose.cameras.camera import Camera, parse_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
 from dgc_pose.geometry.epipolar import essential_from_pose

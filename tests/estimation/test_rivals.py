@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.rivals import DISTINCT_DEG, mirrored

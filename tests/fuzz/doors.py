@@ -34,9 +34,9 @@ from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.samples import draw_sample, read_sample, sample_path, write_sample
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
-from dgc_pose.camera import guess_camera, parse_camera
-from dgc_pose.colmap_files import read_database
-from dgc_pose.image import Image, image_size, load_image, read_pixels
+from dgc_pose.cameras.camera import guess_camera, parse_camera
+from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.images.image import Image, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.config import preset

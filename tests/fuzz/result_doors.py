@@ -18,11 +18,11 @@ from dgc_pose.batch.store import PartStore, read_part
 from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.plan import Source, read_plan
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.colmap.export import pair_geometries
-from dgc_pose.colmap_camera import Distortion
 from dgc_pose.estimation.probability import FEATURES, FORMAT, models_of
-from dgc_pose.inputs import read_text
+from dgc_pose.files.inputs import read_text
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.store import StoredImage
 

@@ -30,11 +30,11 @@ from dgc_pose.batch.store import PartStore
 from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
-from dgc_pose.camera import Camera, guess_camera
+from dgc_pose.cameras.camera import Camera, guess_camera
+from dgc_pose.cameras.colmap_files import read_database, read_model_cameras
 from dgc_pose.cli.main import main
-from dgc_pose.colmap_files import read_database, read_model_cameras
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.files import only_writer, replaced_folder, scratch_folder
+from dgc_pose.files.outputs import only_writer, replaced_folder, scratch_folder
 from dgc_pose.serve.cameras import command
 
 
@@ -336,7 +336,7 @@ HANDLERS = """
 import signal
 handler = lambda *_: None
 signal.signal(signal.SIGTERM, handler)
-from dgc_pose.colmap_library import pycolmap
+from dgc_pose.system.colmap_library import pycolmap
 assert signal.getsignal(signal.SIGTERM) is handler
 import os, time
 os.kill(os.getpid(), signal.SIGTERM)
@@ -366,7 +366,7 @@ def test_what_killed_runs_left_among_temporary_files_is_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    code = "import os\nfrom dgc_pose.files import scratch_folder\n"
+    code = "import os\nfrom dgc_pose.files.outputs import scratch_folder\n"
     code += "with scratch_folder(): os.kill(os.getpid(), 9)"
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     killed = subprocess.run([sys.executable, "-c", code], env=environment)

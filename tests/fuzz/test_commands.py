@@ -144,7 +144,7 @@ def test_results_are_kept_without_overwrite(folder: Path) -> None:
 
 
 def test_a_second_writer_is_refused(folder: Path) -> None:
-    from dgc_pose.files import only_writer
+    from dgc_pose.files.outputs import only_writer
 
     Path("run").mkdir()
     with only_writer(Path("run")):

@@ -19,14 +19,14 @@ from fuzz.commands import png_claiming
 from safetensors.torch import save_file
 
 from dgc_pose import estimate_relative_pose, load_image, load_matcher
-from dgc_pose.array_files import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
-from dgc_pose.camera import guess_camera
+from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions, VerdictOptions
-from dgc_pose.inputs import read_bytes
+from dgc_pose.files.array_files import ARRAY_BYTES, read_array, read_arrays
+from dgc_pose.files.inputs import read_bytes
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network, save_weights

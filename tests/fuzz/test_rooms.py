@@ -17,7 +17,7 @@ from fuzz.result_doors import make_batch
 from multi_view import K_text
 
 from dgc_pose.cli.main import main
-from dgc_pose.files import require_room
+from dgc_pose.files.outputs import require_room
 
 FULL = """
 import resource, sys
@@ -83,7 +83,8 @@ def test_room_is_looked_for_without_a_trace(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
     with pytest.raises(OSError, match="no/model"):
         require_room(tmp_path / "no/model", 2**20)
-    code = "import resource\nfrom pathlib import Path\nfrom dgc_pose.files import require_room\n"
+    code = "import resource\nfrom pathlib import Path\n"
+    code += "from dgc_pose.files.outputs import require_room\n"
     code += "resource.setrlimit(resource.RLIMIT_FSIZE, (9, 9))\nrequire_room(Path('model'), 10)"
     found = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True)
     assert b"File too large: 'model'" in found.stderr

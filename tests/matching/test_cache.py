@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher, MatchingOptions
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.dense import feature_cache

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.image import Image
+from dgc_pose.geometry.pixels import within
+from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_dense_matcher
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.pixels import within
 from dgc_pose.runtime.engine import DecodedMap
 from dgc_pose.runtime.torch_engine import TorchEngine, network_input
 

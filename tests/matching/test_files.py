@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.geometry.pixels import pixel_grid
+from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.texture import textured
-from dgc_pose.pixels import pixel_grid
 
 STORED = (80, 60)  # width, height of both views as stored
 SHOWN = (40, 20)  # and as shown to the methods

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image
+from dgc_pose.geometry.pixels import pixel_grid
+from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches
 from dgc_pose.matching.flow import FLOWS, FlowMatcher, agreement, scaled_map
 from dgc_pose.matching.texture import textured
-from dgc_pose.pixels import pixel_grid
 
 
 def _picture(x: np.ndarray, y: np.ndarray) -> Image:

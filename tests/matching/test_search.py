@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.image import Image, resize
+from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.search import likely_views, matching_distribution, mean_entropy
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures

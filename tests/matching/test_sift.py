@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import SiftMatcher, SiftOptions
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 

@@ -12,9 +12,9 @@ import pytest
 from blank_images import SIZE, blank_image, blank_pairs
 
 from dgc_pose.benchmarks.probability.blank import BLANKS, BlankKind
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
 from dgc_pose.matching.files import FileMatcher

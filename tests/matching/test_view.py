@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.matching.view import View
-from dgc_pose.pixels import pixel_grid
 
 
 def _ramp(width: int, height: int) -> np.ndarray:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.camera import Camera, parse_camera
+from dgc_pose.cameras.camera import Camera, parse_camera
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.metrics.epipolar import epipolar_residuals_px, median_and_mean
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from dgc_pose.errors import InputError
-from dgc_pose.image import Image, resize
+from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.dense import load_dense_matcher
 from dgc_pose.network.config import DecoderConfig, NetworkConfig, preset
 from dgc_pose.network.consensus import consensus

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction

@@ -7,7 +7,7 @@ import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.image import resize
+from dgc_pose.images.image import resize
 from dgc_pose.refinement.align import Aligned, align, locate, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches
 

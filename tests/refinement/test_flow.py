@@ -5,7 +5,7 @@ from __future__ import annotations
 import dense_scene
 import numpy as np
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.refinement import FlowOptions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement.native import cells_at, native_cache

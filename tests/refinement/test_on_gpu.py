@@ -10,7 +10,7 @@ import pytest
 import torch
 from pretend_gpu import DEVICE, pretended_gpu
 
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matchers import refined
 from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matchers import refined
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult

@@ -14,7 +14,7 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.image import load_image, resize
+from dgc_pose.images.image import load_image, resize
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import find_weights, folded

@@ -25,7 +25,7 @@ _POSE = """
 import json, sys
 from dgc_pose import load_matcher
 from dgc_pose.benchmarks.pair_list import bundled_pair
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.pose import match_and_estimate
 pair = bundled_pair()
 images = load_image(pair.path1), load_image(pair.path2)

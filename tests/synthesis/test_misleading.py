@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
 

@@ -4,7 +4,7 @@ import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.viz.cameras import draw_cameras
 from dgc_pose.viz.figure import new_figure

@@ -9,7 +9,7 @@ import pytest
 
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.pose import trace_relative_pose
 from dgc_pose.viz.figure import picture_format, save_figure
 from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose

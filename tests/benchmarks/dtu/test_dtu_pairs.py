@@ -13,7 +13,7 @@ from evaluation_pairs import posed_pairs
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, protocol_options
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.methods import MethodOptions
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matching import MatchingOptions

@@ -26,12 +26,12 @@ from dgc_pose.benchmarks.probability.records import Record, record
 from dgc_pose.benchmarks.probability.report import judged, report_text
 from dgc_pose.benchmarks.probability.run import fit_all
 from dgc_pose.benchmarks.probability.sources import PlannedPair, planned
-from dgc_pose.camera import Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, models_of
-from dgc_pose.image import Image
+from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 from two_view import two_view_scene

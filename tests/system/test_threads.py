@@ -17,7 +17,7 @@ from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import align
 from dgc_pose.refinement.consistency import consistent
-from dgc_pose.threads import in_threads, slices, usable_cpus
+from dgc_pose.system.threads import in_threads, slices, usable_cpus
 from two_view import two_view_scene
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from dgc_pose.errors import InputError
-from dgc_pose.inputs import read_start
+from dgc_pose.files.inputs import read_start
 
 try:
     import fcntl

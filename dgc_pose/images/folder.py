@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dgc_pose.errors import ImageError
-from dgc_pose.image_header import START_BYTES, unreadable
-from dgc_pose.inputs import read_start
+from dgc_pose.files.inputs import read_start
+from dgc_pose.images.header import START_BYTES, unreadable
 
 
 @dataclass(frozen=True)

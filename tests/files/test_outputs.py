@@ -6,7 +6,7 @@ import os
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.files import staged, writing
+from dgc_pose.files.outputs import staged, writing
 
 
 def test_outputs_appear_together_at_the_end(tmp_path):

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError, reason
-from dgc_pose.files import scratch_folder
-from dgc_pose.inputs import read_bytes
-from dgc_pose.stderr import quiet
+from dgc_pose.files.inputs import read_bytes
+from dgc_pose.files.outputs import scratch_folder
+from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
 
-    from dgc_pose.image_header import Header
+    from dgc_pose.images.header import Header
 
 # Largest error of a point that is undistorted and distorted again, in focal lengths: a hundredth of
 # a pixel at a focal length of 1000.
@@ -90,8 +90,8 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 
     Raises ImageError if the image cannot be read.
     """
-    from dgc_pose.colmap_library import pycolmap
-    from dgc_pose.image import MAX_BYTES, check_header
+    from dgc_pose.images.image import MAX_BYTES, check_header
+    from dgc_pose.system.colmap_library import pycolmap
 
     try:
         header = check_header(read_bytes(path, MAX_BYTES, ImageError), path)
@@ -132,7 +132,9 @@ def pixel_matrix(camera: pycolmap.Camera) -> np.ndarray:
 
 def _model(name: str) -> pycolmap.Camera:
     """A camera of this model with arbitrary parameters."""
-    from dgc_pose.colmap_library import pycolmap  # on first use: only COLMAP's cameras need it
+    from dgc_pose.system.colmap_library import (
+        pycolmap,  # on first use: only COLMAP's cameras need it
+    )
 
     known = [known for known in pycolmap.CameraModelId.__members__ if known != "INVALID"]
     camera = pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1) if name in known else None

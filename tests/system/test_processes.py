@@ -7,7 +7,7 @@ import os
 import signal
 import time
 
-from dgc_pose.processes import process_end, process_ends
+from dgc_pose.system.processes import process_end, process_ends
 
 
 def _killed(number: int) -> multiprocessing.process.BaseProcess:

@@ -10,7 +10,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from dgc_pose.image_folder import search_images
+from dgc_pose.images.folder import search_images
 
 _HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
 
@@ -110,8 +110,8 @@ def test_unreadable_folders_and_files_are_said(
             raise PermissionError(13, "Permission denied", str(path))
         return opened(path, *rest)
 
-    monkeypatch.setattr("dgc_pose.image_folder.os.listdir", list_some)
-    monkeypatch.setattr("dgc_pose.inputs.os.open", open_some)
+    monkeypatch.setattr("dgc_pose.images.folder.os.listdir", list_some)
+    monkeypatch.setattr("dgc_pose.files.inputs.os.open", open_some)
     found = search_images(tmp_path)
     assert found.names == ("a.jpg",)
     assert sorted(found.left_out) == [

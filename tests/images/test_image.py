@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.image import Image, image_size, load_image, read_pixels, resize
+from dgc_pose.images.image import Image, image_size, load_image, read_pixels, resize
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
 
@@ -252,7 +252,7 @@ def test_a_huge_heic_is_refused_by_its_header(
     tmp_path: Path, rgb: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = heic(tmp_path / "huge.heic", rgb)
-    monkeypatch.setattr("dgc_pose.image.MAX_PIXELS", 70 * 50 - 1)
+    monkeypatch.setattr("dgc_pose.images.image.MAX_PIXELS", 70 * 50 - 1)
     with pytest.raises(ImageError, match=r"huge\.heic is too large: 70 x 50"):
         load_image(path)
 
@@ -329,7 +329,7 @@ def test_a_large_image_whose_header_pillow_cannot_read_is_refused_once_decoded(
     path = tmp_path / "large.hdr"
     assert cv2.imwrite(str(path), rgb.astype(np.float32))
     assert load_image(path).size == (70, 50)
-    monkeypatch.setattr("dgc_pose.image.MAX_PIXELS", 70 * 50 - 1)
+    monkeypatch.setattr("dgc_pose.images.image.MAX_PIXELS", 70 * 50 - 1)
     with pytest.raises(ImageError, match=r"large\.hdr is too large: 70 x 50"):
         load_image(path)
 

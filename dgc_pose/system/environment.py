@@ -10,7 +10,7 @@ from importlib import metadata, resources
 from importlib.util import find_spec
 from pathlib import Path
 
-from dgc_pose.threads import usable_cpus
+from dgc_pose.system.threads import usable_cpus
 from dgc_pose.version import build, version
 
 Facts = dict[str, dict[str, str]]  # by heading, then by name
@@ -53,7 +53,7 @@ def environment() -> Facts:
         "dgc-pose": {
             "version": version(),
             "build": build(),
-            "folder": str(Path(__file__).resolve().parent),
+            "folder": str(Path(__file__).resolve().parents[1]),
         },
         "machine": _machine(),
         "libraries": {name: _library(name) for name in LIBRARIES},
@@ -127,7 +127,7 @@ def _devices() -> dict[str, str]:
 
 
 def _providers() -> str:
-    from dgc_pose.onnx_library import onnxruntime
+    from dgc_pose.system.onnx_library import onnxruntime
 
     return ", ".join(onnxruntime.get_available_providers())
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from dgc_pose import colmap_camera
-from dgc_pose.camera import Camera
+from dgc_pose.cameras import colmap_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files import scratch_folder, writing
-from dgc_pose.inputs import TEXT_BYTES, open_regular, read_as, read_bytes, require_regular
-from dgc_pose.stderr import quiet
+from dgc_pose.files.inputs import TEXT_BYTES, open_regular, read_as, read_bytes, require_regular
+from dgc_pose.files.outputs import scratch_folder, writing
+from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
@@ -57,7 +57,7 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
 
     Raises InputError, with the path, if a file cannot be read.
     """
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     ending = path.suffix.lower()
     content = read_bytes(path, TEXT_BYTES)
@@ -132,7 +132,7 @@ def read_database(path: Path) -> DatabaseContent:
 
     Raises InputError, with the path, if it is none that this version of pycolmap reads.
     """
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     if not path.is_file():
         raise InputError(f"{path}: no such database")
@@ -169,7 +169,7 @@ def _require_plain(path: Path) -> None:
 def _content(
     cameras: Mapping[int, Any], images: Sequence[Any], keys: Sequence[int]
 ) -> DatabaseContent:
-    from dgc_pose.colmap_library import pycolmap
+    from dgc_pose.system.colmap_library import pycolmap
 
     names = {image.image_id: image.name for image in images}
     for image in images:

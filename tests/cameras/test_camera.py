@@ -13,10 +13,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dgc_pose.camera import Camera, as_camera, check_size, guess_camera, parse_camera
-from dgc_pose.colmap_camera import Distortion
+from dgc_pose.cameras.camera import Camera, as_camera, check_size, guess_camera, parse_camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.image import load_image
+from dgc_pose.images.image import load_image
 
 K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])
 SIZE = (640, 480)
@@ -328,8 +328,8 @@ def test_what_the_system_says_of_a_K_file_goes_through(
 
     for reached in ("open", "stat"):
         with monkeypatch.context() as patch:
-            patch.setattr(f"dgc_pose.inputs.os.{reached}", refuse)
-            patch.setattr("dgc_pose.inputs.os.open", refuse)
+            patch.setattr(f"dgc_pose.files.inputs.os.{reached}", refuse)
+            patch.setattr("dgc_pose.files.inputs.os.open", refuse)
             with pytest.raises(InputError, match=r"^K1: .*k\.txt: Permission denied$"):
                 parse_camera(str(path), "K1")
 

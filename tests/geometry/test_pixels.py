@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.pixels import cell_centres, pixel_grid, rescale
+from dgc_pose.geometry.pixels import cell_centres, pixel_grid, rescale
 
 
 def test_resizing_keeps_the_outer_edges() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.arrays import quantiles
+from dgc_pose.files.arrays import quantiles
 
 
 @pytest.mark.parametrize("shape", [(1,), (2,), (17,), (30, 41)])

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from dgc_pose.arrays import as_numpy, is_tensor
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
-from dgc_pose.image_header import Header, UnreadableFormatError, read_header
-from dgc_pose.inputs import read_bytes, read_start
-from dgc_pose.stderr import quiet
+from dgc_pose.files.arrays import as_numpy, is_tensor
+from dgc_pose.files.inputs import read_bytes, read_start
+from dgc_pose.images.header import Header, UnreadableFormatError, read_header
+from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     import torch

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose import colmap_camera
-from dgc_pose.array_files import read_array
-from dgc_pose.arrays import as_numpy
-from dgc_pose.colmap_camera import Distortion
+from dgc_pose.cameras import colmap_camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.inputs import existing, read_as, read_text
-from dgc_pose.pixels import rescale
+from dgc_pose.files.array_files import read_array
+from dgc_pose.files.arrays import as_numpy
+from dgc_pose.files.inputs import existing, read_as, read_text
+from dgc_pose.geometry.pixels import rescale
 
 # If the principal point is farther from the middle, as a share of the image's side, K may belong to
 # an image of another size.

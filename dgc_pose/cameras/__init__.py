@@ -1,0 +1,1 @@
+"""Cameras: K, lenses, COLMAP's cameras, models and databases."""

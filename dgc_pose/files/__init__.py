@@ -1,0 +1,1 @@
+"""Files and arrays: inputs that are checked, outputs that appear whole."""

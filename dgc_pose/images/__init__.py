@@ -1,0 +1,1 @@
+"""Photographs: reading, headers, folders."""

@@ -1,0 +1,1 @@
+"""Options, threads, processes, and libraries behind one module each."""
