@@ -78,7 +78,6 @@ BASE: dict[str, Sequence[str]] = {
     "bench-synthetic": ("--photos", "dir", "--pairs", "1"),
     "bench-dtu": ("--root", "dir", "--out", "new", "--methods", "sift"),
     "bench-verdicts": ("--photos", "dir", "--pairs", "1"),
-    "bench-estimators": ("pairs.txt", "--methods", "sift", "--limit", "1"),
     "bench-speed": ("one.png", "two.png", "x"),
     "dtu-pairs": ("dir", "new.txt", "--scan", "1"),
     "train": ("--photos", "photos", "--out", "new", "--steps", "1", "--validation-pairs", "1"),

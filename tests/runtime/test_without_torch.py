@@ -125,7 +125,7 @@ def test_the_light_set_serves_a_pose(light_site: Path, tmp_path: Path) -> None:
         (("estimate", *_PAIR, *_K, "--plot", "plot.png"), "matplotlib"),
         (("estimate", *_PAIR, "--guess-focal"), "pycolmap"),
         (("bench-pairs", "--rendered", "1", "--photos", "."), "torch"),
-        (("bench-estimators",), "scipy"),
+        (("bench-dtu",), "scipy"),
         (("bench-speed",), "torch"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else value,
