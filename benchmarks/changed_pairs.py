@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.system.options import MAX_SEED, check_options, option
 

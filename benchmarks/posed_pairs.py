@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.cameras.camera import Camera, check_size
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import read_projection
-from dgc_pose.benchmarks.pair_list import Pair, read_pairs
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair, read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced, require_no_input, writing
 from dgc_pose.images.image import load_image, resize_by

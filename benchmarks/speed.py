@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 
 from dgc_pose.benchmarks.forwards import milliseconds, multiply_adds
-from dgc_pose.benchmarks.pair_list import bundled_pair
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.cameras.camera import Camera, check_size, parse_camera
+from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.backend import MINIMAL

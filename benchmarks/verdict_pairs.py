@@ -13,7 +13,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_pairs import (
     Ids,
     ListedPairs,
@@ -25,6 +24,7 @@ from dgc_pose.benchmarks.posed_pairs import (
 )
 from dgc_pose.benchmarks.verdicts import PairKind, VerdictScore
 from dgc_pose.cameras.camera import Camera, guess_camera
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image, load_image

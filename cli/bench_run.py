@@ -12,10 +12,10 @@ from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
 from dgc_pose.benchmarks.methods import MethodOptions
-from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.cli.options import RUNTIME_HELP, DeviceName, RefineChoice

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair, bundled_pair
+from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import MatcherChoice

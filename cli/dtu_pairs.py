@@ -10,7 +10,7 @@ import click
 from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, open_dataset
 from dgc_pose.benchmarks.dtu.scene import Light
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
-from dgc_pose.benchmarks.pair_list import write_pairs
+from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import InputError

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.benchmarks.pair_list import bundled_pair
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import pose_data

@@ -13,10 +13,10 @@ import numpy as np
 from dgc_pose.benchmarks.dtu.calibration import relative_pose
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.samples import MatchSample, write_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.metrics import rotation_error_deg
 
 METHODS = ("net", "net/all", "points")  # the last one without a map

@@ -11,8 +11,8 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol, protocol_optio
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
 from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions, parse_methods
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches

@@ -15,10 +15,10 @@ from typing import Literal
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
 from dgc_pose.benchmarks.methods import MethodOptions
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.benchmarks.posed_pairs import FilePairs, PosedPair
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.images.image import Image, resize
 
 Protocol = Literal["paper", "native"]

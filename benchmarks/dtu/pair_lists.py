@@ -3,7 +3,7 @@
 The truth comes from the calibration, so that a list serves every layout and light. The formats:
 
 - CSV with the columns scene, view1 and view2, and others that are ignored;
-- SuperGlue's, see `benchmarks/pair_list.py`: scene and view come from the names of the images, in
+- SuperGlue's, see `cameras/pair_list.py`: scene and view come from the names of the images, in
   any of the layouts (`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`);
 - `id1 id2 scan q(4) t(3)`, views from 1, after comment lines that begin with `--`.
 """
@@ -25,7 +25,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     find_view_pairs,
     view_pair,
 )
-from dgc_pose.benchmarks.pair_list import FIELDS
+from dgc_pose.cameras.pair_list import FIELDS
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_text
 from dgc_pose.files.outputs import replaced, writing

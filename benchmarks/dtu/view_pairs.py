@@ -12,8 +12,8 @@ from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.overlap import overlap
 from dgc_pose.benchmarks.dtu.scene import Scene
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import MAX_SEED, check_options, option

@@ -16,9 +16,9 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     find_view_pairs,
     listed_pair,
 )
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import pixel_matrix
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.synthesis.posed_depth import PosedFrame, read_rgbd

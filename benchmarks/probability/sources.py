@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.pair_list import Pair, read_pairs, write_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth, require_images
 from dgc_pose.benchmarks.probability.blank import BLANKS, blank
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import Source
 from dgc_pose.cameras.camera import Camera, guess_camera
+from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.images.folder import search_images

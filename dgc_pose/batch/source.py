@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dgc_pose.batch.calibration import Calibration
-from dgc_pose.batch.pair_files import read_pair_list
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import image_header, orientation_notes

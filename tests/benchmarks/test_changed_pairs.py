@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange, changed_view
-from dgc_pose.benchmarks.pair_list import Pair
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 

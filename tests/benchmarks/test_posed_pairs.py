@@ -13,9 +13,9 @@ from verdict_folder import write_photos
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions
-from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPairs, require_images
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.main import main
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions

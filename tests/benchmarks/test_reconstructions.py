@@ -14,10 +14,10 @@ from click.testing import CliRunner
 from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.pair_list import Pair, write_pairs
 from dgc_pose.benchmarks.posed_views import PosedViews, views_of_dtu, views_of_list
 from dgc_pose.benchmarks.reconstructions import score
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair, write_pairs
 from dgc_pose.cli.main import main
 from dgc_pose.colmap.reconstruction import Model
 from dgc_pose.errors import InputError

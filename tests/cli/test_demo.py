@@ -5,7 +5,7 @@ import re
 import pytest
 from click.testing import CliRunner
 
-from dgc_pose.benchmarks.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.main import main
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import load_image

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 from dtu_layout import grey_scan, write_neus, write_raw
 
-from dgc_pose.benchmarks.pair_list import read_pairs
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.main import main
 from dgc_pose.metrics import rotation_error_deg
 

@@ -25,17 +25,16 @@ from fuzz.door import Door
 from fuzz.result_doors import RESULT_DOORS
 
 from dgc_pose.batch.calibration import read_calibration
-from dgc_pose.batch.pair_files import read_pair_list
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
 from dgc_pose.benchmarks.homographies import find_homography_pairs
 from dgc_pose.benchmarks.hpatches_lists import read_lists
-from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.samples import draw_sample, read_sample, sample_path, write_sample
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.cameras.camera import guess_camera, parse_camera
 from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.images.image import Image, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.matching.files import FileMatcher

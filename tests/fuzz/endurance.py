@@ -17,7 +17,7 @@ import scipy.stats
 from fuzz.trial import resident
 
 from dgc_pose import EstimationOptions, estimate_relative_pose, load_matcher
-from dgc_pose.benchmarks.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import bundled_pair
 
 STEP = 20  # calls between two lines
 GROWTH = 20 * 2**20  # bytes that 1,000 calls may keep

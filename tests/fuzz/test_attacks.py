@@ -27,11 +27,11 @@ from dgc_pose.batch.plan import read_plan
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.store import PartStore
-from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
 from dgc_pose.cameras.camera import Camera, guess_camera
 from dgc_pose.cameras.colmap_files import read_database, read_model_cameras
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.main import main
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files.outputs import only_writer, replaced_folder, scratch_folder

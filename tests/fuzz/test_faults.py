@@ -19,10 +19,10 @@ from fuzz.commands import png_claiming
 from safetensors.torch import save_file
 
 from dgc_pose import estimate_relative_pose, load_image, load_matcher
-from dgc_pose.benchmarks.pair_list import read_pairs
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.cameras.camera import guess_camera
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions, VerdictOptions
 from dgc_pose.files.array_files import ARRAY_BYTES, read_array, read_arrays

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.benchmarks.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 TOLERANCE_DEG = 0.01  # as README.md states
@@ -24,7 +24,7 @@ AVX2 = dict(
 _POSE = """
 import json, sys
 from dgc_pose import load_matcher
-from dgc_pose.benchmarks.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.images.image import load_image
 from dgc_pose.pose import match_and_estimate
 pair = bundled_pair()

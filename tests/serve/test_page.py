@@ -10,7 +10,7 @@ import cv2
 import pytest
 from chromium import chromium_page, find_chromium
 
-from dgc_pose.benchmarks.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import bundled_pair
 
 DONE = "document.querySelector('#progress').textContent.startsWith('done')"
 PIXELS = """(() => {

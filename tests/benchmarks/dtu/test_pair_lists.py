@@ -11,7 +11,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     find_view_pairs,
     listed_pair,
 )
-from dgc_pose.benchmarks.pair_list import write_pairs
+from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.errors import InputError
 
 OPTIONS = ViewPairOptions(pairs=8, min_overlap=0)

@@ -18,7 +18,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     listed_pair,
     view_pair,
 )
-from dgc_pose.benchmarks.pair_list import format_pair
+from dgc_pose.cameras.pair_list import format_pair
 from dgc_pose.errors import InputError
 
 

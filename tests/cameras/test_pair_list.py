@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.pair_list import Pair, read_pairs, write_pairs
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair, read_pair_list, read_pairs, write_pairs
 from dgc_pose.errors import InputError
 
 K = "500 0 320 0 510 240 0 0 1"
@@ -17,8 +17,8 @@ def line(*, names="a.png b.png", rotations="0 0", k1=K, k2=K, pose=T):
     return f"{names} {rotations} {k1} {k2} {' '.join(repr(float(v)) for v in np.ravel(pose))}\n"
 
 
-def pair_file(tmp_path, text):
-    path = tmp_path / "pairs.txt"
+def pair_file(tmp_path, text, name="pairs.txt"):
+    path = tmp_path / name
     path.write_text(text)
     return path
 
@@ -118,19 +118,64 @@ def test_a_bad_line_is_an_error_with_path_and_line_number(tmp_path, case):
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"\n\n"])
-def test_an_empty_list_is_an_error(tmp_path, content):
+def test_two_names_a_line(tmp_path):
+    text = "# a comment\na.jpg b.jpg\n\nb.jpg  c/d.jpg\nb.jpg a.jpg\na.jpg b.jpg\n"
+    pairs = read_pair_list(pair_file(tmp_path, text)).pairs
+    assert pairs == (("a.jpg", "b.jpg"), ("b.jpg", "c/d.jpg"))
+
+
+@pytest.mark.parametrize("heading", ["", "name1,name2\n", "image0, image1, score\n"])
+def test_csv_with_and_without_a_heading(tmp_path, heading):
+    path = pair_file(tmp_path, heading + 'a b.jpg,c.jpg,0.5\n"x,y.png", c.jpg\n', "pairs.csv")
+    assert read_pair_list(path).pairs == (("a b.jpg", "c.jpg"), ("x,y.png", "c.jpg"))
+
+
+@pytest.mark.parametrize("fields", [2, 4, 22, 38])
+def test_shorter_lines_give_the_names_and_their_cameras(tmp_path, fields):
+    words = line().split()[:fields]
+    pair_list = read_pair_list(pair_file(tmp_path, " ".join(words)))
+    assert pair_list.pairs == (("a.png", "b.png"),)
+    assert set(pair_list.cameras) == ({"a.png", "b.png"} if fields > 4 else set())
+    for camera in pair_list.cameras.values():
+        np.testing.assert_array_equal(camera.K, [[500, 0, 320], [0, 510, 240], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("a.jpg\n", ":1: expected two names"),
+        ("a b\na b c\n", ":2: expected two names"),
+        ("a a\n", ":1: a is paired with itself"),
+        ("a b 1 0\n", "rot1 rot2"),
+        (f"a b 0 0 {K.replace('500', 'x')} {K}\n", ":1: could not convert"),
+        (f"a b 0 0 {K} {K}\na c 0 0 {K.replace('500', '501')} {K}\n", ":2: another K of a"),
+    ],
+)
+def test_a_wrong_line_of_names_is_named(tmp_path, text, reason):
+    with pytest.raises(InputError, match=reason):
+        read_pair_list(pair_file(tmp_path, text))
+
+
+def test_a_table_with_a_field_without_end_names_the_line(tmp_path):
+    path = pair_file(tmp_path, f"a,b\n{'a' * 200_000},b\n", "pairs.csv")
+    with pytest.raises(InputError, match=":2: field larger than"):
+        read_pair_list(path)
+
+
+@pytest.mark.parametrize("read", [read_pairs, read_pair_list])
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "no pairs"),
+        (b"\n# nothing\n", "no pairs"),
+        (b"\xff\xfe\x00\x80", "is text"),
+    ],
+)
+def test_a_file_that_is_no_list_is_an_error(tmp_path, read, content, reason):
     path = tmp_path / "pairs.txt"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="no pairs"):
-        read_pairs(path)
-
-
-def test_a_binary_file_is_an_error(tmp_path):
-    path = tmp_path / "pairs.txt"
-    path.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="is text"):
-        read_pairs(path)
+    with pytest.raises(InputError, match=reason):
+        read(path)
 
 
 @pytest.mark.parametrize("name", ["two words.png", ""])

@@ -1,0 +1,203 @@
+"""Lists of pairs of images: SuperGlue's lines, two names a line, and CSV.
+
+A full line of SuperGlue's has 38 fields: `name1 name2 rot1 rot2 K1[9] K2[9] T[16]`, the matrices
+row by row, T = cam2_from_cam1; a shorter line ends after the names, the rotations or the K. rot1
+and rot2 count quarter turns to be applied to the images before they are matched; lists with such
+rotations are refused, since K and T are of the images as stored.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera, as_camera
+from dgc_pose.errors import InputError
+from dgc_pose.files.inputs import read_text
+from dgc_pose.files.outputs import save_text
+from dgc_pose.geometry.rotation import is_rotation
+
+FIELDS = 38
+Names = tuple[str, str]
+
+_SHORTER = (2, 4, 22)  # fields of a line that ends after the names, the rotations or the K
+_HEADINGS = (("name1", "name2"), ("name0", "name1"), ("image1", "image2"), ("image0", "image1"))
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two images with their cameras and the true relative pose."""
+
+    name1: str  # as written in the list
+    name2: str
+    root: Path  # folder that the names are relative to
+    camera1: Camera
+    camera2: Camera
+    R: np.ndarray  # (3, 3) rotation of cam2_from_cam1
+    t: np.ndarray  # (3,) translation of cam2_from_cam1, the list's unit of length, never zero
+
+    @property
+    def path1(self) -> Path:
+        return self.root / self.name1
+
+    @property
+    def path2(self) -> Path:
+        return self.root / self.name2
+
+
+@dataclass(frozen=True)
+class PairList:
+    """The pairs of a list, each once, and the cameras that it gives."""
+
+    pairs: tuple[Names, ...]  # as written, in the list's order
+    cameras: Mapping[str, Camera] = field(default_factory=dict)  # by image name; may be empty
+
+
+def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
+    """Read a list of SuperGlue's full lines, whose image names are relative to `root`, by default
+    the list's own folder.
+
+    Blank lines and those that begin with # are passed over. Raises InputError, with the path and
+    the line number, for any other line, and for a list without a pair; OSError if the file cannot
+    be read.
+    """
+    path = Path(path)
+    folder = path.parent if root is None else Path(root)
+    pairs = [_pair(line.split(), folder, where) for line, where in _lines(path)]
+    if not pairs:
+        raise InputError(f"{path}: no pairs in this list")
+    return pairs
+
+
+def read_pair_list(path: Path) -> PairList:
+    """Read a list of pairs without poses: SuperGlue's lines, full or shorter, whose K are read if
+    they are there; or a .csv whose first two columns are the names, with or without a heading.
+
+    A pair that is listed again, in either order, counts once. Raises as `read_pairs` does, and
+    InputError for an image paired with itself.
+    """
+    is_table = path.suffix.lower() == ".csv"
+    pairs: dict[frozenset[str], Names] = {}
+    cameras: dict[str, Camera] = {}
+    for line, where in _lines(path):
+        names = _table_row(line, where) if is_table else _names(line.split(), where, cameras)
+        if not pairs and is_table and tuple(name.lower() for name in names) in _HEADINGS:
+            continue
+        if names[0] == names[1]:
+            raise InputError(f"{where}: {names[0]} is paired with itself")
+        pairs.setdefault(frozenset(names), names)
+    if not pairs:
+        raise InputError(f"{path}: no pairs in this list")
+    return PairList(tuple(pairs.values()), cameras)
+
+
+def bundled_pair() -> Pair:
+    """The rendered pair that comes with the package, with its exact pose."""
+    return read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
+
+
+def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:
+    """Write pairs in SuperGlue's format, their names as they are.
+
+    Raises InputError for a name with a blank in it, which the format cannot hold.
+    """
+    save_text(path, "".join(format_pair(pair) + "\n" for pair in pairs))
+
+
+def format_pair(pair: Pair) -> str:
+    """The line of a pair, without its newline."""
+    for name in (pair.name1, pair.name2):
+        if len(name.split()) != 1:
+            raise InputError(f"a pair list cannot hold the name {name!r}: no blanks, not empty")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = pair.R, pair.t
+    numbers = np.concatenate([pair.camera1.K.ravel(), pair.camera2.K.ravel(), T.ravel()])
+    return " ".join([pair.name1, pair.name2, "0", "0", *(f"{value:.12g}" for value in numbers)])
+
+
+def _lines(path: Path) -> Iterator[tuple[str, str]]:
+    """The lines that are neither blank nor comments, each with its path and number."""
+    for number, line in enumerate(read_text(path, "a list of pairs").splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield line, f"{path}:{number}"
+
+
+def _pair(words: list[str], root: Path, where: str) -> Pair:
+    if len(words) != FIELDS:
+        raise InputError(f"{where}: a pair needs {FIELDS} fields, and this line has {len(words)}")
+    _require_upright(words, where)
+    camera1, camera2 = _cameras(words, where)
+    R, t = _pose(_numbers(words[22:], where).reshape(4, 4), where)
+    return Pair(words[0], words[1], root, camera1, camera2, R, t)
+
+
+def _names(words: list[str], where: str, cameras: dict[str, Camera]) -> Names:
+    """The names of a full or shorter line; its cameras are added to `cameras`."""
+    if len(words) not in (*_SHORTER, FIELDS):
+        raise InputError(
+            f"{where}: expected two names, or a line of SuperGlue's with 4, 22 or 38 fields, "
+            f"not {len(words)} fields (names with blanks need a .csv)"
+        )
+    if len(words) > 2:
+        _require_upright(words, where)
+    if len(words) > 4:
+        for name, camera in zip(words[:2], _cameras(words, where), strict=True):
+            if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
+                raise InputError(f"{where}: another K of {name} than in a line before")
+    return words[0], words[1]
+
+
+def _table_row(line: str, where: str) -> Names:
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line]))]
+    except csv.Error as error:
+        raise InputError(f"{where}: {error}") from None
+    if len(cells) < 2 or not all(cells[:2]):
+        raise InputError(f"{where}: expected name1,name2, not {line.strip()!r}")
+    return cells[0], cells[1]
+
+
+def _require_upright(words: list[str], where: str) -> None:
+    if words[2:4] != ["0", "0"]:
+        raise InputError(
+            f"{where}: rot1 rot2 must be 0 0, not {words[2]} {words[3]}: "
+            "images that have to be rotated first are not supported"
+        )
+
+
+def _cameras(words: list[str], where: str) -> list[Camera]:
+    matrices = _numbers(words[4:22], where).reshape(2, 3, 3)
+    try:
+        return [as_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=True)]
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _numbers(words: list[str], where: str) -> np.ndarray:
+    try:
+        numbers = np.array(words, dtype=np.float64)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{where}: the numbers must be finite")
+    return numbers
+
+
+def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+    R, t = T[:3, :3], T[:3, 3]
+    if not is_rotation(R):
+        raise InputError(f"{where}: the upper left 3x3 of T is not a rotation")
+    if not np.array_equal(T[3], [0, 0, 0, 1]):
+        raise InputError(f"{where}: the last row of T must be 0 0 0 1")
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(t)
+    if not 0 < length < np.inf:
+        raise InputError(f"{where}: T has no translation, so its direction cannot be scored")
+    # The nearest rotation: rounding e in a list could show as an angle of sqrt(e) otherwise.
+    U, _, Vt = np.linalg.svd(R)
+    return U @ Vt, t
