@@ -22,8 +22,7 @@ from dgc_pose.cameras.camera import Camera, check_size, parse_camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.backend import MINIMAL
-from dgc_pose.estimation.poselib_backend import run_poselib
+from dgc_pose.estimation.poselib_calls import MINIMAL, essential_matrix
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.ransac import run_seeds
 from dgc_pose.images.image import load_image
@@ -190,7 +189,7 @@ def _poselib_alone(setup: Setup, matches: Matches) -> Callable[[], None]:
 
     def run() -> None:
         for seed in run_seeds(options) if len(problem) >= MINIMAL else ():
-            run_poselib(
+            essential_matrix(
                 problem.points1,
                 problem.points2,
                 threshold=problem.threshold,

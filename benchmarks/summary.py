@@ -119,7 +119,7 @@ def heading(options: EstimationOptions) -> str:
     if options.threshold_px is not None:
         threshold = f"{options.threshold_px:g} px"
     return (
-        f"estimator {options.estimator}, {options.runs} runs of {options.iterations} iterations, "
+        f"estimator poselib, {options.runs} runs of {options.iterations} iterations, "
         f"threshold {threshold}, seed {options.seed}\n"
         "medians in degrees over all pairs, a failure counted as infinite; t: 0 to 180, "
         "t folded: min(e, 180 - e)\n"

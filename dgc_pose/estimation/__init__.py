@@ -1,13 +1,12 @@
 """Robust estimation of the relative pose, and the verdict on it."""
 
-from dgc_pose.estimation.options import EstimationOptions, EstimatorName, VerdictOptions
+from dgc_pose.estimation.options import EstimationOptions, VerdictOptions
 from dgc_pose.estimation.relative_pose import estimate_pose
 from dgc_pose.estimation.result import Alternative, RelativePose, Status
 
 __all__ = [
     "Alternative",
     "EstimationOptions",
-    "EstimatorName",
     "RelativePose",
     "Status",
     "VerdictOptions",

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dgc_pose.estimation.backend import MINIMAL
+from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import sampson_distance
 

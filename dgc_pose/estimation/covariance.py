@@ -13,9 +13,9 @@ import math
 
 import numpy as np
 
-from dgc_pose.estimation.backend import MINIMAL
 from dgc_pose.estimation.chi_square import chi_square_quantile
 from dgc_pose.estimation.model import Model, error_scale
+from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
 

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from dgc_pose.system.options import MAX_SEED, check_options, option
-
-EstimatorName = Literal["poselib", "pycolmap", "opencv"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,6 @@ class VerdictOptions:
 class EstimationOptions:
     """How the pose is estimated. Raises InputError, naming the field, for a value out of range."""
 
-    estimator: EstimatorName = option("poselib", "Library behind the robust estimation.")
     # Runs have different seeds; the model with most inliers is kept.
     runs: int = option(5, "Runs of RANSAC, the best kept.", min=1, max=10_000)
     iterations: int = option(1000, "Most iterations of each run.", min=1, max=2**31 - 1)

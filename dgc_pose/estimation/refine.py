@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.estimation.backend import MINIMAL
 from dgc_pose.estimation.model import Model, error_scale
-from dgc_pose.estimation.poselib_backend import refine_pose
+from dgc_pose.estimation.poselib_calls import MINIMAL, refine_pose
 from dgc_pose.estimation.problem import TwoViewProblem
 
 _ROUNDS = 3

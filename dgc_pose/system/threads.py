@@ -25,20 +25,18 @@ def slices(count: int, size: int) -> list[slice]:
     return [slice(i, i + size) for i in range(0, max(1, count), size)]
 
 
-def in_threads(
-    work: Callable[[Item], Result], items: Sequence[Item], at_most: int | None = None
-) -> list[Result]:
+def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """`[work(item) for item in items]`, in as many threads as OpenCV uses.
 
     For work that spends its time outside of Python and depends on its item alone, so that the
     answer is the same for any number of threads. `cv2.setNumThreads` sets the number for both; the
-    default is the number of processors. at_most: threads; 1 for work that shares a state.
+    default is the number of processors.
 
     Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
     the main thread, it is raised at once: results of work that has begun are discarded, and the
     rest is not begun.
     """
-    count = min(cv2.getNumThreads(), len(items), at_most or len(items))
+    count = min(cv2.getNumThreads(), len(items))
     alone = threading.current_thread() is not threading.main_thread()
     if count <= 1 and alone:  # signals are handled in the main thread only
         return [work(item) for item in items]

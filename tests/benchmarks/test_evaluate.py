@@ -116,7 +116,7 @@ def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
             return super().match(image1, image2)
 
     found = evaluation_pairs.engines(Counting())
-    methods = parse_methods(["net", "net/all", "net:matchability=0.5:estimator=opencv"], OPTIONS)
+    methods = parse_methods(["net", "net/all", "net:matchability=0.5:runs=2"], OPTIONS)
     rows = list(evaluation(posed_pairs(tmp_path, 2), methods, found=found).run())
     assert len(calls) == 2 and len(rows[0]) == 3
 

@@ -54,7 +54,6 @@ def test_names_stand_for_methods() -> None:
         (["net:refine=sift"], [], "refine cannot be 'sift'"),
         (["net:refine=map:align=maybe"], [], "align cannot be 'maybe'"),
         (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
-        (["net:estimator=guess"], [], "estimator cannot be 'guess'"),
     ],
 )
 def test_names_that_stand_for_none(names, stored, reason) -> None:
@@ -92,7 +91,7 @@ def test_a_path_may_hold_colons_and_equals_signs() -> None:
 
 
 def test_methods_that_differ_after_the_map_share_its_pass() -> None:
-    names = ["n", "n/all", "n:matchability=0.2", "n:estimator=opencv", "n:refine=map"]
+    names = ["n", "n/all", "n:matchability=0.2", "n:runs=2", "n:refine=map"]
     passes = {one.key for one in parse_methods(names, REFINED)}
     assert len(passes) == 1
     others = ["n:finest=60", "n:cycle_px=2", "n:search_below=0"]

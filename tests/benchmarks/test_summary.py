@@ -54,9 +54,9 @@ def test_the_table_tells_infinite_medians_and_the_share_of_failures():
     assert lost.split() == "sift 64 40 (62.5 %) inf inf inf 10.0 12.0 14.0 1.50".split()
 
 
-def test_the_heading_names_the_estimator():
-    text = heading(EstimationOptions(estimator="opencv", runs=3, iterations=200, threshold_px=1.5))
-    assert "opencv, 3 runs of 200 iterations, threshold 1.5 px" in text
+def test_the_heading_names_the_options():
+    text = heading(EstimationOptions(runs=3, iterations=200, threshold_px=1.5))
+    assert "poselib, 3 runs of 200 iterations, threshold 1.5 px" in text
 
 
 def score(rotation, translation, method="m"):

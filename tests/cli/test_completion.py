@@ -24,8 +24,8 @@ def test_commands_are_completed_without_being_imported(monkeypatch):
 
 
 def test_options_and_their_choices_are_completed():
-    assert ("plain", "--estimator") in completed(["estimate"], "--esti")
-    assert completed(["estimate", "--estimator"], "pose") == [("plain", "poselib")]
+    assert ("plain", "--runtime") in completed(["estimate"], "--runt")
+    assert completed(["estimate", "--runtime"], "onn") == [("plain", "onnx")]
 
 
 @pytest.mark.parametrize("words", [["estimate"], ["match", "a.png"], ["estimate", "--plot"]])

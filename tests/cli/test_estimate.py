@@ -145,9 +145,8 @@ def test_matching_options_reach_the_matcher(folder, network):
     assert json.loads(result.stdout)["num_matches"] == 0
 
 
-@pytest.mark.parametrize("estimator", ["poselib", "pycolmap", "opencv"])
-def test_every_estimator_finds_the_pose(folder, network, estimator):
-    result = estimate("--json", "-", "--estimator", estimator, "--threshold", "1", "--seed", "4")
+def test_the_threshold_and_the_seed_may_be_chosen(folder, network):
+    result = estimate("--json", "-", "--threshold", "1", "--seed", "4")
     assert result.exit_code == 0
     assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.5
 

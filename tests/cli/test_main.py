@@ -108,7 +108,6 @@ def test_the_package_runs_as_a_module():
         (["estimate", "a.png"], "IMG2"),
         (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
         (["estimate", "a.png", "b.png", "--device", "abacus"], "--device"),
-        (["estimate", "a.png", "b.png", "--estimator", "guess"], "--estimator"),
         (["match", "a.png", "b.png"], "--out"),
         (["bench-pairs", "a.txt", "--limit", "0"], "--limit"),
     ],

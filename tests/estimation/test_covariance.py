@@ -6,7 +6,7 @@ from scipy.stats import chi2
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.covariance import error_radius_deg, error_slopes, pose_covariance
 from dgc_pose.estimation.model import Model, error_scale
-from dgc_pose.estimation.poselib_backend import refine_pose
+from dgc_pose.estimation.poselib_calls import refine_pose
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene

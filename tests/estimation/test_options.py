@@ -8,13 +8,12 @@ from dgc_pose.estimation import EstimationOptions
 
 def test_the_defaults_are_five_runs_of_a_thousand_iterations():
     options = EstimationOptions()
-    assert (options.runs, options.iterations, options.estimator) == (5, 1000, "poselib")
+    assert (options.runs, options.iterations) == (5, 1000)
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("estimator", "ransac"),
         ("runs", 0),
         ("iterations", 0),
         ("iterations", -5),

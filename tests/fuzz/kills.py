@@ -74,11 +74,11 @@ SCENARIOS: Mapping[str, Scenario] = {
             *(*_QUICK, *_OUT),
         ],
     ),
-    "estimate sift pycolmap": Scenario(
+    "estimate sift": Scenario(
         _pictures,
         lambda folder: [
             *("estimate", f"{folder}/one.png", f"{folder}/two.png", "--K", dense_scene.K_TEXT),
-            *("--weights", "sift", "--estimator", "pycolmap", *_QUICK, *_OUT),
+            *("--weights", "sift", *_QUICK, *_OUT),
         ],
     ),
     "batch": Scenario(

@@ -260,7 +260,6 @@ CAMERA = np.array([[50.0, 0, 24.5], [0, 50, 19.5], [0, 0, 1]])
         (lambda: EstimationOptions(threshold_px="2"), "threshold_px"),
         (lambda: EstimationOptions(verdict=None), "verdict"),
         (lambda: EstimationOptions(refine="no"), "refine"),
-        (lambda: EstimationOptions(estimator=3), "estimator"),
     ],
 )
 def test_a_wrong_argument_is_named(call, name: str) -> None:

@@ -50,11 +50,6 @@ def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
     assert len(set(in_threads(lambda _: threading.get_ident(), range(3)))) == 1
 
 
-def test_shared_state_is_worked_on_by_one_thread_at_a_time() -> None:
-    cv2.setNumThreads(3)
-    assert len(set(in_threads(lambda _: threading.get_ident(), range(3), at_most=1))) == 1
-
-
 def test_an_interrupt_does_not_wait_for_the_work() -> None:
     """As in a long call of a library, which handles no signal."""
     cv2.setNumThreads(2)

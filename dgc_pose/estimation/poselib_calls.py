@@ -5,36 +5,39 @@ from __future__ import annotations
 import numpy as np
 import poselib
 
-from dgc_pose.estimation.backend import VIRTUAL_FOCAL
 from dgc_pose.geometry.epipolar import essential_from_pose
 
-_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [VIRTUAL_FOCAL, 0.0, 0.0]}
-
+MINIMAL = 5  # matches that determine an essential matrix
 _LEAST_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
 
+# PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
+_FOCAL = 1000.0
+_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
 
-def run_poselib(
+
+def essential_matrix(
     points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
-) -> list[np.ndarray]:
-    """See `Backend`. PoseLib returns an identity if it fails, which counts as none.
+) -> np.ndarray | None:
+    """The essential matrix (3, 3) of one RANSAC run; None if it fails.
 
-    A run ends as soon as its share of inliers says that a sample without outliers was drawn, with
-    PoseLib's probability of 0.9999.
+    points1, points2: normalised (N, 2), N >= 5; threshold: Sampson distance in the same unit. The
+    same seed gives the same answer to the bit. A run ends as soon as its share of inliers says that
+    a sample without outliers was drawn, with PoseLib's probability of 0.9999.
     """
     ransac = {
         "max_iterations": iterations,
         "min_iterations": min(iterations, _LEAST_ITERATIONS),
-        "max_epipolar_error": threshold * VIRTUAL_FOCAL,
+        "max_epipolar_error": threshold * _FOCAL,
         "seed": seed,
     }
-    bundle = {"loss_type": "TRUNCATED", "loss_scale": threshold * VIRTUAL_FOCAL}
+    bundle = {"loss_type": "TRUNCATED", "loss_scale": threshold * _FOCAL}
     pose, info = poselib.estimate_relative_pose(
-        points1 * VIRTUAL_FOCAL, points2 * VIRTUAL_FOCAL, _CAMERA, _CAMERA, ransac, bundle
+        points1 * _FOCAL, points2 * _FOCAL, _CAMERA, _CAMERA, ransac, bundle
     )
     length = np.linalg.norm(pose.t)
     if info["num_inliers"] == 0 or length < 1e-12 or not np.isfinite(pose.R).all():
-        return []
-    return [essential_from_pose(pose.R, pose.t / length)]
+        return None
+    return essential_from_pose(pose.R, pose.t / length)
 
 
 def refine_pose(
@@ -46,9 +49,9 @@ def refine_pose(
     """
     start = poselib.CameraPose()
     start.R, start.t = R, t
-    options = {"loss_type": "CAUCHY", "loss_scale": scale * VIRTUAL_FOCAL, "max_iterations": 100}
+    options = {"loss_type": "CAUCHY", "loss_scale": scale * _FOCAL, "max_iterations": 100}
     pose, _ = poselib.refine_relative_pose(
-        points1 * VIRTUAL_FOCAL, points2 * VIRTUAL_FOCAL, start, _CAMERA, _CAMERA, options
+        points1 * _FOCAL, points2 * _FOCAL, start, _CAMERA, _CAMERA, options
     )
     length = np.linalg.norm(pose.t)
     if length < 1e-12 or not np.isfinite(pose.R).all():
