@@ -177,7 +177,7 @@ def _write_results(
 
 def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
     """What was found, and what was left out."""
-    absent = sum(scene.absent for scene in dataset.scenes)
+    absent = sum(len(scene.missing) for scene in dataset.scenes)
     views = sum(len(scene.views) for scene in dataset.scenes)
     lines = [
         f"{dataset.layout} layout: {len(dataset.scenes)} scenes, {views} views, "

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from demo_scene import demo_scene
 
-from dgc_pose.benchmarks.dtu.calibration import View
+from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras
@@ -32,18 +32,18 @@ TILT_DEG = 16.0  # of the rendered views, from above
 class Scan:
     """A scan as it is written: the files of every layout hold these matrices."""
 
-    views: Mapping[int, View]
+    views: Mapping[int, DtuView]
     images: Mapping[int, np.ndarray]  # (H, W, 3) uint8, RGB
     depths: Mapping[int, np.ndarray]  # (H, W) mm; none of a grey scan
 
 
-def arc(degrees: Sequence[float] | np.ndarray) -> Mapping[int, View]:
+def arc(degrees: Sequence[float] | np.ndarray) -> Mapping[int, DtuView]:
     """Views numbered from 1 that look at one point from these angles around it."""
     views = {}
     for number, angle in enumerate(np.radians(degrees), start=1):
         c, s = np.cos(angle), np.sin(angle)
         R = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-        views[number] = View(K, R, np.array([0.0, 0.0, DISTANCE]))
+        views[number] = DtuView(K, R, np.array([0.0, 0.0, DISTANCE]))
     return views
 
 
@@ -64,7 +64,7 @@ def rendered_scan(degrees: tuple[float, ...] = (-20.0, -8.0, 0.0, 7.0, 18.0)) ->
         tilt = np.radians(TILT_DEG)
         c, s = np.cos(tilt), np.sin(tilt)
         R = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ on_arc.R
-        view = View(K, R, on_arc.t - R @ (np.array(LOOK_AT) * MM_PER_UNIT))
+        view = DtuView(K, R, on_arc.t - R @ (np.array(LOOK_AT) * MM_PER_UNIT))
         cameras = Cameras(
             torch.tensor(view.K)[None],
             torch.tensor(view.R)[None],
@@ -148,7 +148,7 @@ WRITERS: Mapping[str, Callable[..., None]] = {
 }
 
 
-def write_cam(path: Path, view: View) -> None:
+def write_cam(path: Path, view: DtuView) -> None:
     text = f"extrinsic\n{_rows(_extrinsic(view))}\nintrinsic\n{_rows(view.K)}\n425.0 2.5\n"
     _write_text(path, text)
 
@@ -163,13 +163,13 @@ def _textures() -> TextureBank:
     return TextureBank.from_photos(procedural_textures(13, 192))
 
 
-def _extrinsic(view: View) -> np.ndarray:
+def _extrinsic(view: DtuView) -> np.ndarray:
     extrinsic = np.eye(4)
     extrinsic[:3, :3], extrinsic[:3, 3] = view.R, view.t
     return extrinsic
 
 
-def _projection(view: View) -> np.ndarray:
+def _projection(view: DtuView) -> np.ndarray:
     return view.K @ _extrinsic(view)[:3]
 
 

@@ -17,7 +17,7 @@ ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leav
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class DtuView:
     """A calibrated camera position: X_cam = R X_world + t."""
 
     K: np.ndarray  # (3, 3) pixels, (0, 0) the centre of the top-left pixel, diagonal > 0
@@ -25,32 +25,26 @@ class View:
     t: np.ndarray  # (3,) millimetres, cam_from_world
 
 
-def read_projection(path: Path) -> View:
+def read_projection(path: Path) -> DtuView:
     """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel.
 
-    Raises:
-        InputError: with the path, if the file does not hold 3 rows of 4 finite numbers or the
-            matrix is no camera.
-        OSError: if the file cannot be read.
+    Raises InputError, with the path, unless the file holds 3 rows of 4 finite numbers that are a
+    camera; OSError if it cannot be read.
     """
-    rows = [
-        line.split()
-        for line in read_text(path, "a calibration", _BYTES).splitlines()
-        if line.strip()
-    ]
+    lines = read_text(path, "a calibration", _BYTES).splitlines()
+    rows = [line.split() for line in lines if line.strip()]
     if [len(row) for row in rows] != [4, 4, 4]:
         counts = " + ".join(str(len(row)) for row in rows) or "none"
         raise InputError(f"{path}: expected 3 rows of 4 numbers, found {counts}")
     return decompose(_matrix([word for row in rows for word in row], (3, 4), path), str(path))
 
 
-def read_cam(path: Path) -> View:
+def read_cam(path: Path) -> DtuView:
     """Read one of MVSNet's `NNNNNNNN_cam.txt`: the word `extrinsic`, 4x4 (world, mm, to camera),
-    the word `intrinsic`, 3x3, and depths, which have no part in a pose.
+    the word `intrinsic`, 3x3, and depths, which are not read.
 
-    Raises:
-        InputError: with the path, if the file is malformed or its matrices are no camera.
-        OSError: if the file cannot be read.
+    Raises InputError, with the path, if the file is malformed or its matrices are no camera;
+    OSError if it cannot be read.
     """
     words = read_text(path, "a calibration", _BYTES).split()
     if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
@@ -73,7 +67,7 @@ def read_cam(path: Path) -> View:
     return view
 
 
-def decompose(P: np.ndarray, name: str) -> View:
+def decompose(P: np.ndarray, name: str) -> DtuView:
     """Split P ~ K [R | t] by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1.
 
     P (3, 4) may carry any scale but zero, its sign included. Raises InputError, naming `name`,
@@ -88,10 +82,10 @@ def decompose(P: np.ndarray, name: str) -> View:
     upper, R = scipy.linalg.rq(P[:, :3])
     signs = np.sign(np.diag(upper))
     upper, R = upper * signs, signs[:, None] * R
-    return View(K=upper / upper[2, 2], R=R, t=np.linalg.solve(upper, P[:, 3]))
+    return DtuView(K=upper / upper[2, 2], R=R, t=np.linalg.solve(upper, P[:, 3]))
 
 
-def relative_pose(view1: View, view2: View) -> tuple[np.ndarray, np.ndarray]:
+def relative_pose(view1: DtuView, view2: DtuView) -> tuple[np.ndarray, np.ndarray]:
     """cam2_from_cam1 as R (3, 3) and t (3,) in millimetres: R2 R1^T and t2 - R t1."""
     R = view2.R @ view1.R.T
     return R, view2.t - R @ view1.t

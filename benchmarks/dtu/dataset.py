@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from dgc_pose.benchmarks.dtu import mvsnet, neus, raw
-from dgc_pose.benchmarks.dtu.scene import LIGHTS, Scene, SceneReader, read_scene
+from dgc_pose.benchmarks.dtu.scene import LIGHTS, DtuScene, SceneReader, read_scene
 from dgc_pose.errors import InputError
 
 Layout = Literal["raw", "mvsnet", "neus"]
+Find = Callable[[Path, str], SceneReader | None]
 
-_EXPECTED: dict[Layout, str] = {
-    "raw": raw.EXPECTED,
-    "mvsnet": mvsnet.EXPECTED,
-    "neus": neus.EXPECTED,
+# How each layout is found, and what is expected of it.
+_LAYOUTS: dict[Layout, tuple[Find, str]] = {
+    "raw": (raw.find, raw.EXPECTED),
+    "mvsnet": (mvsnet.find, mvsnet.EXPECTED),
+    "neus": (neus.find, neus.EXPECTED),
 }
 
 
@@ -26,17 +28,18 @@ class Dataset:
 
     root: Path  # what the names of images are relative to
     layout: Layout
-    scenes: tuple[Scene, ...]  # by number, ascending
+    scenes: tuple[DtuScene, ...]  # by number, ascending
     left_out: tuple[int, ...]  # numbers of scenes with a folder, but fewer than two views
 
-    def scene(self, number: int) -> Scene:
+    def scene(self, number: int) -> DtuScene:
         """A scene by its number. Raises InputError if it is missing."""
         for scene in self.scenes:
             if scene.number == number:
                 return scene
+        names = [scene.name for scene in self.scenes]
+        more = f" and {len(names) - 5} more" if len(names) > 5 else ""
         raise InputError(
-            f"scan{number} is not there: found {_names([one.number for one in self.scenes])} "
-            f"under {self.root}"
+            f"scan{number} is not there: found {', '.join(names[:5])}{more} under {self.root}"
         )
 
 
@@ -51,7 +54,7 @@ def open_dataset(
 
     Args:
         root: the folder of the data set.
-        layout: None to find it by looking.
+        layout: None for the one that is found.
         scenes: their numbers; None for all that are there.
         light: 0 to 6, or "max"; test sets of MVSNet and NeuS hold one light alone.
 
@@ -66,52 +69,38 @@ def open_dataset(
         raise InputError(f"light must be one of {', '.join(LIGHTS)}, not {light}")
     if not root.is_dir():
         raise InputError(f"{root}: no such folder; expected DTU there")
-    found, reader = _find_layout(root, layout, str(light))
+    layout, reader = _find_layout(root, layout, str(light))
     numbers = reader.numbers() if scenes is None else sorted(set(scenes))
     opened = [read_scene(reader, number) for number in numbers]
     short = [scene for scene in opened if len(scene.views) < 2]
     if short and (scenes is not None or len(short) == len(opened)):
-        raise InputError(f"{reader.root}: {_shortage(short[0], found)}")
+        scene, count = short[0], len(short[0].views)
+        raise InputError(
+            f"{reader.root}: {count or 'no'} view{'s' * (count != 1)} of {scene.name} in the "
+            f"{layout} layout, and two are needed: expected {next(iter(scene.missing.values()))}"
+        )
     if not opened:
-        raise InputError(f"{reader.root}: no scene, expected {_EXPECTED[found]}")
+        raise InputError(f"{reader.root}: no scene, expected {_LAYOUTS[layout][1]}")
     return Dataset(
         root=reader.root,
-        layout=found,
+        layout=layout,
         scenes=tuple(scene for scene in opened if len(scene.views) >= 2),
         left_out=tuple(scene.number for scene in short),
     )
 
 
 def _find_layout(root: Path, layout: Layout | None, light: str) -> tuple[Layout, SceneReader]:
-    readers: dict[Layout, SceneReader | None] = {
-        "raw": raw.find(root, light),
-        "mvsnet": mvsnet.find(root, light),
-        "neus": neus.find(root, light),
+    readers = {
+        name: reader
+        for name, (find, _) in _LAYOUTS.items()
+        if layout in (None, name) and (reader := find(root, light)) is not None
     }
-    if layout is not None:
-        reader = readers[layout]
-        if reader is None:
-            raise InputError(f"{root}: not in the {layout} layout, expected {_EXPECTED[layout]}")
-        return layout, reader
-    found = [(name, reader) for name, reader in readers.items() if reader is not None]
-    if len(found) > 1:
-        names = " and ".join(name for name, _ in found)
+    if len(readers) > 1:
+        names = " and ".join(readers)
         raise InputError(f"{root}: DTU in the layouts {names}: say which by --layout")
-    if not found:
-        expected = "; ".join(f"{name}: {files}" for name, files in _EXPECTED.items())
-        raise InputError(f"{root}: DTU in no known layout, expected one of {expected}")
-    return found[0]
-
-
-def _shortage(scene: Scene, layout: Layout) -> str:
-    """Why a scene of fewer than two views cannot be used."""
-    count = len(scene.views)
-    return (
-        f"{count or 'no'} view{'s' * (count != 1)} of {scene.name} in the {layout} layout, and two "
-        f"are needed: expected {next(iter(scene.missing.values()))}"
-    )
-
-
-def _names(numbers: Sequence[int]) -> str:
-    shown = ", ".join(f"scan{number}" for number in numbers[:5])
-    return f"{shown} and {len(numbers) - 5} more" if len(numbers) > 5 else shown
+    if readers:
+        return next(iter(readers.items()))
+    if layout is not None:
+        raise InputError(f"{root}: not in the {layout} layout, expected {_LAYOUTS[layout][1]}")
+    expected = "; ".join(f"{name}: {files}" for name, (_, files) in _LAYOUTS.items())
+    raise InputError(f"{root}: DTU in no known layout, expected one of {expected}")

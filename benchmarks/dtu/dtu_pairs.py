@@ -33,24 +33,24 @@ DESCRIPTIONS: Mapping[Protocol, str] = {
 
 
 class DtuPairs(FilePairs[DtuScore]):
-    """Pairs of views. Each has a seed of its own, by scene and views."""
+    """Pairs of views. The seed of each comes of its scene and views."""
 
     def __init__(
         self, views: Sequence[ViewPair], pairs: Sequence[Pair], protocol: Protocol
     ) -> None:
         self.protocol = protocol
-        self.keys: list[ViewKey] = [(own.scene, own.view1, own.view2) for own in views]
+        self.keys: list[ViewKey] = [(view.scene, view.view1, view.view2) for view in views]
         ids = [
             {
-                "scene": own.scene,
-                "view1": own.view1,
-                "view2": own.view2,
+                "scene": view.scene,
+                "view1": view.view1,
+                "view2": view.view2,
                 "image1": pair.name1,
                 "image2": pair.name2,
                 "protocol": protocol,
-                "overlap": own.overlap,
+                "overlap": view.overlap,
             }
-            for own, pair in zip(views, pairs, strict=True)
+            for view, pair in zip(views, pairs, strict=True)
         ]
         super().__init__(DtuScore, pairs, ids)
 

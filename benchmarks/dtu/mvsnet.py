@@ -7,10 +7,10 @@ full size is taken. Test: `scanN/{images,cams}`, both from 0, one light, K in pi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dgc_pose.benchmarks.dtu.calibration import View, read_cam
+from dgc_pose.benchmarks.dtu.calibration import DtuView, read_cam
 from dgc_pose.benchmarks.dtu.scene import SceneReader, light_suffix, numbered_folders
 from dgc_pose.cameras.camera import Camera
 
@@ -23,7 +23,6 @@ CROP_CORNER = (80, 44)  # x, y in the half-size image of the crop's top-left pix
 @dataclass(frozen=True)
 class MvsnetReader(SceneReader):
     light: str  # one of LIGHTS; test sets have one light alone
-    _views: dict[tuple[Path, bool], View] = field(default_factory=dict)
 
     def numbers(self) -> list[int]:
         folder = self.root / "Rectified"
@@ -39,21 +38,11 @@ class MvsnetReader(SceneReader):
     def image_size(self, scene: int) -> tuple[int, int] | None:
         return CROP_SIZE if self._is_cropped(scene) else None
 
-    def view(self, scene: int, position: int) -> View | None:
-        path, cropped = self._path(scene, position), self._is_cropped(scene)
-        if (path, cropped) not in self._views and path.is_file():
-            view = read_cam(path)
-            self._views[path, cropped] = crop(view) if cropped else view
-        return self._views.get((path, cropped))
-
-    def calibration_name(self, scene: int, position: int) -> str:
-        return str(self._path(scene, position))
-
-    def _path(self, scene: int, position: int) -> Path:
-        name = f"{position - 1:08d}_cam.txt"
-        if self._is_test(scene):
-            return self.root / f"scan{scene}" / "cams" / name
-        return self.root / "Cameras" / name
+    def view(self, scene: int, position: int) -> DtuView | str:
+        test = self.root / f"scan{scene}" / "cams"
+        folder = test if self._is_test(scene) else self.root / "Cameras"
+        path = folder / f"{position - 1:08d}_cam.txt"
+        return self.calibration(path, _read_cropped if self._is_cropped(scene) else read_cam)
 
     def test_scenes(self) -> list[int]:
         """The scenes in the layout of the test sets."""
@@ -71,8 +60,9 @@ class MvsnetReader(SceneReader):
         )
 
 
-def crop(view: View) -> View:
+def _read_cropped(path: Path) -> DtuView:
     """The camera of an image of `FULL_SIZE` after it is halved and cropped for training."""
+    view = read_cam(path)
     K = Camera(view.K, FULL_SIZE).resized(HALF_SIZE).K.copy()
     K[:2, 2] -= CROP_CORNER
     return replace(view, K=K)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
+from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 
 DEPTHS_MM = (425.0, 935.0)  # the depths between which DTU's objects stand in every view
 GRID = (16, 12, 8)  # columns, rows and depths of the point set that fills a view
 
 
-def overlap(view1: View, view2: View, size: tuple[int, int]) -> float:
+def overlap(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
     """The share of points seen by both views, 0 to 1, the same in either order.
 
     size: (width, height) of both images, pixels.
@@ -21,7 +21,7 @@ def overlap(view1: View, view2: View, size: tuple[int, int]) -> float:
     return (_share_seen(view1, view2, size) + _share_seen(view2, view1, size)) / 2
 
 
-def _share_seen(view1: View, view2: View, size: tuple[int, int]) -> float:
+def _share_seen(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
     """The share of points in front of view 1 that project into the image of view 2."""
     width, height = size
     R, t = relative_pose(view1, view2)
@@ -33,8 +33,8 @@ def _share_seen(view1: View, view2: View, size: tuple[int, int]) -> float:
     return float(inside.mean())
 
 
-def _frustum_points(view: View, size: tuple[int, int]) -> np.ndarray:
-    """Points (N, 3) in the view's own frame that fill its image evenly, at every depth, mm."""
+def _frustum_points(view: DtuView, size: tuple[int, int]) -> np.ndarray:
+    """Points (N, 3) in the camera's axes that fill its image evenly, at every depth, mm."""
     columns, rows, depths = GRID
     x = (np.arange(columns) + 0.5) / columns * size[0] - 0.5
     y = (np.arange(rows) + 0.5) / rows * size[1] - 0.5

@@ -17,7 +17,6 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import finite_or_none
 from dgc_pose.images.image import Image
 from dgc_pose.metrics.epipolar import true_fundamental
@@ -53,39 +52,33 @@ def page_data(
         rows: of each method, a record for each of the pairs in their order.
         pictured: the pairs to be shown with their images, matches and epipolar lines.
 
-    Raises InputError if the rows are not those of the pairs, and what `read_sample` and reading the
-    images raise.
+    Raises what `read_sample` and reading the images raise.
     """
-    for method, own in rows.items():
-        if [row.key[1:] for row in own] != pairs.keys:
-            raise InputError(f"the results of {method} are not those of the list's pairs")
-    images = _Thumbnails()
-    records = []
+    images: dict[str, dict[str, Any]] = {}  # by name, each once
+    entries = []
     for number, row in enumerate(next(iter(rows.values()))):
-        record = _pair(row)
+        entry = {
+            "name": f"scan{row.scene} {row.view1}-{row.view2}",
+            "rotation": row.true_rotation_deg,
+            "baseline": row.true_baseline_mm,
+            "overlap": row.overlap,
+            "F": None,
+        }
         if row.key[1:] in pictured:
             posed = pairs.pair(number)
-            record |= {
-                "image1": images.number(posed.image1),
-                "image2": images.number(posed.image2),
+            for image in (posed.image1, posed.image2):
+                if image.name not in images:
+                    images[image.name] = _thumbnail(image)
+            names = list(images)
+            entry |= {
+                "image1": names.index(posed.image1.name),
+                "image2": names.index(posed.image2.name),
                 "F": _fundamental(posed.truth),
             }
-        records.append(record)
-    results = []
-    for own in rows.values():
-        made = [_result(row) for row in own]
-        for result, row in zip(made, own, strict=True):
-            if row.key[1:] in pictured:
-                result["sample"] = flat_sample(read_sample(out, row.key))
-        results.append(made)
-    return {"methods": list(rows), "pairs": records, "images": images.records, "results": results}
-
-
-def flat_sample(sample: MatchSample) -> list[int]:
-    """x1, y1, x2, y2 in tenths of a pixel and 1 for an inlier or 0, match after match."""
-    tenths = np.column_stack([sample.points1, sample.points2]) * 10
-    columns = np.column_stack([np.rint(tenths), sample.inliers])
-    return [int(value) for value in columns.ravel()]
+        entries.append(entry)
+    results = [[_result(out, row, pictured) for row in of_method] for of_method in rows.values()]
+    images_data = list(images.values())
+    return {"methods": list(rows), "pairs": entries, "images": images_data, "results": results}
 
 
 def data_uri(kind: str, content: bytes) -> str:
@@ -93,29 +86,30 @@ def data_uri(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
-class _Thumbnails:
-    """The images of the page, each once."""
-
-    def __init__(self) -> None:
-        self.records: list[dict[str, Any]] = []
-        self._numbers: dict[str, int] = {}
-
-    def number(self, image: Image) -> int:
-        """The image's index in `records`."""
-        if image.name not in self._numbers:
-            self._numbers[image.name] = len(self.records)
-            width, height = image.size
-            self.records.append({"width": width, "height": height, "source": _thumbnail(image)})
-        return self._numbers[image.name]
+def _result(out: Path, row: DtuScore, pictured: Collection[ViewKey]) -> dict[str, Any]:
+    values = {key: getattr(row, name) for key, name in _RESULT.items()}
+    result = {k: finite_or_none(v) if isinstance(v, float) else v for k, v in values.items()}
+    if row.key[1:] in pictured:
+        result["sample"] = _flat(read_sample(out, row.key))
+    return result
 
 
-def _thumbnail(image: Image) -> str:
+def _flat(sample: MatchSample) -> list[int]:
+    """x1, y1, x2, y2 in tenths of a pixel and 1 for an inlier or 0, match after match."""
+    tenths = np.column_stack([sample.points1, sample.points2]) * 10
+    columns = np.column_stack([np.rint(tenths), sample.inliers])
+    return [int(value) for value in columns.ravel()]
+
+
+def _thumbnail(image: Image) -> dict[str, Any]:
     share = min(1.0, _THUMBNAIL / max(image.size))
     size = tuple(max(1, round(share * side)) for side in image.size)
     small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
     bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
     _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    return data_uri("image/jpeg", encoded.tobytes())
+    width, height = image.size
+    source = data_uri("image/jpeg", encoded.tobytes())
+    return {"width": width, "height": height, "source": source}
 
 
 def _fundamental(truth: Truth) -> list[float]:
@@ -123,18 +117,3 @@ def _fundamental(truth: Truth) -> list[float]:
     assert truth.R is not None and truth.t is not None
     F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
     return [float(f"{value:.{_DIGITS}g}") for value in (F / np.linalg.norm(F)).ravel()]
-
-
-def _pair(row: DtuScore) -> dict[str, Any]:
-    return {
-        "name": f"scan{row.scene} {row.view1}-{row.view2}",
-        "rotation": row.true_rotation_deg,
-        "baseline": row.true_baseline_mm,
-        "overlap": row.overlap,
-        "F": None,
-    }
-
-
-def _result(row: DtuScore) -> dict[str, Any]:
-    values = {key: getattr(row, name) for key, name in _RESULT.items()}
-    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in values.items()}

@@ -15,7 +15,6 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.view_pairs import (
@@ -33,29 +32,26 @@ from dgc_pose.files.outputs import replaced, writing
 PAIRS = 3000  # of the paper
 COLUMNS = ("scene", "view1", "view2")
 _POSE_FIELDS = 10  # of `id1 id2 scan q(4) t(3)`
-_COMMENTS = ("--", "#")
 _SCENE = r"(?:dtu_)?scan(\d+)(?:_train)?"
 _FROM_ONE = r"(?:rect|clean)_(\d{3})_\w+\.\w+"
 _FROM_ZERO = r"(?:\d{2})?(\d{6})\.\w+"
 
-
-class _Line(NamedTuple):
-    number: int  # from 1
-    scene: int
-    view1: int
-    view2: int
+Ids = tuple[int, int, int]  # scene, view1, view2
 
 
 def choose_pairs(
     dataset: Dataset, pairs: str | int, *, seed: int, scenes: Sequence[int] | None = None
 ) -> list[ViewPair]:
-    """The pairs that a number (so many, drawn by the seed) or a path (a list's) stands for, scene
+    """The pairs that a number (so many, drawn by the seed) or the path of a list stands for, scene
     by scene, so that cached images serve all pairs of their scene.
 
     Raises InputError if the number is not positive or no views fit, and what `read_pair_file`
     raises.
     """
-    number = _number(pairs)
+    try:
+        number = None if Path(str(pairs)).exists() else int(pairs)
+    except ValueError:
+        number = None
     if number is None:
         chosen = read_pair_file(str(pairs), dataset, scenes=scenes)
     else:
@@ -80,20 +76,19 @@ def read_pair_file(
     file cannot be read.
     """
     path = Path(path)
-    first: dict[tuple[int, int, int], int] = {}
+    first: dict[Ids, int] = {}  # the line of each pair
     pairs = []
-    for line in _parse(path):
-        if scenes is not None and line.scene not in scenes:
+    for number, ids in _parse(path):
+        if scenes is not None and ids[0] not in scenes:
             continue
-        where = f"{path}:{line.number}"
-        ids = (line.scene, line.view1, line.view2)
         if ids in first:
-            raise InputError(f"{where}: the pair of line {first[ids]} once more")
-        first[ids] = line.number
+            raise InputError(f"{path}:{number}: the pair of line {first[ids]} once more")
+        first[ids] = number
         try:
-            pairs.append(view_pair(dataset.scene(line.scene), line.view1, line.view2))
+            scene, view1, view2 = ids
+            pairs.append(view_pair(dataset.scene(scene), view1, view2))
         except InputError as error:
-            raise InputError(f"{where}: {error}") from None
+            raise InputError(f"{path}:{number}: {error}") from None
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     return pairs
@@ -114,12 +109,13 @@ def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
             writer.writerow({k: f"{v:.4f}" if isinstance(v, float) else v for k, v in row.items()})
 
 
-def _parse(path: Path) -> Iterator[_Line]:
+def _parse(path: Path) -> Iterator[tuple[int, Ids]]:
+    """The pairs by the numbers of their lines."""
     text = read_text(path, "a pair list")
     lines = [
         (number, line.strip())
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith(_COMMENTS)
+        if line.strip() and not line.lstrip().startswith(("--", "#"))
     ]
     header = [name.strip() for name in lines[0][1].split(",")] if lines else []
     if len(header) > 1:
@@ -128,10 +124,9 @@ def _parse(path: Path) -> Iterator[_Line]:
     for number, line in lines:
         words, where = line.split(), f"{path}:{number}"
         if len(words) == FIELDS:
-            yield _from_names(number, words[0], words[1], where)
+            yield number, _from_names(words[0], words[1], where)
         elif len(words) == _POSE_FIELDS:
-            scan = words[2].removeprefix("scan")
-            yield _Line(number, *_integers([scan, *words[:2]], where))
+            yield number, _integers([words[2].removeprefix("scan"), *words[:2]], where)
         else:
             raise InputError(
                 f"{where}: expected a CSV with {','.join(COLUMNS)}, a line of {FIELDS} fields in "
@@ -141,7 +136,7 @@ def _parse(path: Path) -> Iterator[_Line]:
 
 def _parse_csv(
     path: Path, header: Sequence[str], lines: Sequence[tuple[int, str]]
-) -> Iterator[_Line]:
+) -> Iterator[tuple[int, Ids]]:
     absent = [name for name in COLUMNS if name not in header]
     if absent:
         raise InputError(f"{path}:{lines[0][0]}: expected a column {absent[0]} in this CSV")
@@ -150,42 +145,31 @@ def _parse_csv(
         words, where = [word.strip() for word in line.split(",")], f"{path}:{number}"
         if len(words) != len(header):
             raise InputError(f"{where}: expected {len(header)} columns, found {len(words)}")
-        yield _Line(number, *_integers([words[column] for column in columns], where))
+        yield number, _integers([words[column] for column in columns], where)
 
 
-def _from_names(number: int, name1: str, name2: str, where: str) -> _Line:
-    (scene1, view1), (scene2, view2) = _ids(name1, where), _ids(name2, where)
+def _from_names(name1: str, name2: str, where: str) -> Ids:
+    (scene1, view1), (scene2, view2) = _from_name(name1, where), _from_name(name2, where)
     if scene1 != scene2:
         raise InputError(f"{where}: expected two views of one scene, found {name1} and {name2}")
-    return _Line(number, scene1, view1, view2)
+    return scene1, view1, view2
 
 
-def _ids(name: str, where: str) -> tuple[int, int]:
+def _from_name(name: str, where: str) -> tuple[int, int]:
     """Scene and view of an image by its name: files called rect or clean are numbered from 1, files
     with a number alone from 0."""
     *folders, file = PurePosixPath(name).parts or ("",)
     scenes = [match[1] for folder in folders if (match := re.fullmatch(_SCENE, folder))]
-    from_one, from_zero = re.fullmatch(_FROM_ONE, file), re.fullmatch(_FROM_ZERO, file)
-    if scenes and from_one:
-        return int(scenes[-1]), int(from_one[1])
-    if scenes and from_zero:
-        return int(scenes[-1]), int(from_zero[1]) + 1
+    for pattern, start in ((_FROM_ONE, 0), (_FROM_ZERO, 1)):
+        if scenes and (match := re.fullmatch(pattern, file)):
+            return int(scenes[-1]), int(match[1]) + start
     raise InputError(f"{where}: expected the name of a DTU image, found {name}")
 
 
-def _number(pairs: str | int) -> int | None:
-    """How many pairs are asked for; None if `pairs` is the path of a list, existing or not."""
-    if isinstance(pairs, str) and Path(pairs).exists():
-        return None
+def _integers(words: Sequence[str], where: str) -> Ids:
     try:
-        return int(pairs)
-    except ValueError:
-        return None
-
-
-def _integers(words: Sequence[str], where: str) -> list[int]:
-    try:
-        return [int(word) for word in words]
+        scene, view1, view2 = map(int, words)
     except ValueError:
         expected = "expected whole numbers of scene and views"
         raise InputError(f"{where}: {expected}, found {' '.join(words)}") from None
+    return scene, view1, view2

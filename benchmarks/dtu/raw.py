@@ -5,10 +5,10 @@ The sample set has all of it in a folder `MVS Data`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
-from dgc_pose.benchmarks.dtu.calibration import View, read_projection
+from dgc_pose.benchmarks.dtu.calibration import DtuView, read_projection
 from dgc_pose.benchmarks.dtu.scene import SceneReader, light_suffix, numbered_folders
 
 EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
@@ -18,28 +18,19 @@ _KINDS = {"Rectified": "rect", "Cleaned": "clean"}  # folder: how its images' na
 @dataclass(frozen=True)
 class RawReader(SceneReader):
     light: str  # one of LIGHTS
-    _views: dict[int, View] = field(default_factory=dict)  # shared by all scenes
 
     def numbers(self) -> list[int]:
-        found = [numbered_folders(self.root / kind, r"scan(\d+)") for kind in _KINDS]
-        return sorted({number for folders in found for number in folders})
+        folders = [numbered_folders(self.root / kind, r"scan(\d+)") for kind in _KINDS]
+        return sorted(set().union(*folders))
 
     def image_stem(self, scene: int, position: int) -> Path:
         folders = {kind: self.root / kind / f"scan{scene}" for kind in _KINDS}
         kind = next((kind for kind, folder in folders.items() if folder.is_dir()), "Rectified")
         return folders[kind] / f"{_KINDS[kind]}_{position:03d}_{light_suffix(self.light)}"
 
-    def view(self, scene: int, position: int) -> View | None:
-        path = self._path(position)
-        if position not in self._views and path.is_file():
-            self._views[position] = read_projection(path)
-        return self._views.get(position)
-
-    def calibration_name(self, scene: int, position: int) -> str:
-        return str(self._path(position))
-
-    def _path(self, position: int) -> Path:
-        return self.root / "Calibration" / "cal18" / f"pos_{position:03d}.txt"
+    def view(self, scene: int, position: int) -> DtuView | str:
+        path = self.root / "Calibration" / "cal18" / f"pos_{position:03d}.txt"
+        return self.calibration(path, read_projection)
 
 
 def find(root: Path, light: str) -> RawReader | None:

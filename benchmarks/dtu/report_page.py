@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import logging
-import os
-import shutil
-import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jinja2
 
@@ -18,13 +13,12 @@ from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
 from dgc_pose.benchmarks.samples import method_file_name, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
-from dgc_pose.files.outputs import save_text
+from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
 PAGE = "report.html"
 PICTURED = 300  # pairs with pictures in the page: more make a file that opens slowly
-_log = logging.getLogger(__name__)
 _TEMPLATES = Path(__file__).parent / "templates"
 _CAPTIONS = {
     "rotation.svg": "Rotation error: share of pairs not above it",
@@ -60,64 +54,51 @@ def write_report(
     for an image that cannot be read.
     """
     methods, errors = by_method(rows), columns(rows)
-    for left in out.glob(".report-*"):
-        shutil.rmtree(left, ignore_errors=True)
-        _log.warning("%s: removed, left by a run that has ended", left)
-    with tempfile.TemporaryDirectory(dir=out, prefix=".report-") as name:
-        folder = Path(name)
-        for figure_name, figure in plot_histograms(errors, pairs.protocol).items():
-            for kind in ("png", "svg"):
-                save_figure(figure, folder / f"{figure_name}.{kind}", picture_format=kind)
-        save_figure(plot_against_motion(errors), folder / "motion.png")
-        for method, own in methods.items():
-            worst = worst_pairs(own)
-            shown = [pairs.by_key((row.scene, row.view1, row.view2)) for row in worst]
-            samples = [read_sample(out, row.key) for row in worst]
-            path = folder / f"worst-{method_file_name(method)}.png"
-            save_figure(plot_worst(worst, shown, samples), path)
-        chosen = pictured_pairs(methods, pictured)
-        data = page_data(out, pairs, methods, chosen)
-        page = _render(folder, data, len(chosen), facts, table)
-        save_text(folder / PAGE, page)
-        written = [out / file.name for file in sorted(folder.iterdir())]
-        for path in written:
-            os.replace(folder / path.name, path)
-    return written
+    histograms = plot_histograms(errors, pairs.protocol)
+    figures = {f"{name}.{kind}": histograms[name] for name in histograms for kind in ("png", "svg")}
+    figures["motion.png"] = plot_against_motion(errors)
+    for method, of_method in methods.items():
+        worst = worst_pairs(of_method)
+        shown = [pairs.by_key((row.scene, row.view1, row.view2)) for row in worst]
+        samples = [read_sample(out, row.key) for row in worst]
+        figures[f"worst-{method_file_name(method)}.png"] = plot_worst(worst, shown, samples)
+    chosen = pictured_pairs(methods, pictured)
+    data = page_data(out, pairs, methods, chosen)
+    paths = {name: out / name for name in (*figures, PAGE)}
+    with staged(*map(str, paths.values())) as stage:
+        files = {name: stage(str(path)) for name, path in paths.items()}
+        for name, figure in figures.items():
+            save_figure(figure, files[name], picture_format=name[-3:])
+        environment = jinja2.Environment(
+            loader=jinja2.FileSystemLoader(_TEMPLATES),
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+        )
+        page = environment.get_template(PAGE).render(
+            title="Relative camera pose on DTU",
+            facts=facts,
+            table=table,
+            plots=[
+                {"source": _picture_uri(name, files[name]), "caption": caption}
+                for name, caption in _CAPTIONS.items()
+            ],
+            data=data,
+            pictured=len(chosen),
+        )
+        save_text(files[PAGE], page)
+    return [*paths.values()]
 
 
 def pictured_pairs(methods: Mapping[str, Sequence[DtuScore]], count: int) -> frozenset[ViewKey]:
     """The pairs that the page has pictures of, at most `count`: the worst of each method, then from
     the start of the list."""
-    worst = [worst_pairs(own) for own in methods.values()]
-    by_rank = [pairs[rank] for rank in range(max(map(len, worst))) for pairs in worst]
+    worst = [worst_pairs(rows) for rows in methods.values()]
+    by_rank = [rows[rank] for rank in range(max(map(len, worst))) for rows in worst]
     in_order = [*by_rank, *next(iter(methods.values()))]
     keys = [(row.scene, row.view1, row.view2) for row in in_order]
     return frozenset(list(dict.fromkeys(keys))[:count])
 
 
-def _render(
-    folder: Path,
-    data: Mapping[str, Any],
-    pictured: int,
-    facts: Mapping[str, str],
-    table: str,
-) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    return environment.get_template(PAGE).render(
-        title="Relative camera pose on DTU",
-        facts=facts,
-        table=table,
-        plots=list(_plots(folder)),
-        data=data,
-        pictured=pictured,
-    )
-
-
-def _plots(folder: Path) -> Iterable[Mapping[str, str]]:
-    for name, caption in _CAPTIONS.items():
-        kind = "image/svg+xml" if name.endswith(".svg") else "image/png"
-        yield {"source": data_uri(kind, (folder / name).read_bytes()), "caption": caption}
+def _picture_uri(name: str, file: Path) -> str:
+    kind = "image/svg+xml" if name.endswith(".svg") else "image/png"
+    return data_uri(kind, file.read_bytes())

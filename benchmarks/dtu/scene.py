@@ -4,55 +4,52 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
-from dgc_pose.benchmarks.dtu.calibration import View
+from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.cameras.camera import Camera, check_size
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import image_size
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
 LIGHTS: tuple[Light, ...] = get_args(Light)
-SUFFIXES = (".png", ".jpg")  # of both, the png is taken
 
 
 @dataclass(frozen=True)
-class Scene:
+class DtuScene:
     """The views of a scene that have both an image and a calibration."""
 
-    name: str  # "scan65"
     number: int
-    views: Mapping[int, View]  # by DTU's position, from 1; in pixels of `size`
+    views: Mapping[int, DtuView]  # by DTU's position, from 1; in pixels of `size`
     images: Mapping[int, Path]  # by position
     size: tuple[int, int]  # (width, height) of every image; (0, 0) without any
     missing: Mapping[int, str]  # by position, the file that was expected, of the views left out
 
     @property
-    def absent(self) -> int:
-        """How many of DTU's views of this scene are missing."""
-        return len(self.missing)
+    def name(self) -> str:
+        return f"scan{self.number}"
 
     def require(self, position: int) -> None:
         """Raise InputError, with the file that was expected, if this view is missing."""
-        if position in self.views:
-            return
         if position in self.missing:
             raise InputError(
                 f"view {position} of {self.name} is not there: expected {self.missing[position]}"
             )
-        raise InputError(
-            f"{self.name} has views 1 to {number_of_views(self.number)}, not {position}"
-        )
+        if position not in self.views:
+            raise InputError(
+                f"{self.name} has views 1 to {number_of_views(self.number)}, not {position}"
+            )
 
 
 @dataclass(frozen=True)
 class SceneReader(ABC):
-    """Where a layout keeps things. Positions count from 1, as DTU's do."""
+    """Where a layout keeps images and calibrations. Positions count from 1, as DTU's do."""
 
     root: Path  # what the names of images are relative to
+    _read: dict[Any, DtuView] = field(default_factory=dict, init=False)  # shared by all scenes
 
     @abstractmethod
     def numbers(self) -> list[int]:
@@ -63,16 +60,19 @@ class SceneReader(ABC):
         """Where an image is expected, without its .png or .jpg."""
 
     @abstractmethod
-    def view(self, scene: int, position: int) -> View | None:
-        """The calibration; None if missing, InputError if malformed."""
-
-    @abstractmethod
-    def calibration_name(self, scene: int, position: int) -> str:
-        """Where the calibration is expected, for a message."""
+    def view(self, scene: int, position: int) -> DtuView | str:
+        """The calibration, or where it is expected if it is missing. Raises InputError if it is
+        malformed."""
 
     def image_size(self, scene: int) -> tuple[int, int] | None:
         """The (width, height) that the calibration is for, if the layout fixes it."""
         return None
+
+    def calibration(self, path: Path, read: Callable[[Path], DtuView]) -> DtuView | str:
+        """What `read` makes of a file, which is read once; the path if it is missing."""
+        if (path, read) not in self._read and path.is_file():
+            self._read[path, read] = read(path)
+        return self._read.get((path, read), str(path))
 
 
 def number_of_views(scene: int) -> int:
@@ -80,56 +80,50 @@ def number_of_views(scene: int) -> int:
     return 49 if scene <= 77 else 64
 
 
-def read_scene(reader: SceneReader, number: int) -> Scene:
+def read_scene(reader: SceneReader, number: int) -> DtuScene:
     """Find the views of a scene; those without an image or a calibration are left out.
 
     Raises InputError, with the path, for a calibration that is malformed or cannot belong to the
     image, and if images differ in size; ImageError for a file that is no image.
     """
-    views: dict[int, View] = {}
+    views: dict[int, DtuView] = {}
     images: dict[int, Path] = {}
     missing: dict[int, str] = {}
     size = reader.image_size(number)
     for position in range(1, number_of_views(number) + 1):
         stem = reader.image_stem(number, position)
-        image = _find_image(stem)
+        files = (stem.with_name(stem.name + suffix) for suffix in (".png", ".jpg"))
+        image = next((file for file in files if file.is_file()), None)
         if image is None:
             missing[position] = f"{stem}.png or .jpg"
             continue
         view = reader.view(number, position)
-        if view is None:
-            missing[position] = reader.calibration_name(number, position)
+        if isinstance(view, str):
+            missing[position] = view
             continue
-        found = image_size(image)
-        size = size or found
-        if found != size:
+        actual = image_size(image)
+        size = size or actual
+        if actual != size:
             raise InputError(
-                f"{image}: expected {size[0]} x {size[1]} pixels, found {found[0]} x {found[1]}"
+                f"{image}: expected {size[0]} x {size[1]} pixels, found {actual[0]} x {actual[1]}"
             )
         # Its warning about the principal point is for cameras that a user gives.
         check_size(Camera(view.K), size, f"K of {image}")
         views[position], images[position] = view, image
-    return Scene(f"scan{number}", number, views, images, size or (0, 0), missing)
+    return DtuScene(number, views, images, size or (0, 0), missing)
 
 
 def numbered_folders(folder: Path, pattern: str) -> dict[int, Path]:
     """The folders within a folder whose whole name matches, by the number that the pattern's group
     catches; none if the folder is missing."""
-    if not folder.is_dir():
-        return {}
-    found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
+    folders: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         match = re.fullmatch(pattern, path.name)
         if match and path.is_dir():
-            found.setdefault(int(match[1]), path)
-    return found
+            folders.setdefault(int(match[1]), path)
+    return folders
 
 
 def light_suffix(light: str) -> str:
     """How the name of a raw image ends: 3_r5000 for a light, max for all of them."""
     return light if light == "max" else f"{light}_r5000"
-
-
-def _find_image(stem: Path) -> Path | None:
-    paths = (stem.with_name(stem.name + suffix) for suffix in SUFFIXES)
-    return next((path for path in paths if path.is_file()), None)

@@ -8,10 +8,10 @@ from itertools import combinations, groupby
 
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
+from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.overlap import overlap
-from dgc_pose.benchmarks.dtu.scene import Scene
+from dgc_pose.benchmarks.dtu.scene import DtuScene
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
@@ -19,6 +19,7 @@ from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
 _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are the same
+_BINS = 7  # equal rotation bins, drawn from in turn
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,6 @@ class ViewPairOptions:
         0.4, "Least share of the space at DTU's depths that both views see.", min=0, max=1
     )
     seed: int = option(0, "The same seed, the same list.", min=0, max=MAX_SEED)
-    bins: int = option(7, min=1)  # equal rotation bins, drawn from in turn
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -58,21 +58,21 @@ class ViewPair:
 def find_view_pairs(dataset: Dataset, options: ViewPairOptions) -> list[ViewPair]:
     """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
     # In some layouts all scenes share their views.
-    known: dict[tuple[View, View, tuple[int, int]], tuple[float, float, float]] = {}
-    found = []
+    known: dict[tuple[DtuView, DtuView, tuple[int, int]], tuple[float, float, float]] = {}
+    pairs = []
     for scene in dataset.scenes:
         for view1, view2 in combinations(sorted(scene.views), 2):
             key = (scene.views[view1], scene.views[view2], scene.size)
             if key not in known:
-                known[key] = _facts(*key)
+                known[key] = _motion(*key)
             pair = ViewPair(scene.number, view1, view2, *known[key])
             if (
                 options.min_rotation <= pair.rotation_deg <= options.max_rotation
                 and pair.overlap >= options.min_overlap
                 and pair.baseline_mm > _LEAST_BASELINE_MM
             ):
-                found.append(pair)
-    return found
+                pairs.append(pair)
+    return pairs
 
 
 def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewPair]:
@@ -82,21 +82,21 @@ def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewP
     the same pairs, scene by scene; fewer than asked for only if there are fewer candidates.
     """
     rng = np.random.default_rng(options.seed)
-    ordered = []
+    ranked = []
     by_scene = sorted(candidates, key=lambda pair: pair.scene)
     for scene, pairs in groupby(by_scene, lambda pair: pair.scene):
         spread = _spread_over_rotations(list(pairs), options, rng)
-        ordered += [(rank, scene, pair) for rank, pair in enumerate(spread)]
-    drawn = sorted(ordered, key=lambda one: one[:2])[: options.pairs]
-    return [pair for _, _, pair in sorted(drawn, key=lambda one: (one[1], one[0]))]
+        ranked += [(rank, scene, pair) for rank, pair in enumerate(spread)]
+    drawn = sorted(ranked, key=lambda entry: entry[:2])[: options.pairs]
+    return [pair for _, _, pair in sorted(drawn, key=lambda entry: (entry[1], entry[0]))]
 
 
-def view_pair(scene: Scene, view1: int, view2: int) -> ViewPair:
+def view_pair(scene: DtuScene, view1: int, view2: int) -> ViewPair:
     """Two views by their numbers. Raises InputError if one is missing, or both have one centre."""
     for number in (view1, view2):
         scene.require(number)
-    facts = _facts(scene.views[view1], scene.views[view2], scene.size)
-    pair = ViewPair(scene.number, view1, view2, *facts)
+    motion = _motion(scene.views[view1], scene.views[view2], scene.size)
+    pair = ViewPair(scene.number, view1, view2, *motion)
     if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:
         raise InputError(f"views {view1} and {view2} of {scene.name} have one and the same centre")
     return pair
@@ -115,8 +115,8 @@ def listed_pair(dataset: Dataset, pair: ViewPair) -> Pair:
     return Pair(name1, name2, dataset.root, camera1, camera2, R, t)
 
 
-def _facts(view1: View, view2: View, size: tuple[int, int]) -> tuple[float, float, float]:
-    """Rotation, overlap and baseline, the figures of a ViewPair."""
+def _motion(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> tuple[float, float, float]:
+    """Rotation, overlap and baseline of a ViewPair."""
     R, t = relative_pose(view1, view2)
     shared = overlap(view1, view2, size)
     return rotation_error_deg(R, np.eye(3)), shared, float(np.linalg.norm(t))
@@ -126,9 +126,9 @@ def _spread_over_rotations(
     pairs: Sequence[ViewPair], options: ViewPairOptions, rng: np.random.Generator
 ) -> list[ViewPair]:
     """All of them in random order, but one from each rotation bin in turn."""
-    edges = np.linspace(options.min_rotation, options.max_rotation, options.bins + 1)
+    edges = np.linspace(options.min_rotation, options.max_rotation, _BINS + 1)
     bins = np.digitize([pair.rotation_deg for pair in pairs], edges[1:-1])
-    queues: list[list[ViewPair]] = [[] for _ in range(options.bins)]
+    queues: list[list[ViewPair]] = [[] for _ in range(_BINS)]
     for pair, number in zip(pairs, bins, strict=True):
         queues[number].append(pair)
     for queue in queues:

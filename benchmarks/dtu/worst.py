@@ -18,15 +18,14 @@ _COLUMNS = 2
 _WIDTH = 14.0  # inches
 
 
-def pair_error(row: DtuScore) -> float:
-    """The larger of rotation and folded translation error, degrees; infinite without a pose."""
-    return max(row.rotation_error_deg, row.translation_folded_deg)
-
-
 def worst_pairs(rows: Sequence[DtuScore], count: int = COUNT) -> list[DtuScore]:
-    """The rows of one method with the largest `pair_error`, the worst first; equal ones in the
-    order of their keys."""
-    return sorted(rows, key=lambda row: (-pair_error(row), row.key))[:count]
+    """The rows of one method with the largest error (the larger of rotation and folded translation
+    error, infinite without a pose), the worst first; equal ones in the order of their keys."""
+
+    def rank(row: DtuScore) -> tuple[object, ...]:
+        return -max(row.rotation_error_deg, row.translation_folded_deg), row.key
+
+    return sorted(rows, key=rank)[:count]
 
 
 def plot_worst(

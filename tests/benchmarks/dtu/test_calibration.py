@@ -6,7 +6,7 @@ from dtu_layout import write_cam
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import (
-    View,
+    DtuView,
     decompose,
     read_cam,
     read_projection,
@@ -24,7 +24,7 @@ K = np.array([[2892.0, 0.5, 823.0], [0.0, 2883.0, 619.0], [0.0, 0.0, 1.0]])
 
 def random_view(seed):
     rng = np.random.default_rng(seed)
-    return View(K, Rotation.random(random_state=seed).as_matrix(), rng.normal(size=3) * 500)
+    return DtuView(K, Rotation.random(random_state=seed).as_matrix(), rng.normal(size=3) * 500)
 
 
 def test_the_published_first_position(tmp_path):

@@ -18,9 +18,8 @@ from dtu_layout import (
 )
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.dtu.calibration import View, relative_pose
+from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
-from dgc_pose.benchmarks.dtu.mvsnet import crop
 from dgc_pose.errors import ImageError, InputError
 
 LAYOUTS = list(WRITERS)
@@ -44,7 +43,7 @@ def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
         assert {path.suffix for path in scene.images.values()} == {f".{extension}"}
         assert len(set(scene.images.values())) == 3
         assert scene.size == SIZE
-        assert scene.absent == views - 3
+        assert len(scene.missing) == views - 3
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -90,14 +89,14 @@ def random_scan() -> Scan:
     for number, view in grey.views.items():
         K = view.K + np.triu(rng.normal(size=(3, 3))) * [[3, 1e-3, 3], [0, 3, 3], [0, 0, 0]]
         R = Rotation.random(random_state=number).as_matrix()
-        views[number] = View(K, R, rng.normal(size=3) * 600)
+        views[number] = DtuView(K, R, rng.normal(size=3) * 600)
     return Scan(views, grey.images, {})
 
 
 def full_size_scan(degrees) -> Scan:
     """Cameras for images of 1600x1200, each image with one soft spot at its middle's point."""
     K = np.array([[2892.33, 0, 823.205], [0, 2883.18, 619.071], [0, 0, 1]])
-    views = {n: View(K, v.R, v.t + [n, 2.0, 0]) for n, v in grey_scan(degrees).views.items()}
+    views = {n: DtuView(K, v.R, v.t + [n, 2.0, 0]) for n, v in grey_scan(degrees).views.items()}
     y, x = np.mgrid[:1200, :1600].astype(float)
     images = {}
     for number, view in views.items():
@@ -144,13 +143,6 @@ def test_a_crop_of_another_size_is_refused(tmp_path):
     write_mvsnet_training(tmp_path, grey_scan([0, 10]), suffix="_train")
     with pytest.raises(InputError, match=r"rect_001_3_r5000\.png: expected 640 x 512 .* 160 x 120"):
         open_dataset(tmp_path)
-
-
-def test_cropping_keeps_what_it_was_given():
-    view = grey_scan([0]).views[1]
-    before = view.K.copy()
-    crop(view)
-    assert np.array_equal(view.K, before)
 
 
 def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
@@ -219,7 +211,7 @@ def test_views_that_are_not_there_are_left_out_and_named(tmp_path, layout):
         (tmp_path / calibration).unlink()
     (scene,) = open_dataset(tmp_path).scenes
     assert sorted(scene.views) == sorted(scene.images) == [1, 3, 5]
-    assert scene.absent == 46
+    assert len(scene.missing) == 46
     stem = str(tmp_path / IMAGE_2[layout]).removesuffix(".png")
     assert scene.missing[2] == f"{stem}.png or .jpg"
     assert scene.missing[4] == calibration
@@ -290,11 +282,10 @@ def test_images_of_several_sizes_are_refused(tmp_path):
         open_dataset(tmp_path)
 
 
-@pytest.mark.parametrize("content", [b"", b"no image"])
-def test_a_file_that_is_no_image_is_an_error_with_its_path(tmp_path, content):
+def test_a_file_that_is_no_image_is_an_error_with_its_path(tmp_path):
     write_raw(tmp_path, grey_scan([0, 10]))
     path = tmp_path / "Rectified/scan65/rect_002_3_r5000.png"
-    path.write_bytes(content)
+    path.write_bytes(b"no image")
     with pytest.raises(ImageError, match=str(path)):
         open_dataset(tmp_path)
 
@@ -318,20 +309,16 @@ def _cut(path):
     path.write_bytes(path.read_bytes()[:300])
 
 
-def _flipped(path):
-    np.savez_compressed(path, world_mat_0=np.random.default_rng(0).normal(size=(4, 4)))
-    data = bytearray(path.read_bytes())
-    data[60:90] = bytes(30)
-    path.write_bytes(data)
+def _npy(path):
+    with path.open("wb") as stream:
+        np.save(stream, P)
 
 
 P = np.diag([100.0, 100, 1, 1])
 BAD_NPZ = {
     "text": (lambda path: path.write_text("P"), "expected an .npz"),
-    "empty": (lambda path: path.write_bytes(b""), "expected an .npz"),
+    "an .npy": (_npy, "expected an .npz"),
     "cut": (_cut, "expected an .npz"),
-    "damaged": (_flipped, "expected an .npz"),
-    "objects": (_npz(world_mat_0=np.array([{}, None])), "expected an .npz"),
     "3x4": (_npz(world_mat_0=P[:3]), "world_mat_0: expected 4x4 numbers"),
     "words": (_npz(world_mat_0=np.full((4, 4), "1")), "world_mat_0: expected 4x4 numbers"),
     "singular": (_npz(world_mat_0=np.zeros((4, 4))), "world_mat_0: the matrix is no camera"),
@@ -348,12 +335,3 @@ def test_a_bad_npz_is_an_error_with_its_path(tmp_path, case):
     with pytest.raises(InputError, match=message) as caught:
         open_dataset(tmp_path)
     assert str(caught.value).startswith(str(path))
-
-
-def test_an_array_file_by_the_name_of_an_npz_is_refused(tmp_path):
-    write_neus(tmp_path, grey_scan([0, 10]))
-    path = tmp_path / "scan65/cameras.npz"
-    with path.open("wb") as stream:
-        np.save(stream, P)
-    with pytest.raises(InputError, match="expected an .npz"):
-        open_dataset(tmp_path)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.dtu.calibration import View
+from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.benchmarks.dtu.overlap import overlap
 
 SIZE = (1600, 1200)
@@ -12,7 +12,7 @@ K = np.array([[2890.0, 0.0, 799.5], [0.0, 2890.0, 599.5], [0.0, 0.0, 1.0]])
 
 
 def turned(degrees, axis="y"):
-    return View(K, Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.zeros(3))
+    return DtuView(K, Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.zeros(3))
 
 
 def test_a_view_sees_all_that_it_sees():
@@ -30,16 +30,16 @@ def test_a_turn_by_half_the_field_of_view_halves_the_overlap():
 
 
 def test_the_order_of_the_views_does_not_matter():
-    a, b = turned(5), View(K, turned(-3, "x").R, np.array([80.0, -20.0, 10.0]))
+    a, b = turned(5), DtuView(K, turned(-3, "x").R, np.array([80.0, -20.0, 10.0]))
     assert 0 < overlap(a, b, SIZE) < 1
     assert overlap(a, b, SIZE) == overlap(b, a, SIZE)
 
 
 def test_overlap_falls_with_the_baseline():
     shares = [
-        overlap(turned(0), View(K, np.eye(3), np.array([shift, 0.0, 0.0])), SIZE)
+        overlap(turned(0), DtuView(K, np.eye(3), np.array([shift, 0.0, 0.0])), SIZE)
         for shift in (0.0, 50.0, 100.0, 200.0)
     ]
     assert shares == sorted(shares, reverse=True)
     # Beyond the width of the view at the greatest depth, 935 mm * 1600 / 2890, nothing is shared.
-    assert overlap(turned(0), View(K, np.eye(3), np.array([520.0, 0.0, 0.0])), SIZE) == 0
+    assert overlap(turned(0), DtuView(K, np.eye(3), np.array([520.0, 0.0, 0.0])), SIZE) == 0

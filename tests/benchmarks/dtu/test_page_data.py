@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import base64
 import json
-from dataclasses import replace
 
 import cv2
 import dtu_layout
@@ -13,7 +12,6 @@ import pytest
 from dgc_pose.benchmarks.dtu.dtu_pairs import PAPER_SIZE
 from dgc_pose.benchmarks.dtu.page_data import page_data
 from dgc_pose.benchmarks.summary import by_method
-from dgc_pose.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +79,3 @@ def test_pairs_that_are_not_pictured_have_figures_alone(run) -> None:
     assert [pair["F"] is not None for pair in data["pairs"]] == [True] + 14 * [False]
     for results in data["results"]:
         assert ["sample" in result for result in results] == [True] + 14 * [False]
-
-
-def test_a_list_that_is_not_that_of_the_rows_is_refused(run) -> None:
-    rows = by_method(run.rows)
-    with pytest.raises(InputError, match="pairs"):
-        page_data(run.out, replace(run, entries=run.entries[::-1]).pairs(), rows, set())

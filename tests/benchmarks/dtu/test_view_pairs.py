@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from dtu_layout import SIZE, WRITERS, arc, grey_scan, rendered_scan
 
-from dgc_pose.benchmarks.dtu.calibration import View
+from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.benchmarks.dtu.dataset import Dataset, open_dataset
 from dgc_pose.benchmarks.dtu.overlap import overlap
-from dgc_pose.benchmarks.dtu.scene import Scene
+from dgc_pose.benchmarks.dtu.scene import DtuScene
 from dgc_pose.benchmarks.dtu.view_pairs import (
     ViewPairOptions,
     draw,
@@ -28,7 +28,7 @@ def dataset(*degrees):
     for number, angles in enumerate(degrees, start=1):
         views = arc(angles)
         images = {n: Path(f"/dtu/scan{number}/{n}.png") for n in views}
-        scenes.append(Scene(f"scan{number}", number, views, images, SIZE, {}))
+        scenes.append(DtuScene(number, views, images, SIZE, {}))
     return Dataset(Path("/dtu"), "raw", tuple(scenes), ())
 
 
@@ -132,8 +132,8 @@ def test_every_layout_of_the_same_matrices_makes_the_same_list(tmp_path):
 def test_views_of_one_centre_make_no_pair():
     data = dataset([0, 10, 10])
     views = dict(data.scenes[0].views)
-    views[4] = View(views[1].K, views[2].R, views[2].R @ views[1].R.T @ views[1].t)  # 1, turned
-    scene = Scene("scan1", 1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE, {})
+    views[4] = DtuView(views[1].K, views[2].R, views[2].R @ views[1].R.T @ views[1].t)  # 1, turned
+    scene = DtuScene(1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE, {})
     data = Dataset(Path("/dtu"), "raw", (scene,), ())
     found = find_view_pairs(data, ViewPairOptions(min_rotation=0, min_overlap=0))
     assert [(p.view1, p.view2) for p in found] == [(1, 2), (1, 3), (2, 4), (3, 4)]
@@ -148,7 +148,6 @@ def test_views_of_one_centre_make_no_pair():
     "wrong",
     [
         {"pairs": 0},
-        {"bins": 0},
         {"min_rotation": 40.0, "max_rotation": 40.0},
         {"min_rotation": -1.0},
         {"max_rotation": 181.0},
