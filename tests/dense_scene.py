@@ -47,7 +47,7 @@ class MapMatcher(Matcher):
     def name(self) -> str:
         return "map"
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         matches = select_matches(self.correspondence_map, self.options)
         return MatchResult(matches, self.correspondence_map)
 

@@ -30,7 +30,7 @@ class Net(Matcher):
 
     name = "net"
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         found = dense_scene.true_map(error_px=0.05 * view_of(image2))
         none = np.zeros((0, 2))
         return MatchResult(Matches(none, none, np.zeros(0), 1.0), found)
@@ -41,7 +41,7 @@ class Some(Matcher):
 
     name = "some"
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         found = dense_scene.true_map()
         inside = found.matchability > 0.5
         rng = np.random.default_rng(view_of(image2))

@@ -15,7 +15,6 @@ from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.search import likely_views
 from dgc_pose.matching.selection import MatchingOptions, select_matches
-from dgc_pose.matching.texture import textured
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
@@ -62,15 +61,14 @@ class DenseMatcher(Matcher):
         """Of the weights: different weights of one network have different fingerprints."""
         return self.engine.fingerprint
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
-        """The map at `finest` x `finest` cells, and the matches of it that pass the options."""
-        return self.match_batch([(image1, image2)])[0]
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        return self._match_batch([(image1, image2)])[0]
 
-    def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """As `match` for each pair, decoded together."""
+    def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
+        """The maps at `finest` x `finest` cells, and the matches of each that pass the options."""
         return [
-            MatchResult(textured(select_matches(found, self.options), *pair), found)
-            for pair, found in zip(pairs, self.correspondence_maps(pairs), strict=True)
+            MatchResult(select_matches(correspondence_map, self.options), correspondence_map)
+            for correspondence_map in self.correspondence_maps(pairs)
         ]
 
     def coarse_features(self, image: Image) -> np.ndarray:

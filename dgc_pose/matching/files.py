@@ -31,7 +31,6 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
-from dgc_pose.matching.texture import textured
 
 ENDINGS = (".flo", ".npz", ".npy", ".png")
 _FLO_MAGIC = 202021.25
@@ -81,7 +80,7 @@ class FileMatcher(Matcher):
             )
         return found[0]
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The stored map with the matches selected from it, or the stored points without a map; in
         pixels of the images given.
 
@@ -91,18 +90,14 @@ class FileMatcher(Matcher):
         with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
             arrays = _read(path)
             try:
-                return self._match(arrays, image1, image2)
+                if "flow" in arrays or "map" in arrays:
+                    stored = _map(arrays, image1, image2)
+                    return MatchResult(select_matches(stored, self.options), stored)
+                return MatchResult(_points(arrays, image1, image2), None)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from None
             except (TypeError, ValueError, OverflowError) as error:
                 raise InputError(f"{path}: cannot be read ({reason(error)})") from None
-
-    def _match(self, arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> MatchResult:
-        if "flow" in arrays or "map" in arrays:
-            found = _map(arrays, image1, image2)
-            matches = textured(select_matches(found, self.options), image1, image2)
-            return MatchResult(matches, found)
-        return MatchResult(textured(_points(arrays, image1, image2), image1, image2), None)
 
 
 def _read(path: Path) -> Mapping[str, np.ndarray]:

@@ -12,7 +12,6 @@ from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
-from dgc_pose.matching.texture import textured
 
 FlowName = Literal["dis", "farneback"]
 FLOWS: tuple[FlowName, ...] = get_args(FlowName)
@@ -36,7 +35,7 @@ class FlowMatcher(Matcher):
     def name(self) -> str:
         return self._name
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The map over the pixels of image 2, or of its shrunk copy, and the matches selected.
 
         Both images are brought to one size. Matchability is 1 if the forward and the backward flow
@@ -51,7 +50,7 @@ class FlowMatcher(Matcher):
         forward, backward = self._flow(grey2, grey1), self._flow(grey1, grey2)
         points1 = pixel_grid((width, height)) + forward
         found = scaled_map(points1, agreement(forward, backward), image1.size, image2.size)
-        return MatchResult(textured(select_matches(found, self.options), image1, image2), found)
+        return MatchResult(select_matches(found, self.options), found)
 
     def _flow(self, of: np.ndarray, to: np.ndarray) -> np.ndarray:
         """Flow (H, W, 2) float32 on the pixels of the first image (H, W) uint8."""

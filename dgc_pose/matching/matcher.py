@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.texture import textured
 
 # Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.
 ERROR_CELLS = 0.5
@@ -79,10 +80,22 @@ class Matcher(ABC):
         """16 hexadecimal digits that identify the weights; None for a matcher without weights."""
         return None
 
-    @abstractmethod
     def match(self, image1: Image, image2: Image) -> MatchResult:
-        """Matches in pixels of the images given, and the dense map if the matcher makes one."""
+        """Matches in pixels of the images, both points where the images have structure, and the
+        dense map if the matcher makes one."""
+        return self.match_batch([(image1, image2)])[0]
 
     def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """As `match` for each pair. A network overrides this to decode the pairs together."""
-        return [self.match(*pair) for pair in pairs]
+        """As `match` for each pair; a network decodes the pairs together."""
+        return [
+            replace(result, matches=textured(result.matches, *pair))
+            for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
+        ]
+
+    @abstractmethod
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        """As `match`, also where an image has no structure: what a subclass defines."""
+
+    def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
+        """As `_match` for each pair; for a subclass to override if it can match them together."""
+        return [self._match(*pair) for pair in pairs]

@@ -11,7 +11,6 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.texture import textured
 from dgc_pose.system.options import check_options, option
 
 ERROR_PX = 1.0  # of a SIFT match, pixels of the originals
@@ -59,9 +58,9 @@ class SiftMatcher(Matcher):
     def name(self) -> str:
         return "sift"
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         """Mutual nearest neighbours that pass the ratio test; confidence 1 - distance ratio."""
-        return MatchResult(textured(self._matches(image1, image2), image1, image2), None)
+        return MatchResult(self._matches(image1, image2), None)
 
     def _matches(self, image1: Image, image2: Image) -> Matches:
         points1, descriptors1 = self._key_points(image1)

@@ -45,12 +45,10 @@ class Refiner(Matcher):
     def fingerprint(self) -> str | None:
         return self.matcher.fingerprint
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
-        """Refined matches in pixels of the images, and the matcher's map."""
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         return self.refine(image1, image2, self.matcher.match(image1, image2))
 
-    def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """As `match` for each pair; the matcher takes them together."""
+    def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
         results = self.matcher.match_batch(pairs)
         return [self.refine(*pair, given) for pair, given in zip(pairs, results, strict=True)]
 
@@ -60,61 +58,56 @@ class Refiner(Matcher):
         A step that leaves fewer than `min_matches` is undone. If every source gives too few, the
         result is returned as given.
         """
-        for found in self._found(image1, image2, given):
-            refined = self._steps(image1, image2, found)
-            if refined is not None:
-                return MatchResult(refined, given.correspondence_map)
+        for source in self._sources(image1, image2, given):
+            for candidates, least in self._steps(image1, image2, source):
+                matches = textured(candidates, image1, image2)
+                if len(matches) >= least:
+                    kept = spread(
+                        matches.points2, matches.confidence, image2.size, self.options.max_matches
+                    )
+                    return MatchResult(matches.subset(kept), given.correspondence_map)
         return given
 
-    def _found(self, image1: Image, image2: Image, given: MatchResult) -> Iterator[Matches]:
+    def _sources(self, image1: Image, image2: Image, given: MatchResult) -> Iterator[Matches]:
+        """Matches to refine: of each source, or those given if there is no map."""
         if given.correspondence_map is None:
             yield given.matches
             return
         for source in self.sources:
             yield source.find(image1, image2, given.correspondence_map, given.matches)
 
-    def _steps(self, image1: Image, image2: Image, found: Matches) -> Matches | None:
-        """Matches that agree with their neighbours, aligned; None if too few agree.
-
-        A match needs structure where it ends: alignment moves it to a corner.
-        """
+    def _steps(
+        self, image1: Image, image2: Image, matches: Matches
+    ) -> Iterator[tuple[Matches, int]]:
+        """The matches aligned, then those that agree with their neighbours, aligned where that
+        succeeds; and how many there must be with structure where they end."""
         options = self.options
-        local = consistent(found, options.neighbours)
+        local = consistent(matches, options.neighbours)
         if len(local.index) < options.min_matches:
-            return None
-        rest = Matches(
-            found.points1[local.index],
-            local.points2,
-            found.confidence[local.index],
-            found.error_px,
-            found.key_points,
-        )
+            return
+        agreeing = matches.subset(local.index)
         if options.align:
             aligned = align(
                 image1.pixels,
                 image2.pixels,
                 local,
                 radius=options.patch_radius,
-                error_px=found.error_px,
+                error_px=matches.error_px,
                 min_zncc=options.min_zncc,
                 max_matches=options.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
-            refined = Matches(
+            moved = Matches(
                 aligned.points1[good],
                 aligned.points2[good],
                 aligned.zncc[good].clip(0, 1),
                 ALIGNED_ERROR_PX * aligned.pixel,
-                found.key_points,
+                matches.key_points,
             )
-            sharp = textured(refined, image1, image2)
-            if len(sharp) >= options.min_aligned:
-                return sharp
-            rest = _completed(rest, np.searchsorted(local.index, aligned.index[good]), refined)
-        rest = textured(rest, image1, image2)
-        if len(rest) < options.min_matches:
-            return None
-        return rest.subset(spread(rest.points2, rest.confidence, image2.size, options.max_matches))
+            yield moved, options.min_aligned
+            rows = np.searchsorted(local.index, aligned.index[good])
+            agreeing = _completed(agreeing, rows, moved)
+        yield agreeing, options.min_matches
 
 
 def _completed(rest: Matches, rows: np.ndarray, aligned: Matches) -> Matches:

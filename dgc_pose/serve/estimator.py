@@ -79,7 +79,7 @@ class _Reporting(Matcher):
     def name(self) -> str:
         return self._matcher.name
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         found = self._matcher.match(image1, image2)
         self._report(f"estimating the pose from {len(found.matches)} matches")
         return found

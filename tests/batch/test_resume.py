@@ -136,11 +136,11 @@ def test_a_photograph_that_was_touched_gives_the_same(
 
 
 class _Raises:
-    """`SiftMatcher.match` that raises once an image is LAST."""
+    """`SiftMatcher._match` that raises once an image is LAST."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
-        self.match = SiftMatcher.match
+        self.match = SiftMatcher._match
 
     def __call__(self) -> Callable[..., object]:
         def match(matcher: SiftMatcher, image1: object, image2: object) -> object:
@@ -156,7 +156,7 @@ def test_a_failure_is_no_bad_input_and_is_matched_again(
 ) -> None:
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(SiftMatcher, "match", _Raises(np.linalg.LinAlgError("singular"))())
+        patch.setattr(SiftMatcher, "_match", _Raises(np.linalg.LinAlgError("singular"))())
         batch = run_sift(photos, out)
     failed = [row for row in batch.rows if row.status == "failed"]
     assert [row.name2 for row in failed] == [LAST] * (COUNT - 1)
@@ -171,7 +171,7 @@ def test_a_lack_of_memory_ends_the_batch_which_resumes(
 ) -> None:
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(SiftMatcher, "match", _Raises(MemoryError("60 GiB"))())
+        patch.setattr(SiftMatcher, "_match", _Raises(MemoryError("60 GiB"))())
         with pytest.raises(MemoryError, match="60 GiB"):
             run_sift(photos, out)
     with pytest.raises(InputError, match="not finished"):

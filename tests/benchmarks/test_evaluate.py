@@ -72,7 +72,7 @@ def test_all_takes_what_the_mask_leaves_out(tmp_path) -> None:
     trusted = (found.matchability > 0.5).ravel()
     assert masked == int((trusted & structured).sum()) > 1000
     assert everywhere == int(inside.sum()) > masked
-    assert some == 60
+    assert 40 < some <= 60  # points, those with structure
 
 
 @pytest.mark.parametrize("options", [RunOptions(batch=2), RunOptions(workers=2, batch=4)])
@@ -111,9 +111,9 @@ def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
     calls = []
 
     class Counting(Net):
-        def match(self, image1, image2):
+        def _match(self, image1, image2):
             calls.append(1)
-            return super().match(image1, image2)
+            return super()._match(image1, image2)
 
     found = evaluation_pairs.engines(Counting())
     methods = parse_methods(["net", "net/all", "net:matchability=0.5:runs=2"], OPTIONS)
@@ -156,7 +156,7 @@ def test_a_sample_is_of_the_matches_and_tells_inliers(tmp_path) -> None:
     (scored,) = _rows(posed_pairs(tmp_path, 1))
     for one in scored:
         sample = one.sample
-        assert len(sample) == 60
+        assert len(sample) == min(60, one.score.num_matches) > 40
         assert sample.inliers.mean() == pytest.approx(one.score.inlier_ratio, abs=0.25)
         places = dense_scene.points_in_image1(sample.points2)
         assert np.abs(sample.points1 - places).max() < 1

@@ -30,7 +30,7 @@ OPTIONS = EstimationOptions(runs=2, iterations=200)
 class NoMatches(Matcher):
     name = "none"
 
-    def match(self, image1, image2):
+    def _match(self, image1, image2):
         none = np.zeros((0, 2))
         return MatchResult(Matches(none, none, np.zeros(0), 1.0), None)
 
@@ -40,7 +40,7 @@ class Backwards(Matcher):
 
     name = "backwards"
 
-    def match(self, image1, image2):
+    def _match(self, image1, image2):
         found = dense_scene.MapMatcher(dense_scene.true_map()).match(image1, image2).matches
         return MatchResult(replace(found, points1=found.points2, points2=found.points1), None)
 

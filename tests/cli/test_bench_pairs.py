@@ -92,20 +92,20 @@ def test_images_are_looked_for_under_root(folder):
 def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypatch):
     calls = iter(range(10))
 
-    original = dense_scene.MapMatcher.match
+    original = dense_scene.MapMatcher._match
 
     def match(self, image1, image2):
         if next(calls) == 2:
             raise RuntimeError("killed")
         return original(self, image1, image2)
 
-    monkeypatch.setattr(dense_scene.MapMatcher, "match", match)
+    monkeypatch.setattr(dense_scene.MapMatcher, "_match", match)
     result = bench("pairs.txt", "--methods", "true", "--out", "run")
     assert result.exit_code == 1 and "RuntimeError: killed" in result.stderr
     with open("run/results.csv", newline="") as stream:
         assert len(list(csv.DictReader(stream))) == 2
     assert sorted(os.listdir("run")) == ["results.csv", "run.json"]
-    monkeypatch.setattr(dense_scene.MapMatcher, "match", original)
+    monkeypatch.setattr(dense_scene.MapMatcher, "_match", original)
     assert "--resume goes on" in bench("pairs.txt", "--methods", "true", "--out", "run").stderr
     other = bench("pairs.txt", "--methods", "true", "--out", "run", "--resume", "--seed", "1")
     assert other.exit_code == 2 and "that run had methods" in other.stderr

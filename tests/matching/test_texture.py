@@ -38,7 +38,7 @@ class _Everywhere(Matcher):
 
     name = "sure"
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         found = dense_scene.true_map()
         sure = np.ones_like(found.matchability)
         given = MatchResult(

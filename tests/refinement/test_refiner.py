@@ -66,7 +66,7 @@ class _GivenPoints(Matcher):
     def name(self) -> str:
         return "points"
 
-    def match(self, image1: Image, image2: Image) -> MatchResult:
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
         return MatchResult(self.matches, None)
 
 

@@ -42,7 +42,8 @@ BLANK = Image(np.zeros((8, 8, 3), np.uint8))
 
 
 class _Scenes(Matcher):
-    """The matches of a two-view scene of its own for each pair, in turn."""
+    """The matches of a two-view scene of its own for each pair, in turn, on images that show
+    nothing: so they are not filtered."""
 
     name = "scenes"
 
@@ -53,6 +54,8 @@ class _Scenes(Matcher):
     def match(self, image1: Image, image2: Image) -> MatchResult:
         self.calls += 1
         return MatchResult(self.matches, None)
+
+    _match = match
 
 
 def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[Source, list[PlannedPair]]:
