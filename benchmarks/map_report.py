@@ -18,7 +18,7 @@ from dgc_pose.evaluation.map_scores import (
     PairScores,
     summarise_maps,
 )
-from dgc_pose.files.outputs import finite_or_none
+from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.metrics import Reliability
 from dgc_pose.network.config import LEVEL_SIZES
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.scores import Key
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_json
+from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import save_text
 from dgc_pose.matches import Matches
 

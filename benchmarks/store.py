@@ -19,7 +19,8 @@ from dgc_pose.benchmarks.samples import write_sample
 from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
 from dgc_pose.benchmarks.scoring import Scored
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as, read_bytes, read_json
+from dgc_pose.files.inputs import read_as, read_bytes
+from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import only_writer, replaced, write_text, writing
 
 SETTINGS = "run.json"

@@ -12,7 +12,7 @@ from dgc_pose.benchmarks.scores import MapScore, PoseScore, Score
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import finite_or_none
+from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.metrics import pose_auc
 
 COLUMNS = (

@@ -33,9 +33,8 @@ from dgc_pose.cli.bench_run import RUN_FOLDER, MethodChoice, RunChoice, open_sto
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.dtu_pairs import FolderChoice
 from dgc_pose.cli.options import split_names
-from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import write_text
+from dgc_pose.files.json_files import write_json
 from dgc_pose.matchers import SIFT
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FLOWS
@@ -170,7 +169,7 @@ def _write_results(
     summaries = [summarise_maps(own) for own in by_method(scores).values()]
     table = map_table(summaries)
     data = {"protocol": pairs.protocol, "run": facts, **summary_data(summaries)}
-    write_text(out / "summary.json", json_text(data))
+    write_json(out / "summary.json", data)
     write_report(out, pairs, scores, facts=facts, table=table)
     return table
 

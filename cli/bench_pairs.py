@@ -40,8 +40,8 @@ from dgc_pose.cli.bench_run import (
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
-from dgc_pose.cli.output import json_text
 from dgc_pose.errors import InputError
+from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.matchers import SIFT
 from dgc_pose.network.stored import shipped

@@ -20,13 +20,12 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import SharingChoice
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
-from dgc_pose.cli.output import json_text
 from dgc_pose.cli.reconstruct import MapperChoice
 from dgc_pose.colmap.mapping import MappingOptions
 from dgc_pose.colmap.reconstruction import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import finite_or_none, write_text
+from dgc_pose.files.json_files import finite_or_none, write_json
 from dgc_pose.matching import DEFAULT_WEIGHTS
 
 
@@ -112,5 +111,5 @@ def bench_reconstruct(
         }
         for one in scores
     ]
-    write_text(out / "summary.json", json_text({"methods": data}))
+    write_json(out / "summary.json", {"methods": data})
     click.echo(score_table(scores))

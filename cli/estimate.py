@@ -9,9 +9,10 @@ import click
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MatcherChoice
-from dgc_pose.cli.output import json_text, matches_arrays, pose_data, pose_text, write_npz
+from dgc_pose.cli.output import matches_arrays, pose_data, pose_text, write_npz
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.system.options import option
 

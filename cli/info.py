@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from dgc_pose.cli.output import json_text
+from dgc_pose.files.json_files import json_text
 from dgc_pose.runtime.load import default_runtime
 from dgc_pose.system.environment import environment
 

@@ -55,7 +55,6 @@ SUBCOMMANDS = {
     "dtu-pairs": "Make a pair list from DTU's calibration.",
     "train": "Train a network on photographs.",
     "info": "Show versions, weights, devices and threads.",
-    "completion": "Print a shell's completion script.",
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.estimation import RelativePose
-from dgc_pose.files.outputs import finite_or_none, writing
+from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 
@@ -47,11 +47,6 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
         "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
         "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
     }
-
-
-def json_text(data: Mapping[str, Any]) -> str:
-    """Strict JSON, a newline at its end. Raises ValueError for NaN and infinity."""
-    return json.dumps(data, indent=2, allow_nan=False) + "\n"
 
 
 def pose_text(pose: RelativePose) -> str:

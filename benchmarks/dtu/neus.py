@@ -15,7 +15,7 @@ import numpy as np
 from dgc_pose.benchmarks.dtu.calibration import DtuView, decompose
 from dgc_pose.benchmarks.dtu.scene import SceneReader, numbered_folders
 from dgc_pose.errors import InputError
-from dgc_pose.files.array_files import read_arrays
+from dgc_pose.files.arrays import read_arrays
 
 EXPECTED = "scan24/cameras.npz and scan24/image/000000.png"
 _FOLDER = r"(?:dtu_)?scan(\d+)"

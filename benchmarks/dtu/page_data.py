@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.files.outputs import finite_or_none
+from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.images.image import Image
 from dgc_pose.metrics.epipolar import true_fundamental
 

@@ -20,8 +20,9 @@ from dgc_pose.benchmarks.probability.plan import Part, Source
 from dgc_pose.benchmarks.probability.sources import PlannedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.files.array_files import read_arrays
-from dgc_pose.files.inputs import read_as, read_json
+from dgc_pose.files.arrays import read_arrays
+from dgc_pose.files.inputs import read_as
+from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult

@@ -25,7 +25,8 @@ from dgc_pose.cameras.camera import Camera, camera_for, guess_camera, parse_came
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import find_file, read_model_cameras
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import existing, read_as, read_json, read_text
+from dgc_pose.files.inputs import existing, read_as, read_text
+from dgc_pose.files.json_files import read_json
 
 _OPENCV = ("k1", "k2", "p1", "p2")  # of transforms.json, in COLMAP's order
 _KITTI_LINE = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.array_files import ARRAY_BYTES
+from dgc_pose.files.arrays import ARRAY_BYTES
 from dgc_pose.files.outputs import writing
 
 

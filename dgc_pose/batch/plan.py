@@ -15,7 +15,7 @@ from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.source import FileState
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError, reason, shortened
-from dgc_pose.files.inputs import read_json
+from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import write_text
 
 RowFormat = Literal["jsonl", "parquet"]

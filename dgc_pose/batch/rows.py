@@ -14,7 +14,8 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files.inputs import open_regular, read_as
-from dgc_pose.files.outputs import finite_or_none, writing
+from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.files.outputs import writing
 
 # Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.

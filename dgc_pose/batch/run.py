@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -49,7 +48,8 @@ from dgc_pose.batch.work import (
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
-from dgc_pose.files.outputs import only_writer, write_text
+from dgc_pose.files.json_files import write_json
+from dgc_pose.files.outputs import only_writer
 
 WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
@@ -312,7 +312,7 @@ def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, secon
         "matched_now": worked,
         "seconds": round(seconds, 2),
     }
-    write_text(out / SUMMARY, json.dumps(data, indent=2) + "\n")
+    write_json(out / SUMMARY, data)
 
 
 def _weights_hash(weights: str) -> str | None:

@@ -36,7 +36,8 @@ from dgc_pose.batch.rows import (
 from dgc_pose.batch.source import FileState
 from dgc_pose.batch.work import Matched
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as, read_json
+from dgc_pose.files.inputs import read_as
+from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import replaced, require_room, writing
 
 SUMMARY, MATCHES, PARTS = "summary.json", "matches.h5", "parts"

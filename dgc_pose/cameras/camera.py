@@ -16,8 +16,7 @@ import numpy as np
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.array_files import read_array
-from dgc_pose.files.arrays import as_numpy
+from dgc_pose.files.arrays import as_numpy, read_array
 from dgc_pose.files.inputs import existing, read_as, read_text
 from dgc_pose.geometry.pixels import rescale
 

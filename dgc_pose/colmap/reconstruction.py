@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,8 @@ from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
 from dgc_pose.colmap.mapping import MappingOptions, map_database
 from dgc_pose.errors import DgcPoseError, InputError, reason
-from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, write_text
+from dgc_pose.files.json_files import write_json
+from dgc_pose.files.outputs import only_writer, replaced, replaced_folder
 
 if TYPE_CHECKING:
     import pycolmap
@@ -148,4 +148,4 @@ def summary_data(
 
 def write_summary(out: Path, data: Mapping[str, Any]) -> None:
     """Write `summary.json`."""
-    write_text(out / SUMMARY, json.dumps(data, indent=2, allow_nan=False) + "\n")
+    write_json(out / SUMMARY, data)

@@ -7,14 +7,13 @@ one, so each kind of file is read within `read_as`, which names the file.
 from __future__ import annotations
 
 import errno
-import json
 import os
 import stat
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from dgc_pose.errors import DgcPoseError, InputError, reason
 
@@ -136,13 +135,6 @@ def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: {what} is text, and this is not") from None
-
-
-def read_json(path: str | Path, what: str) -> Any:
-    """The content of a JSON file. Raises as `read_text` does, and InputError for no JSON."""
-    text = read_text(path, what)
-    with read_as(what, path):
-        return json.loads(text)
 
 
 def _require_kind(mode: int, path: str | Path, error: type[DgcPoseError]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import glob
 import logging
-import math
 import os
 import platform
 import re
@@ -282,11 +281,6 @@ def only_writer(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def finite_or_none(value: float | None) -> float | None:
-    """The value as a float for JSON, which has no NaN and no infinity: None instead."""
-    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -25,7 +25,7 @@ from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions, VerdictOptions
-from dgc_pose.files.array_files import ARRAY_BYTES, read_array, read_arrays
+from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
