@@ -9,6 +9,7 @@ import socket
 import threading
 import webbrowser
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import click
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     import uvicorn
 
     from dgc_pose.serve.app import Server
+    from dgc_pose.serve.estimator import Estimator
 
 HOST = "127.0.0.1"
 
@@ -61,13 +63,12 @@ def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int
         from dgc_pose.serve.app import Example, Server
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'dgc-pose[serve]'") from None
-    from dgc_pose.serve.factory import EstimatorFactory
-    from dgc_pose.serve.guard import own_hosts
+    from dgc_pose.serve.guard import local_hosts
 
     pair = bundled_pair()
     example = Example((pair.path1, pair.path2), (_k_text(pair.camera1), _k_text(pair.camera2)))
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
-    factory = EstimatorFactory(matcher.load, pose_data, weights)
+    make_estimator = partial(_estimator, matcher, weights)
     token = secrets.token_urlsafe(24)
     with socket.socket() as bound, scratch_folder() as folder:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -77,9 +78,8 @@ def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int
         except OSError as error:
             raise InputError(f"port {address.port} of {HOST}: {error.strerror}") from None
         port = bound.getsockname()[1]
-        server = Server(
-            factory, example, folder, token=token, hosts=own_hosts(port), options=limits
-        )
+        hosts = local_hosts(port)
+        server = Server(make_estimator, example, folder, token=token, hosts=hosts, options=limits)
         config = uvicorn.Config(
             server.app,
             log_level="warning",
@@ -133,6 +133,13 @@ def _run(web: uvicorn.Server, server: Server, bound: socket.socket, url: str, br
     if failed:
         raise failed[0]
     return 0
+
+
+def _estimator(matcher: MatcherChoice, weights: str | None) -> Estimator:
+    """For the worker's process: the server itself imports no network."""
+    from dgc_pose.serve.estimator import Estimator
+
+    return Estimator(matcher.load(), pose_data, weights)
 
 
 def _k_text(camera: Camera) -> str:

@@ -6,7 +6,7 @@ import dense_scene
 
 from dgc_pose.cli.output import pose_data
 from dgc_pose.matching import Matcher
-from dgc_pose.serve.factory import EstimatorFactory
+from dgc_pose.serve.estimator import Estimator
 
 
 def map_matcher() -> Matcher:
@@ -14,4 +14,5 @@ def map_matcher() -> Matcher:
     return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
 
 
-ESTIMATOR = EstimatorFactory(map_matcher, pose_data, None)
+def estimator() -> Estimator:
+    return Estimator(map_matcher(), pose_data, None)

@@ -14,19 +14,19 @@ from typing import Any
 
 import anyio
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.serve.cameras import CameraRequest
-from dgc_pose.serve.decoder import Decoder, Preview, data_url
-from dgc_pose.serve.factory import EstimatorFactory
+from dgc_pose.serve.decoder import ImageDecoder, Preview, data_url
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.options import ServeOptions
 from dgc_pose.serve.store import ImageStore, StoredImage
-from dgc_pose.serve.worker import Busy, Worker
+from dgc_pose.serve.worker import RequestWorker, Unavailable
 from dgc_pose.version import version
 
 # The files of the page by what a client may ask for; no other name reaches a path.
@@ -37,7 +37,7 @@ _FILES = {
     "icon.svg": "image/svg+xml",
 }
 _MAX_JSON = 10_000  # bytes of a request
-_MAX_NAME = 200  # characters of an image's name that are kept
+_MAX_NAME = 200  # characters of an image's name
 _DECODER_MEMORY = 2 * 2**30  # bytes
 
 
@@ -52,13 +52,14 @@ class Example:
 class Server:
     """The workers, the images, and an ASGI application of them.
 
-    folder: for the images; empty, and removed by the caller when the server has ended. token: what
-    the page must know. hosts: see `guard.own_hosts`.
+    make_estimator: makes the `Estimator` in its process. folder: for the images; empty, and removed
+    by the caller when the server has ended. token: what the page must know. hosts: see
+    `guard.local_hosts`.
     """
 
     def __init__(
         self,
-        estimator: EstimatorFactory,
+        make_estimator: Callable[[], Any],
         example: Example,
         folder: Path,
         *,
@@ -66,26 +67,23 @@ class Server:
         hosts: frozenset[str],
         options: ServeOptions | None = None,
     ) -> None:
-        self.options = options or ServeOptions()
+        self.options = options = options or ServeOptions()
         self._example, self._token = example, token
-        self._store = ImageStore(folder, self.options.images)
-        waiting = self.options.waiting
-        self._decoder = Worker(
-            partial(Decoder, self.options.max_pixels), waiting=waiting, memory=_DECODER_MEMORY
-        )
-        self.estimator = Worker(estimator, waiting=waiting)
-        self._uploads = asyncio.Semaphore(waiting)
-        routes = [
-            Route("/", self._page),
-            Route("/static/{name}", self._file),
-            Route("/images", self._image, methods=["POST"]),
-            Route("/example", self._bundled, methods=["POST"]),
-            Route("/poses", self._pose, methods=["POST"]),
-        ]
+        self._store = ImageStore(folder, options.images)
+        decoder = partial(ImageDecoder, int(options.max_megapixels * 1e6))
+        self._decoder = RequestWorker(decoder, waiting=options.waiting, memory=_DECODER_MEMORY)
+        self.estimator = RequestWorker(make_estimator, waiting=options.waiting)
+        self._uploads = asyncio.Semaphore(options.waiting)
         self.app = Starlette(
-            routes=routes,
+            routes=[
+                Route("/", self._page),
+                Route("/static/{name}", self._file),
+                Route("/images", self._image, methods=["POST"]),
+                Route("/example", self._bundled, methods=["POST"]),
+                Route("/poses", self._pose, methods=["POST"]),
+            ],
             middleware=[Middleware(Guard, token=token, hosts=hosts)],
-            exception_handlers={DgcPoseError: _told, ClientDisconnect: _unheard},
+            exception_handlers={DgcPoseError: _refused, ClientDisconnect: _refused},
         )
 
     def start(self) -> None:
@@ -104,162 +102,129 @@ class Server:
         return Response(text, media_type="text/html")
 
     async def _file(self, request: Request) -> Response:
-        kind = _FILES.get(request.path_params["name"])
-        if kind is None:
-            return Response("no such file", 404, media_type="text/plain")
-        return Response(_static(request.path_params["name"]), media_type=kind)
+        name = request.path_params["name"]
+        if name not in _FILES:
+            raise HTTPException(404)
+        return Response(_static(name), media_type=_FILES[name])
 
     async def _image(self, request: Request) -> Response:
         """An image, the body as it is; answers with its identifier, its size and a picture."""
         if self._uploads.locked():
-            raise Busy("too many images are being sent: try again in a moment")
-        name = _name(request.query_params.get("name", ""))
+            raise Unavailable("too many images are being sent: try again in a moment")
+        name = request.query_params.get("name", "")
+        name = "".join(letter for letter in name if letter.isprintable())[:_MAX_NAME] or "image"
         path = self._store.new_path()
         try:
             async with self._uploads:
                 await self._receive(request, path)
-            stored, preview = await self._read(path, name)
+            return JSONResponse(await self._described(path, name))
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-        return JSONResponse(self._described(stored, preview))
 
     async def _bundled(self, request: Request) -> Response:
         """The bundled pair, as if it had been sent."""
-        images = []
-        for path in self._example.paths:
-            stored, preview = await self._read(path, str(path))
-            images.append(self._described(stored, preview))
+        images = [await self._described(path, str(path)) for path in self._example.paths]
         return JSONResponse({"images": images, "k": list(self._example.k)})
 
     async def _pose(self, request: Request) -> Response:
         """Lines of JSON: what is being done, and at last the result or an error."""
         data = await _json(request)
-        first, second = (self._store.get(data.get(key)) for key in ("image1", "image2"))
+        image1, image2 = (self._store.get(data.get(key)) for key in ("image1", "image2"))
         camera = CameraRequest.of(data.get("camera"))
-        return StreamingResponse(
-            self._progress(first, second, camera), media_type="application/x-ndjson"
-        )
+        lines = self._progress(image1, image2, camera)
+        return StreamingResponse(lines, media_type="application/x-ndjson")
 
     async def _progress(
-        self, first: StoredImage, second: StoredImage, camera: CameraRequest
+        self, image1: StoredImage, image2: StoredImage, camera: CameraRequest
     ) -> AsyncIterator[str]:
         loop = asyncio.get_running_loop()
         lines: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
-        def tell(line: Mapping[str, Any]) -> None:
+        def send(line: Mapping[str, Any]) -> None:
             with suppress(RuntimeError):  # the server has ended
                 loop.call_soon_threadsafe(lines.put_nowait, line)
 
-        def work() -> None:
+        def estimate() -> None:
             try:
-                found = self.estimator.call(
+                result = self.estimator.call(
                     "estimate",
-                    first,
-                    second,
+                    image1,
+                    image2,
                     camera,
                     seconds=self.options.estimate_seconds,
-                    report=lambda text: tell({"progress": text}),
+                    report=lambda text: send({"progress": text}),
                 )
-                tell({"result": found})
+                send({"result": result})
             except DgcPoseError as error:
                 text = str(error)
-                for stored in (first, second):
-                    text = text.replace(str(stored.path), stored.name)
-                tell({"error": text})
+                for image in (image1, image2):
+                    text = text.replace(str(image.path), image.name)
+                send({"error": text})
 
-        loop.run_in_executor(None, work)
-        while True:
+        loop.run_in_executor(None, estimate)
+        line: Mapping[str, Any] = {"progress": ""}
+        while "progress" in line:
             line = await lines.get()
             yield json.dumps(line) + "\n"
-            if "progress" not in line:
-                return
 
     async def _receive(self, request: Request, path: Path) -> None:
-        """The body into a new file. Raises _TooLarge or _TooSlow."""
-        length = request.headers.get("content-length", "0")
-        # A number of thousands of digits is none for `int`.
-        if not length.isdecimal() or len(length) > 20 or int(length) > self.options.max_bytes:
-            raise _TooLarge(self.options.max_megabytes)
-        received = 0
+        """The body into a new file. Raises HTTPException."""
+        options = self.options
+        too_large = f"the file is too large: at most {options.max_megabytes:g} MB are taken"
         try:
-            with anyio.fail_after(self.options.upload_seconds):
-                with path.open("xb") as file:
-                    async for part in request.stream():
-                        received += len(part)
-                        if received > self.options.max_bytes:
-                            raise _TooLarge(self.options.max_megabytes)
-                        file.write(part)
+            with anyio.fail_after(options.upload_seconds), path.open("xb") as file:
+                async for part in _body(request, int(options.max_megabytes * 1e6), too_large):
+                    file.write(part)
         except TimeoutError:
-            raise _TooSlow(self.options.upload_seconds) from None
+            seconds = f"{options.upload_seconds:g} seconds"
+            raise HTTPException(408, f"the file did not arrive within {seconds}") from None
         except OSError as error:
-            raise _NoRoom(f"the server's temporary folder: {error.strerror}") from None
+            text = f"the server's temporary folder: {error.strerror}"
+            raise HTTPException(507, text) from None
 
-    async def _read(self, path: Path, name: str) -> tuple[StoredImage, Preview]:
-        call: Callable[[], Preview] = partial(
+    async def _described(self, path: Path, name: str) -> dict[str, Any]:
+        """The image, once it is decoded and stored, as the page is told of it."""
+        preview: Preview = await asyncio.to_thread(
             self._decoder.call, "preview", path, seconds=self.options.decode_seconds
         )
-        preview = await asyncio.get_running_loop().run_in_executor(None, call)
-        return StoredImage(path, name, preview.size), preview
-
-    def _described(self, stored: StoredImage, preview: Preview) -> dict[str, Any]:
         return {
-            "id": self._store.keep(stored),
-            "name": stored.name,
+            "id": self._store.keep(StoredImage(path, name, preview.size)),
+            "name": name,
             "size": list(preview.size),
             "picture": data_url(preview.jpeg, "image/jpeg"),
             "warnings": list(preview.warnings),
         }
 
 
-class _TooLarge(DgcPoseError):
-    status = 413
-
-    def __init__(self, megabytes: float) -> None:
-        super().__init__(f"the file is too large: at most {megabytes:g} MB are taken")
+async def _refused(request: Request, error: Exception) -> Response:
+    """The line of an error; none for a client that left before its request was complete."""
+    return PlainTextResponse(str(error), getattr(error, "status", 400))
 
 
-class _TooSlow(DgcPoseError):
-    status = 408
-
-    def __init__(self, seconds: float) -> None:
-        super().__init__(f"the file did not arrive within {seconds:g} seconds")
-
-
-class _NoRoom(DgcPoseError):
-    status = 507
-
-
-async def _unheard(request: Request, error: Exception) -> Response:
-    """The client left before its request was there."""
-    return Response(status_code=400)
-
-
-async def _told(request: Request, error: Exception) -> Response:
-    """An error on purpose: its one line."""
-    return JSONResponse({"error": str(error)}, getattr(error, "status", 400))
+async def _body(request: Request, most: int, too_large: str) -> AsyncIterator[bytes]:
+    """The parts of a body of at most so many bytes. Raises HTTPException for a larger one, if its
+    length is announced before any part."""
+    received = 0
+    if int(request.headers.get("content-length", 0)) > most:
+        raise HTTPException(413, too_large)
+    async for part in request.stream():
+        received += len(part)
+        if received > most:
+            raise HTTPException(413, too_large)
+        yield part
 
 
 async def _json(request: Request) -> Mapping[str, Any]:
     """The object that a request holds. Raises InputError for anything else."""
-    body = bytearray()
-    async for part in request.stream():
-        body += part
-        if len(body) > _MAX_JSON:
-            raise InputError("the request is too long")
+    body = [part async for part in _body(request, _MAX_JSON, "the request is too long")]
     try:
-        data = json.loads(body)
+        data = json.loads(b"".join(body))
     except (ValueError, RecursionError):
         raise InputError("the request is not JSON") from None
     if not isinstance(data, dict):
         raise InputError("the request must be an object")
     return data
-
-
-def _name(text: str) -> str:
-    """What a client calls its image, for texts: printable, one line, of bounded length."""
-    kept = "".join(letter for letter in text if letter.isprintable())[:_MAX_NAME]
-    return kept or "image"
 
 
 def _static(name: str) -> bytes:

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -45,8 +45,11 @@ class CameraRequest:
     def _camera(self, image: StoredImage, text: str, name: str) -> Camera:
         if self.kind == "auto":
             return guess_camera(image.path)
-        if self.kind == "fov":
-            return Camera(fov_matrix(self.fov_deg, image.size), image.size)
+        if self.kind == "fov":  # from edge to edge, the principal point the middle
+            width, height = image.size
+            focal = width / 2 / math.tan(math.radians(self.fov_deg) / 2)
+            K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+            return Camera(K, image.size)
         if not text.strip():
             raise InputError("give K: fx,fy,cx,cy in pixels, or a COLMAP camera")
         return camera_for(parse_camera(text, name, files=False), image.size, name)
@@ -55,28 +58,22 @@ class CameraRequest:
         """The same as words of the command."""
         if self.kind == "auto":
             return ["--guess-focal"]
-        one, two = self._texts(cameras)
-        return ["--K", one] if one == two else ["--K1", one, "--K2", two]
+        k1, k2 = self._texts(cameras)
+        return ["--K", k1] if k1 == k2 else ["--K1", k1, "--K2", k2]
 
     def python(self, cameras: tuple[Camera, Camera], names: tuple[str, str]) -> tuple[str, str]:
         """The same as expressions in Python."""
-        if self.kind == "auto":
-            return f"guess_camera({names[0]!r})", f"guess_camera({names[1]!r})"
-        one, two = self._texts(cameras)
-        return f"parse_camera({one!r})", f"parse_camera({two!r})"
+        function = "guess_camera" if self.kind == "auto" else "parse_camera"
+        texts = names if self.kind == "auto" else self._texts(cameras)
+        return f"{function}({texts[0]!r})", f"{function}({texts[1]!r})"
 
     def _texts(self, cameras: tuple[Camera, Camera]) -> tuple[str, str]:
         if self.kind == "k":
             return self.k1.strip(), (self.k2 or self.k1).strip()
-        one, two = (",".join(repr(float(value)) for value in _numbers(c.K)) for c in cameras)
-        return one, two
-
-
-def fov_matrix(fov_deg: float, size: tuple[int, int]) -> np.ndarray:
-    """K (3, 3) of a horizontal field of view from edge to edge, the principal point the middle."""
-    width, height = size
-    focal = width / 2 / math.tan(math.radians(fov_deg) / 2)
-    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        k1, k2 = (
+            ",".join(map(repr, camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())) for camera in cameras
+        )
+        return k1, k2
 
 
 def command(names: tuple[str, str], flags: list[str], weights: list[str]) -> str:
@@ -87,15 +84,12 @@ def command(names: tuple[str, str], flags: list[str], weights: list[str]) -> str
 
 def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:
     """The Python that gives the same pose."""
-    guess = cameras[0].startswith("guess_camera")
-    first = "from dgc_pose.cameras.camera import guess_camera\n" if guess else ""
-    imported = (
-        "load_matcher, trace_relative_pose"
-        if guess
-        else ("load_matcher, parse_camera, trace_relative_pose")
-    )
+    imports = "from dgc_pose import load_matcher, parse_camera, trace_relative_pose"
+    if cameras[0].startswith("guess_camera"):
+        imports = imports.replace("parse_camera, ", "")
+        imports += "\nfrom dgc_pose.cameras.camera import guess_camera"
     return (
-        f"from dgc_pose import {imported}\n{first}\n"
+        f"{imports}\n\n"
         f"trace = trace_relative_pose(\n"
         f"    {names[0]!r},\n    {names[1]!r},\n    {cameras[0]},\n    {cameras[1]},\n"
         f"    matcher=load_matcher({matcher}),\n)\n"
@@ -107,7 +101,3 @@ def _text(value: object) -> str:
     if not isinstance(value, str) or len(value) > _MAX_TEXT:
         raise InputError(f"K must be a text of at most {_MAX_TEXT} characters")
     return value
-
-
-def _numbers(K: Any) -> tuple[float, float, float, float]:
-    return K[0, 0], K[1, 1], K[0, 2], K[1, 2]

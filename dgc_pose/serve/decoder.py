@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError
-from dgc_pose.images.image import load_image, resize
+from dgc_pose.images.image import MAX_PIXELS_VARIABLE, load_image, resize_by
 from dgc_pose.serve.worker import Report
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
@@ -32,45 +32,32 @@ class Preview:
 
 
 @dataclass(frozen=True)
-class Decoder:
+class ImageDecoder:
     """Reads images of at most so many pixels."""
 
     max_pixels: int
 
     def preview(self, report: Report, path: Path) -> Preview:
         """Read the image. Raises ImageError, without the path, if it cannot be read."""
-        # Read by `load_image`, which refuses by the header, before it decodes.
-        os.environ["DGC_POSE_MAX_PIXELS"] = str(self.max_pixels)
+        os.environ[MAX_PIXELS_VARIABLE] = str(self.max_pixels)  # of this process alone
         try:
             image = load_image(path)
         except DgcPoseError as error:
             raise ImageError(str(error).replace(str(path), THE_FILE)) from None
-        width, height = image.size
-        if width * height > self.max_pixels:
-            raise ImageError(f"{THE_FILE} is too large: {width} x {height}")
         warnings = tuple(text.replace(str(path), THE_FILE) for text in image.warnings)
-        return Preview(jpeg(shrunk(image.pixels)), image.size, warnings)
+        jpeg = encoded(".jpg", shrunk(image.pixels), cv2.IMWRITE_JPEG_QUALITY, 88)
+        return Preview(jpeg, image.size, warnings)
 
 
 def shrunk(pixels: np.ndarray) -> np.ndarray:
     """An image (H, W, 3) of at most `SHOWN_SIDE` pixels a side."""
-    height, width = pixels.shape[:2]
-    scale = min(1.0, SHOWN_SIDE / max(width, height))
-    return resize(pixels, (max(1, round(width * scale)), max(1, round(height * scale))))
+    return resize_by(pixels, min(1.0, SHOWN_SIDE / max(pixels.shape[:2])))
 
 
-def jpeg(pixels: np.ndarray) -> bytes:
-    """An RGB image (H, W, 3) uint8 as a JPEG file."""
-    return _encoded(".jpg", pixels[..., ::-1], cv2.IMWRITE_JPEG_QUALITY, 88)
-
-
-def webp(pixels: np.ndarray) -> bytes:
-    """An RGBA image (H, W, 4) uint8 as a WebP file."""
-    return _encoded(".webp", pixels[..., [2, 1, 0, 3]], cv2.IMWRITE_WEBP_QUALITY, 85)
-
-
-def _encoded(ending: str, pixels: np.ndarray, *settings: int) -> bytes:
-    done, data = cv2.imencode(ending, np.ascontiguousarray(pixels), list(settings))
+def encoded(ending: str, pixels: np.ndarray, *settings: int) -> bytes:
+    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as a file of OpenCV's format of this ending."""
+    order = [2, 1, 0, 3][: pixels.shape[2]]
+    done, data = cv2.imencode(ending, np.ascontiguousarray(pixels[..., order]), list(settings))
     assert done
     return data.tobytes()
 

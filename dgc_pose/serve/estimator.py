@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import Image, load_image
-from dgc_pose.matching import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace, match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
-from dgc_pose.serve.decoder import data_url, shrunk, webp
+from dgc_pose.serve.decoder import data_url, encoded, shrunk
 from dgc_pose.serve.store import StoredImage
 from dgc_pose.serve.worker import Report
 
@@ -26,35 +27,33 @@ SHOWN_MATCHES = 3000  # more would slow the page down
 
 @dataclass(frozen=True)
 class Estimator:
-    """A matcher that is loaded, and what it finds described for the page."""
+    """A matcher that is loaded, and the poses by it described for the page."""
 
     matcher: Matcher
-    describe: Callable[[RelativePose], dict[str, Any]]
-    weights: str | None
+    describe: Callable[[RelativePose], dict[str, Any]]  # as the command writes JSON
+    weights: str | None  # as the command takes them; None for the default
 
     def ready(self, report: Report) -> None:
         """Nothing; that it answers says that the matcher is loaded."""
 
     def estimate(
-        self, report: Report, first: StoredImage, second: StoredImage, request: CameraRequest
+        self, report: Report, stored1: StoredImage, stored2: StoredImage, request: CameraRequest
     ) -> dict[str, Any]:
         """The pose and what the page shows of it, as values of JSON."""
         report("reading the images")
-        camera1, camera2 = request.resolve(first, second)
-        image1, image2 = (_named(stored) for stored in (first, second))
-        camera1, camera2 = (
-            replace(camera, warnings=_renamed(camera.warnings, stored))
-            for camera, stored in ((camera1, first), (camera2, second))
+        cameras = request.resolve(stored1, stored2)
+        camera1, camera2 = map(_renamed, cameras, (stored1, stored2))
+        image1, image2 = (
+            replace(_renamed(load_image(stored.path), stored), name=stored.name)
+            for stored in (stored1, stored2)
         )
         report("matching")
-        trace = match_and_estimate(
-            image1, image2, camera1, camera2, _Reporting(self.matcher, report)
-        )
+        matcher = _ReportingMatcher(self.matcher, report)
+        trace = match_and_estimate(image1, image2, camera1, camera2, matcher)
         report("drawing")
-        names = (first.name, second.name)
+        names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
-        expressions = request.python((camera1, camera2), names)
-        matcher = "" if self.weights is None else repr(self.weights)
+        expressions = request.python(cameras, names)
         return {
             "pose": self.describe(trace.pose),
             "reason": trace.pose.reason,
@@ -64,12 +63,12 @@ class Estimator:
             "F": _fundamental(trace),
             "matches": _matches(trace),
             "map": None if trace.correspondence_map is None else _map(trace),
-            "command": command(names, request.flags((camera1, camera2)), weights),
-            "python": python_text(names, expressions, matcher),
+            "command": command(names, request.flags(cameras), weights),
+            "python": python_text(names, expressions, "".join(map(repr, weights[1:]))),
         }
 
 
-class _Reporting(Matcher):
+class _ReportingMatcher(Matcher):
     """A matcher that says when it has matched."""
 
     def __init__(self, matcher: Matcher, report: Report) -> None:
@@ -80,19 +79,18 @@ class _Reporting(Matcher):
         return self._matcher.name
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        found = self._matcher.match(image1, image2)
-        self._report(f"estimating the pose from {len(found.matches)} matches")
-        return found
+        result = self._matcher.match(image1, image2)
+        self._report(f"estimating the pose from {len(result.matches)} matches")
+        return result
 
 
-def _named(stored: StoredImage) -> Image:
-    """The image under the client's name."""
-    image = load_image(stored.path)
-    return replace(image, name=stored.name, warnings=_renamed(image.warnings, stored))
+Warned = TypeVar("Warned", Camera, Image)
 
 
-def _renamed(texts: tuple[str, ...], stored: StoredImage) -> tuple[str, ...]:
-    return tuple(text.replace(str(stored.path), stored.name) for text in texts)
+def _renamed(value: Warned, stored: StoredImage) -> Warned:
+    """With the client's name of the image in its warnings."""
+    texts = (text.replace(str(stored.path), stored.name) for text in value.warnings)
+    return replace(value, warnings=tuple(texts))
 
 
 def _fundamental(trace: Trace) -> list[list[float]] | None:
@@ -127,26 +125,23 @@ def _matches(trace: Trace) -> dict[str, list[Any]]:
 
 def _map(trace: Trace) -> dict[str, str]:
     """Image 1 warped onto image 2, as transparent as it is unmatchable, and the matchability."""
-    found = trace.correspondence_map
-    assert found is not None
+    dense_map = trace.correspondence_map
+    assert dense_map is not None
     height, width = shrunk(trace.image2.pixels).shape[:2]
-    warped = warp_image(trace.image1.pixels, found.map, (width, height))
-    known = cv2.resize(_inside(found), (width, height)) * _smooth(found, (width, height))
-    alpha = (255 * np.clip(known, 0, 1)).astype(np.uint8)
-    shown = np.clip(_smooth(found, (width, height)), 0, 1)
-    coloured = cv2.applyColorMap((255 * shown).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
-    opaque = np.full((height, width, 1), 255, np.uint8)
+    warped = warp_image(trace.image1.pixels, dense_map.map, (width, height))
+    matchability = cv2.resize(dense_map.matchability.astype(np.float32), (width, height))
+    inside = (dense_map.map >= -0.5) & (dense_map.map <= np.array(dense_map.size1) - 0.5)
+    known = cv2.resize(np.asarray(inside.all(-1), np.float32), (width, height)) * matchability
+    alpha, shade = (
+        (255 * np.clip(share, 0, 1)).astype(np.uint8) for share in (known, matchability)
+    )
+    coloured = cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS)[..., ::-1]
     return {
-        "warp": data_url(webp(np.dstack([warped, alpha])), "image/webp"),
-        "matchability": data_url(webp(np.dstack([coloured, opaque])), "image/webp"),
+        "warp": _webp_url(warped, alpha),
+        "matchability": _webp_url(coloured, np.full_like(alpha, 255)),
     }
 
 
-def _smooth(found: CorrespondenceMap, size: tuple[int, int]) -> np.ndarray:
-    return np.asarray(cv2.resize(found.matchability.astype(np.float32), size))
-
-
-def _inside(found: CorrespondenceMap) -> np.ndarray:
-    """1 for cells whose point lies in image 1, else 0; (H, W) float32."""
-    inside = (found.map >= -0.5) & (found.map <= np.array(found.size1) - 0.5)
-    return np.asarray(inside.all(-1), dtype=np.float32)
+def _webp_url(pixels: np.ndarray, alpha: np.ndarray) -> str:
+    image = np.dstack([pixels, alpha])
+    return data_url(encoded(".webp", image, cv2.IMWRITE_WEBP_QUALITY, 85), "image/webp")

@@ -8,15 +8,13 @@ without a permission that is never given. A program of another user does not kno
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
-from urllib.parse import parse_qs
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
+from starlette.requests import Request
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 TOKEN_HEADER = "x-dgc-pose-token"
-LOCAL = ("127.0.0.1", "localhost", "[::1]")
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
@@ -38,42 +36,36 @@ class Guard:
         self._app, self._token, self._hosts = app, token, hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "lifespan":
+        if scope["type"] != "http":  # the server's start; a web socket, which has no route
             return await self._app(scope, receive, send)
-        if scope["type"] != "http":  # there are no web sockets here
-            return await send({"type": "websocket.close", "code": 1008})
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(HEADERS)
             await send(message)
 
-        reason = self._refusal(Headers(scope=scope), scope)
-        if reason is None:
-            await self._app(scope, receive, send_with_headers)
-        else:
-            await PlainTextResponse(reason, 403)(scope, receive, send_with_headers)
+        reason = self._refusal(Request(scope))
+        app = self._app if reason is None else PlainTextResponse(reason, 403)
+        await app(scope, receive, send_with_headers)
 
-    def _refusal(self, headers: Mapping[str, str], scope: Scope) -> str | None:
+    def _refusal(self, request: Request) -> str | None:
+        headers, path = request.headers, request.scope["path"]
         if headers.get("host", "").lower() not in self._hosts:
             return "this server answers to its own name only"
+        foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
         origin = headers.get("origin")
-        if origin is not None and origin.removeprefix("http://") not in self._hosts:
+        if foreign or (origin is not None and origin.removeprefix("http://") not in self._hosts):
             return "this server answers to its own pages only"
-        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
-            return "this server answers to its own pages only"
-        if scope["path"].startswith("/static/"):
+        if path.startswith("/static/"):
             return None  # the same for everyone
-        if scope["path"] == "/":
-            given = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        else:
-            given = headers.get(TOKEN_HEADER, "")
-        if not secrets.compare_digest(given.encode(), self._token.encode()):
+        tokens = request.query_params if path == "/" else headers
+        token = tokens.get("token" if path == "/" else TOKEN_HEADER, "")
+        if not secrets.compare_digest(token.encode(), self._token.encode()):
             return "open the address that `dgc-pose serve` printed: it holds a token"
         return None
 
 
-def own_hosts(port: int) -> frozenset[str]:
+def local_hosts(port: int) -> frozenset[str]:
     """The values of the header Host of a server on this port of this machine."""
-    names = {f"{name}:{port}" for name in LOCAL}
-    return frozenset(names | (set(LOCAL) if port == 80 else set()))
+    ending = "" if port == 80 else f":{port}"
+    return frozenset(f"{name}{ending}" for name in ("127.0.0.1", "localhost", "[::1]"))

@@ -22,20 +22,8 @@ class ServeOptions:
     estimate_seconds: float = option(
         120.0, "Longest time of one pair.", metavar="S", above=0, max=10**6
     )
-    images: int = option(8, min=2, max=10**4)  # kept; the oldest is dropped first
-    waiting: int = option(
-        4, min=1, max=10**4
-    )  # requests that wait for a worker; more are turned away
+    images: int = option(8, min=2, max=10**4)  # that are stored; the oldest is dropped first
+    waiting: int = option(4, min=1, max=10**4)  # requests of a worker; more are turned away
 
     def __post_init__(self) -> None:
         check_options(self)
-
-    @property
-    def max_bytes(self) -> int:
-        """The largest file, bytes."""
-        return int(self.max_megabytes * 1e6)
-
-    @property
-    def max_pixels(self) -> int:
-        """The largest image, pixels."""
-        return int(self.max_megapixels * 1e6)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +23,7 @@ class ImageStore:
 
     def __init__(self, folder: Path, most: int) -> None:
         self._folder, self._most = folder, most
-        self._images: OrderedDict[str, StoredImage] = OrderedDict()
-        self._lock = threading.Lock()
+        self._images: dict[str, StoredImage] = {}  # those used last are the last ones
 
     def new_path(self) -> Path:
         """A path for the next upload, of random letters."""
@@ -35,21 +32,17 @@ class ImageStore:
     def keep(self, image: StoredImage) -> str:
         """Keep an image, and drop the oldest if there are too many. Returns its identifier."""
         identifier = secrets.token_urlsafe(16)
-        with self._lock:
-            self._images[identifier] = image
-            dropped = [
-                self._images.popitem(last=False)[1] for _ in range(len(self._images) - self._most)
-            ]
-        for old in dropped:
-            if old.path.parent == self._folder:
-                old.path.unlink(missing_ok=True)
+        self._images[identifier] = image
+        if len(self._images) > self._most:
+            dropped = self._images.pop(next(iter(self._images)))
+            if dropped.path.parent == self._folder:
+                dropped.path.unlink(missing_ok=True)
         return identifier
 
     def get(self, identifier: object) -> StoredImage:
         """An image by its identifier. Raises InputError if there is none."""
-        with self._lock:
-            image = self._images.get(identifier) if isinstance(identifier, str) else None
-            if image is None:
-                raise InputError("the image is no longer there: send it again")
-            self._images.move_to_end(str(identifier))
+        key = str(identifier)
+        if key not in self._images:
+            raise InputError("the image is no longer there: send it again")
+        self._images[key] = image = self._images.pop(key)
         return image

@@ -9,12 +9,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -36,39 +35,25 @@ class Refused(WorkError):
     """The worker refused its input."""
 
 
-class TimedOut(WorkError):
-    """The time limit passed."""
-
-
-class Crashed(WorkError):
-    """The worker's process ended, or its code failed."""
-
-
-class Busy(WorkError):
-    """Too many requests wait already."""
+class Unavailable(WorkError):
+    """Too many requests wait already, or the server ends."""
 
     status = 503
 
 
-class Closed(WorkError):
-    """The worker was closed: the server ends."""
-
-    status = 503
-
-
-class Worker:
-    """A process with one object, whose methods are called from here.
+class RequestWorker:
+    """A process with an object, whose methods are called from here.
 
     make: a picklable function without arguments, called in the process, that makes the object. Each
-    method takes a `Report` first. memory: bytes of address space that the process may take, beyond
-    what it starts with; None for no bound.
+    method takes a `Report` first. waiting: calls at a time; more are turned away. memory: bytes of
+    address space that the process may take, beyond what it starts with; None for no bound.
     """
 
     def __init__(
         self, make: Callable[[], Any], *, waiting: int = 4, memory: int | None = None
     ) -> None:
-        self._make, self._memory, self._most = make, memory, waiting
-        self._lock, self._count = threading.Lock(), threading.Semaphore(waiting)
+        self._make, self._memory = make, memory
+        self._lock, self._places = threading.Lock(), threading.Semaphore(waiting)
         self._process: multiprocessing.process.BaseProcess | None = None
         self._pipe: Connection | None = None
         self._closed = False
@@ -76,7 +61,7 @@ class Worker:
     def start(self) -> None:
         """Start the process, if it does not run, without waiting for its object.
 
-        Raises Closed.
+        Raises Unavailable if the worker is closed.
         """
         with self._lock:
             self._started()
@@ -86,27 +71,25 @@ class Worker:
     ) -> Any:
         """What the method returns. Blocks; for threads.
 
-        report: is called in this thread. Raises WorkError: Refused with the message of a
-        DgcPoseError or OSError of the method, TimedOut after so many seconds of its work, Crashed,
-        Busy, or Closed.
+        seconds: of the method's own work. report: is called in this thread. Raises WorkError:
+        Refused with the message of a DgcPoseError or OSError of the method, Unavailable, or
+        WorkError itself if the time has passed, the process ends or its code fails.
         """
-        with self._queued():
-            pipe = self._started()
-            try:
-                pipe.send((method, arguments))
-                return self._answer(pipe, seconds, report)
-            except (EOFError, OSError):
-                if self._process is not None:
-                    self._process.join(_ENDING_SECONDS)  # or the exit code would be that of _end
-                code = self._end()
-                self._check_open()
-                raise Crashed(f"the worker's process ended: {process_end(code)}") from None
-            except TimedOut:
-                self._end()
-                raise
+        if not self._places.acquire(blocking=False):
+            raise Unavailable("the server is busy: try again in a moment")
+        try:
+            with self._lock:
+                try:
+                    return self._answer((method, arguments), seconds, report)
+                except (EOFError, OSError):  # of the pipe
+                    code = self._end(_ENDING_SECONDS)
+                    self._check_open()
+                    raise WorkError(f"the worker's process ended: {process_end(code)}") from None
+        finally:
+            self._places.release()
 
     def close(self) -> None:
-        """End the process for good; calls under way, waiting and later ones raise Closed."""
+        """End the process for good; calls under way, waiting and later ones raise Unavailable."""
         self._closed = True  # before the process is read, as _started sets it before it reads this
         process = self._process
         if process is not None:
@@ -114,15 +97,25 @@ class Worker:
         with self._lock:
             self._end()
 
-    @contextmanager
-    def _queued(self) -> Iterator[None]:
-        if not self._count.acquire(blocking=False):
-            raise Busy("the server is busy: try again in a moment")
-        try:
-            with self._lock:
-                yield
-        finally:
-            self._count.release()
+    def _answer(self, request: tuple[str, Any], seconds: float, report: Report) -> Any:
+        pipe = self._started()
+        pipe.send(request)
+        deadline = None  # from when the object is made: loading a network is not the client's fault
+        while pipe.poll(None if deadline is None else max(0.0, deadline - time.monotonic())):
+            kind, value = pipe.recv()
+            match kind:
+                case "begun":
+                    deadline = time.monotonic() + seconds
+                case "report":
+                    report(value)
+                case "done":
+                    return value
+                case "refused":
+                    raise Refused(value)
+                case "failed":
+                    raise WorkError(value)
+        self._end()
+        raise WorkError(f"stopped after {seconds:g} seconds")
 
     def _started(self) -> Connection:
         self._check_open()
@@ -138,31 +131,17 @@ class Worker:
         return self._pipe
 
     def _check_open(self) -> None:
-        """Raise Closed, with the process ended, if the worker is closed."""
+        """Raise Unavailable, with the process ended, if the worker is closed."""
         if self._closed:
             self._end()
-            raise Closed("the server is ending") from None
+            raise Unavailable("the server is ending") from None
 
-    def _answer(self, pipe: Connection, seconds: float, report: Report) -> Any:
-        deadline = None  # from when the object is made: loading a network is not the client's fault
-        while True:
-            left = None if deadline is None else max(0.0, deadline - time.monotonic())
-            if not pipe.poll(left):
-                raise TimedOut(f"stopped after {seconds:g} seconds")
-            kind, value = pipe.recv()
-            if kind == "begun":
-                deadline = time.monotonic() + seconds
-            elif kind == "report":
-                report(value)
-            elif kind == "done":
-                return value
-            else:
-                raise {"refused": Refused, "failed": Crashed}[kind](value)
-
-    def _end(self) -> int | None:
-        """End the process, if it has not ended. Returns its exit code."""
+    def _end(self, seconds: float = 0) -> int | None:
+        """End the process, unless it ends by itself within so many seconds. Returns its exit
+        code."""
         code = None
         if self._process is not None:
+            self._process.join(seconds)
             self._process.kill()
             self._process.join()
             code = self._process.exitcode
@@ -178,41 +157,48 @@ def _work(pipe: Connection, make: Callable[[], Any], memory: int | None) -> None
     try:
         target = make()
     except Exception as error:  # of any library: without its object the process has no use
-        told = str(error) if isinstance(error, (DgcPoseError, OSError)) else reason(error)
-        pipe.send(("refused", " ".join(told.split())))
+        pipe.send(("refused", _refusal(error) or reason(error)))
         return
     if memory is not None:
         _bound_memory(memory)
-    while True:
-        try:
+    with suppress(EOFError, OSError):  # of the pipe: the server is gone
+        while True:
             method, arguments = pipe.recv()
-        except (EOFError, OSError):
-            return
-        pipe.send(("begun", None))
-        try:
-            value = getattr(target, method)(lambda text: pipe.send(("report", text)), *arguments)
-            pipe.send(("done", value))
-        except (DgcPoseError, OSError) as error:
-            pipe.send(("refused", " ".join(str(error).split())))
-        except MemoryError as error:
-            pipe.send(("refused", f"not enough memory: {reason(error)}"))
-        except Exception as error:
-            missing = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
-            if missing is not None:
-                pipe.send(("refused", missing))
-                continue
-            traceback.print_exc(file=sys.stderr)
-            pipe.send(("failed", f"the server failed: {type(error).__name__}"))
+            pipe.send(("begun", None))
+            pipe.send(_outcome(getattr(target, method), pipe, arguments))
+
+
+def _outcome(
+    method: Callable[..., Any], pipe: Connection, arguments: tuple[Any, ...]
+) -> tuple[str, Any]:
+    try:
+        return "done", method(lambda text: pipe.send(("report", text)), *arguments)
+    except Exception as error:
+        refusal = _refusal(error)
+        if refusal is not None:
+            return "refused", refusal
+        traceback.print_exc()
+        return "failed", f"the server failed: {type(error).__name__}"
+
+
+def _refusal(error: Exception) -> str | None:
+    """What the client is told of an error that is not the server's; one line."""
+    match error:
+        case DgcPoseError() | OSError():
+            return " ".join(str(error).split())
+        case MemoryError():
+            return f"not enough memory: {reason(error)}"
+        case ModuleNotFoundError():
+            return missing_package(error)
+    return None
 
 
 def _bound_memory(extra: int) -> None:
     """Let the process take so many bytes more than it has; only on Linux."""
-    try:
+    with suppress(ImportError, OSError, ValueError):
         import resource
 
         with open("/proc/self/statm", encoding="ascii") as file:
             pages = int(file.read().split()[0])
         bound = pages * os.sysconf("SC_PAGE_SIZE") + extra
         resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
-    except (ImportError, OSError, ValueError):
-        pass

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import multiprocessing
 import os
 import threading
 import time
@@ -9,12 +8,12 @@ import pytest
 import serve_tasks
 
 import dgc_pose.serve.worker as worker_module
-from dgc_pose.serve.worker import Busy, Closed, Crashed, Refused, TimedOut, Worker
+from dgc_pose.serve.worker import Refused, RequestWorker, Unavailable, WorkError
 
 
 @pytest.fixture(scope="module")
 def worker():
-    worker = Worker(serve_tasks.Tasks, memory=2**29)
+    worker = RequestWorker(serve_tasks.Tasks, memory=2**29)
     yield worker
     worker.close()
 
@@ -33,15 +32,16 @@ def test_calls_share_a_process_which_is_another_one(worker):
 @pytest.mark.parametrize(
     ("method", "error", "message"),
     [
-        ("hang", TimedOut, "stopped after 0.2 seconds"),
-        ("crash", Crashed, "the worker's process ended: signal 6"),
+        ("hang", WorkError, "stopped after 0.2 seconds"),
+        ("crash", WorkError, "the worker's process ended: signal 6"),
         ("refuse", Refused, "this will not do"),
-        ("fail", Crashed, "ZeroDivisionError"),
+        ("fail", WorkError, "ZeroDivisionError"),
     ],
 )
 def test_whatever_happens_the_next_call_works(worker, method, error, message):
     with pytest.raises(error, match=message) as caught:
         worker.call(method, seconds=0.2)
+    assert type(caught.value) is error
     assert caught.value.status == 422 and "\n" not in str(caught.value)
     assert worker.call("add", 1, 1, seconds=20) == 2
 
@@ -58,21 +58,21 @@ def test_memory_is_bounded(worker):
     [(serve_tasks.no_tasks, "no such weights"), (serve_tasks.broken_tasks, "a library's own")],
 )
 def test_an_object_that_cannot_be_made_is_a_refusal(make, message, capfd):
-    worker = Worker(make)
+    worker = RequestWorker(make)
     with pytest.raises(Refused, match=message):
         worker.call("add", 1, 1, seconds=20)
     worker.close()
     assert "Traceback" not in capfd.readouterr().err
 
 
-def _in_thread(worker, method, errors, *, report=lambda _: None):
-    """Call the method in a thread; what it raises goes to `errors`."""
+def _hang_in_thread(worker, errors, begun):
+    """A call that does not come to an end; what it raises goes to `errors`."""
 
     def call():
         try:
-            worker.call(method, seconds=60, report=report)
-        except Exception as error:
-            errors.append(error)
+            worker.call("hang", seconds=60, report=lambda _: begun.set())
+        except WorkError as error:
+            errors.append((str(error), error.status))
 
     thread = threading.Thread(target=call)
     thread.start()
@@ -80,56 +80,53 @@ def _in_thread(worker, method, errors, *, report=lambda _: None):
 
 
 def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():
-    worker, errors, begun = Worker(serve_tasks.Tasks, waiting=2), [], threading.Event()
-    threads = [_in_thread(worker, "hang", errors, report=lambda _: begun.set())]
+    worker, errors, begun = RequestWorker(serve_tasks.Tasks, waiting=2), [], threading.Event()
+    threads = [_hang_in_thread(worker, errors, begun)]
     assert begun.wait(60)
-    threads.append(_in_thread(worker, "hang", errors))
-    for _ in range(6000):  # until the second call waits for the first
-        if not worker._count._value:
-            break
+    threads.append(_hang_in_thread(worker, errors, begun))
+    while worker._places._value:  # until the second call waits for the first
         time.sleep(0.01)
-    with pytest.raises(Busy):
+    with pytest.raises(Unavailable, match="busy"):
         worker.call("add", 1, 1, seconds=20)
     worker.close()
     for thread in threads:
         thread.join(20)
-    assert [type(error) for error in errors] == [Closed, Closed]
+    assert errors == 2 * [("the server is ending", 503)]
     assert worker._process is None
 
 
 def test_a_closed_worker_starts_no_process(monkeypatch):
-    worker = Worker(serve_tasks.Tasks)
+    worker = RequestWorker(serve_tasks.Tasks)
     worker.close()
     monkeypatch.setattr(worker_module, "_CONTEXT", None)  # nothing can be started by it
     for use in (worker.start, lambda: worker.call("add", 1, 1, seconds=20)):
-        with pytest.raises(Closed, match="the server is ending") as caught:
+        with pytest.raises(Unavailable, match="the server is ending"):
             use()
-        assert caught.value.status == 503 and worker._process is None
 
 
 def test_closing_while_the_process_starts_ends_it(monkeypatch):
-    worker, errors, starts = Worker(serve_tasks.Tasks), [], threading.Event()
-    go_on, started = threading.Event(), []
+    worker, errors, starts = RequestWorker(serve_tasks.Tasks), [], threading.Event()
+    go_on, started, context = threading.Event(), [], worker_module._CONTEXT
 
     class SlowContext:
-        Pipe = staticmethod(worker_module._CONTEXT.Pipe)
+        Pipe = staticmethod(context.Pipe)
 
         @staticmethod
-        def Process(**given):
+        def Process(**arguments):
             starts.set()
             assert go_on.wait(60)
-            started.append(multiprocessing.get_context("spawn").Process(**given))
+            started.append(context.Process(**arguments))
             return started[0]
 
     monkeypatch.setattr(worker_module, "_CONTEXT", SlowContext)
-    thread = _in_thread(worker, "hang", errors)
+    threads = [_hang_in_thread(worker, errors, threading.Event())]
     assert starts.wait(60)
-    closing = threading.Thread(target=worker.close)
-    closing.start()
+    threads.append(threading.Thread(target=worker.close))
+    threads[1].start()
     while not worker._closed:
         time.sleep(0.01)
     go_on.set()
-    for each in (thread, closing):
-        each.join(20)
-    assert [type(error) for error in errors] == [Closed]
+    for thread in threads:
+        thread.join(20)
+    assert errors == [("the server is ending", 503)]
     assert worker._process is None and not started[0].is_alive()

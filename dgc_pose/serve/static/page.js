@@ -14,10 +14,7 @@ async function ask(path, body, type) {
   const answer = await fetch(path, { method: "POST", headers, body }).catch(() => null);
   if (answer === null) throw new Error("the server does not answer: is dgc-pose serve still running?");
   if (answer.ok) return answer;
-  const text = await answer.text();
-  let told = text;
-  try { told = JSON.parse(text).error; } catch { /* plain text */ }
-  throw new Error(told);
+  throw new Error(await answer.text());
 }
 
 function fail(error) {
@@ -66,7 +63,7 @@ function camera() {
 }
 
 async function estimate() {
-  const own = ++running;
+  const number = ++running;
   begin("loading the network");
   at("estimate").disabled = true;
   try {
@@ -74,15 +71,15 @@ async function estimate() {
     const answer = await ask("/poses", JSON.stringify(request), "application/json");
     const shown = [images[0].picture, images[1].picture];
     for await (const line of lines(answer.body)) {
-      if (own !== running) return;
+      if (number !== running) return;
       if (line.error) throw new Error(line.error);
       if (line.progress) at("progress").textContent = line.progress;
       if (line.result) await present(line.result, shown);
     }
   } catch (error) {
-    if (own === running) fail(error);
+    if (number === running) fail(error);
   } finally {
-    if (own === running) at("estimate").disabled = images.includes(null);
+    if (number === running) at("estimate").disabled = images.includes(null);
   }
 }
 
@@ -98,19 +95,19 @@ async function* lines(stream) {
   }
 }
 
-async function present(found, shown) {
-  result = found;
-  const map = found.map;
+async function present(answer, shown) {
+  result = answer;
+  const map = answer.map;
   pictures = await Promise.all([...shown, map?.warp, map?.matchability].map(picture));
   at("result").hidden = false;
-  verdict(found);
-  at("command").textContent = found.command;
-  at("python").textContent = found.python;
+  verdict(answer);
+  at("command").textContent = answer.command;
+  at("python").textContent = answer.python;
   at("map-part").hidden = map === null;
-  at("count").max = Math.max(10, found.matches.points.length);
-  view.show(found, pictures[0], pictures[1]);
+  at("count").max = Math.max(10, answer.matches.points.length);
+  view.show(answer, pictures[0], pictures[1]);
   redraw();
-  const seconds = Object.values(found.pose.seconds).reduce((sum, one) => sum + one, 0);
+  const seconds = Object.values(answer.pose.seconds).reduce((sum, part) => sum + part, 0);
   at("progress").textContent = `done in ${seconds.toFixed(2)} s`;
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
   at("result").scrollIntoView({ behavior: still ? "instant" : "smooth", block: "start" });
@@ -176,21 +173,21 @@ function angle(R) {
 }
 
 function numbers(pose) {
-  const found = [];
-  if (pose.R) found.push(["rotation angle", angle(pose.R)]);
+  const facts = [];
+  if (pose.R) facts.push(["rotation angle", angle(pose.R)]);
   if (pose.probability != null) {
-    found.push(["probability", `${likelihood(pose.probability)}, that R and t are within 10°`]);
+    facts.push(["probability", `${likelihood(pose.probability)}, that R and t are within 10°`]);
   }
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
-    found.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten`]);
+    facts.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten`]);
   }
   const share = pose.inlier_ratio == null ? "" : ` (${(100 * pose.inlier_ratio).toFixed(1)} %)`;
-  found.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`]);
+  facts.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`]);
   if (pose.median_triangulation_angle_deg != null) {
-    found.push(["triangulation angle", `${pose.median_triangulation_angle_deg.toFixed(2)}°, the median`]);
+    facts.push(["triangulation angle", `${pose.median_triangulation_angle_deg.toFixed(2)}°, the median`]);
   }
-  return found;
+  return facts;
 }
 
 function redraw() {
@@ -233,7 +230,7 @@ function savePng() {
   const canvas = document.createElement("canvas");
   const unit = devicePixelRatio;
   canvas.width = top.width;
-  canvas.height = top.height + Math.max(0, ...below.map((one) => one.height)) + 60 * unit;
+  canvas.height = top.height + Math.max(0, ...below.map((part) => part.height)) + 60 * unit;
   const paint = canvas.getContext("2d");
   paint.fillStyle = "white";
   paint.fillRect(0, 0, canvas.width, canvas.height);
@@ -244,9 +241,9 @@ function savePng() {
   paint.fillText(`${at("verdict").textContent}; ${facts}`, 4 * unit, 40 * unit, canvas.width - 8 * unit);
   paint.drawImage(top, 0, 50 * unit);
   let left = 0;
-  for (const one of below) {
-    paint.drawImage(one, left, top.height + 60 * unit);
-    left += one.width + 12 * unit;
+  for (const part of below) {
+    paint.drawImage(part, left, top.height + 60 * unit);
+    left += part.width + 12 * unit;
   }
   canvas.toBlob((blob) => save("pose.png", blob), "image/png");
 }
@@ -270,10 +267,10 @@ at("estimate").addEventListener("click", estimate);
 at("example").addEventListener("click", async () => {
   begin("reading the bundled pair");
   try {
-    const found = await (await ask("/example", "", "application/json")).json();
-    found.images.forEach((image, index) => show(index, image));
+    const example = await (await ask("/example", "", "application/json")).json();
+    example.images.forEach((image, index) => show(index, image));
     document.querySelector("input[name=kind][value=k]").checked = true;
-    [at("k1").value, at("k2").value] = found.k;
+    [at("k1").value, at("k2").value] = example.k;
     await estimate();
   } catch (error) {
     fail(error);

@@ -5,6 +5,7 @@ const GAP = 8; // between the images, CSS pixels
 const NEAR = 12; // how far the pointer may be from a match, CSS pixels
 const INLIER = "#18b6c9";
 const OUTLIER = "#e26bb5";
+const EPIPOLAR = "#ffe14d";
 
 /** An image of an address, decoded; null for none. */
 export async function picture(url) {
@@ -38,11 +39,11 @@ export class View {
     canvas.addEventListener("pointerleave", () => { this.pointer = null; this.draw(); });
   }
 
-  show(found, first, second) {
-    this.found = found;
+  show(result, first, second) {
+    this.result = result;
     this.images = [first, second];
     this.pointer = null;
-    const known = found.matches.residual.filter((value, n) => value !== null && found.matches.inlier[n]);
+    const known = result.matches.residual.filter((value, n) => value !== null && result.matches.inlier[n]);
     known.sort((a, b) => a - b);
     this.scale = known.length ? Math.max(0.01, known[Math.floor(0.95 * (known.length - 1))]) : null;
     this.largest = known.length ? known[known.length - 1] : null;
@@ -55,8 +56,8 @@ export class View {
   }
 
   draw() {
-    if (!this.found) return;
-    const [[w1, h1], [w2, h2]] = this.found.sizes;
+    if (!this.result) return;
+    const [[w1, h1], [w2, h2]] = this.result.sizes;
     const width = this.canvas.clientWidth;
     const height = (width - GAP) / (w1 / h1 + w2 / h2);
     const [paint] = prepared(this.canvas, height / width);
@@ -69,27 +70,27 @@ export class View {
     const nearest = this.nearest();
     if (this.options.lines) for (const n of this.shown()) this.drawMatch(paint, n, nearest !== null);
     if (nearest !== null) this.drawMatch(paint, nearest, false, true);
-    if (this.options.epipolar && this.pointer && this.found.F) this.drawEpipolar(paint, height);
+    if (this.options.epipolar && this.pointer && this.result.F) this.drawEpipolar(paint, height);
     this.describe(nearest);
   }
 
   /** The matches drawn, by number: inliers up to the residual, and outliers if asked for. */
   shown() {
-    const { inlier, residual } = this.found.matches;
+    const { inlier, residual } = this.result.matches;
     const anyInlier = inlier.includes(true);
-    const kept = [];
-    for (let n = 0; n < inlier.length && kept.length < this.options.count; n++) {
+    const numbers = [];
+    for (let n = 0; n < inlier.length && numbers.length < this.options.count; n++) {
       const fits = inlier[n] && (residual[n] === null || residual[n] <= this.limit);
-      if (fits || !anyInlier) kept.push(n);
+      if (fits || !anyInlier) numbers.push(n);
     }
     if (this.options.outliers && anyInlier) {
-      inlier.forEach((own, n) => { if (!own && kept.length < 2 * this.options.count) kept.push(n); });
+      inlier.forEach((fits, n) => { if (!fits && numbers.length < 2 * this.options.count) numbers.push(n); });
     }
-    return kept;
+    return numbers;
   }
 
   colour(n) {
-    const { inlier, residual } = this.found.matches;
+    const { inlier, residual } = this.result.matches;
     if (!inlier[n]) return "#ffb020";
     const share = residual[n] === null ? 0 : Math.min(1, residual[n] / this.scale);
     return `rgb(${Math.round(255 * share)}, ${Math.round(255 * (1 - share))}, 255)`;
@@ -102,7 +103,7 @@ export class View {
   }
 
   drawMatch(paint, n, faint, strong = false) {
-    const [x1, y1, x2, y2] = this.found.matches.points[n];
+    const [x1, y1, x2, y2] = this.result.matches.points[n];
     const [from, to] = [this.place(0, x1, y1), this.place(1, x2, y2)];
     paint.globalAlpha = faint ? 0.25 : 0.85;
     paint.strokeStyle = paint.fillStyle = strong ? "#ffffff" : this.colour(n);
@@ -122,17 +123,15 @@ export class View {
   /** The lines of the pointer's epipolar plane in both images. */
   drawEpipolar(paint, height) {
     const [image, x, y] = this.pointer;
-    const F = this.found.F;
+    const F = this.result.F;
     const transposed = F[0].map((_, column) => F.map((row) => row[column]));
     const matrix = image === 0 ? F : transposed; // to lines of the other image
-    const other = apply(matrix, [x, y, 1]);
     const epipole = nullVector(matrix); // of this image
-    const own = cross([x, y, 1], epipole);
-    this.drawLine(paint, image, own, height, "#ffe14d");
-    this.drawLine(paint, 1 - image, other, height, "#ffe14d");
+    this.drawLine(paint, image, cross([x, y, 1], epipole), height);
+    this.drawLine(paint, 1 - image, apply(matrix, [x, y, 1]), height);
     const [px, py] = this.place(image, x, y);
     paint.strokeStyle = "#000";
-    paint.fillStyle = "#ffe14d";
+    paint.fillStyle = EPIPOLAR;
     paint.lineWidth = 1;
     paint.beginPath();
     paint.arc(px, py, 4.5, 0, 7);
@@ -141,10 +140,10 @@ export class View {
   }
 
   /** A line a x + b y + c = 0 across its image. */
-  drawLine(paint, image, [a, b, c], height, colour) {
+  drawLine(paint, image, [a, b, c], height) {
     const norm = Math.hypot(a, b);
     if (!(norm > 0)) return; // the point is the epipole
-    const [width, tall] = this.found.sizes[image];
+    const [width, tall] = this.result.sizes[image];
     const foot = [-a * c / norm ** 2, -b * c / norm ** 2];
     const far = Math.hypot(...foot) + width + tall;
     const along = [b / norm * far, -a / norm * far];
@@ -152,7 +151,7 @@ export class View {
     paint.beginPath();
     paint.rect(this.size[image][0], 0, this.size[image][1] - this.size[image][0], height);
     paint.clip();
-    for (const [style, thick] of [["#000", 3.5], [colour, 1.8]]) {
+    for (const [style, thick] of [["#000", 3.5], [EPIPOLAR, 1.8]]) {
       paint.strokeStyle = style;
       paint.lineWidth = thick;
       paint.beginPath();
@@ -183,7 +182,7 @@ export class View {
     const [image, x, y] = this.pointer;
     let [best, least] = [null, NEAR / this.places[image].scale];
     for (const n of this.shown()) {
-      const point = this.found.matches.points[n].slice(2 * image, 2 * image + 2);
+      const point = this.result.matches.points[n].slice(2 * image, 2 * image + 2);
       const distance = Math.hypot(point[0] - x, point[1] - y);
       if (distance < least) [best, least] = [n, distance];
     }
@@ -192,7 +191,7 @@ export class View {
 
   describe(nearest) {
     if (!this.pointer) {
-      this.text.textContent = this.found.F
+      this.text.textContent = this.result.F
         ? "Point at an image: the epipolar lines of that point appear in both."
         : "There is no essential matrix, so there are no epipolar lines.";
       return;
@@ -200,7 +199,7 @@ export class View {
     const [image, x, y] = this.pointer;
     let text = `image ${image + 1}, pixel ${x.toFixed(1)}, ${y.toFixed(1)}`;
     if (nearest !== null) {
-      const { points, residual, confidence, inlier } = this.found.matches;
+      const { points, residual, confidence, inlier } = this.result.matches;
       const [x1, y1, x2, y2] = points[nearest];
       text = `match (${x1}, ${y1}) — (${x2}, ${y2}), confidence ${confidence[nearest]}`;
       if (residual[nearest] !== null) text += `, residual ${residual[nearest]} px`;
@@ -231,16 +230,16 @@ export function drawHistogram(canvas, { residual, inlier }, tall) {
     paint.fillText("no residuals without an essential matrix", 8, 24);
     return;
   }
-  const sorted = known.filter(([, own]) => own).map(([value]) => value).sort((a, b) => a - b);
+  const sorted = known.filter(([, fits]) => fits).map(([value]) => value).sort((a, b) => a - b);
   const quantile = sorted.length ? sorted[Math.floor(0.95 * (sorted.length - 1))] : 1;
   const most = Math.max(0.01, 2 * quantile);
   const bars = Array.from({ length: 30 }, () => [0, 0]);
-  for (const [value, own] of known) bars[Math.min(29, Math.floor(30 * value / most))][own ? 0 : 1]++;
-  const tallest = Math.max(...bars.map(([one, two]) => one + two));
+  for (const [value, fits] of known) bars[Math.min(29, Math.floor(30 * value / most))][fits ? 0 : 1]++;
+  const tallest = Math.max(...bars.map(([inliers, outliers]) => inliers + outliers));
   const [left, bottom, room] = [44, height - 24, height - 34];
   const step = (width - left - 8) / 30;
-  bars.forEach(([one, two], n) => {
-    const [low, high] = [room * one / tallest, room * two / tallest];
+  bars.forEach(([inliers, outliers], n) => {
+    const [low, high] = [room * inliers / tallest, room * outliers / tallest];
     paint.fillStyle = INLIER;
     paint.fillRect(left + n * step, bottom - low, step - 1, low);
     paint.fillStyle = OUTLIER;
@@ -265,7 +264,7 @@ function cross([a, b, c], [d, e, f]) {
 }
 
 /** The vector that a matrix of rank 2 takes to 0: across the two rows that are least parallel. */
-function nullVector([one, two, three]) {
-  const found = [cross(one, two), cross(two, three), cross(three, one)];
-  return found.reduce((best, own) => (Math.hypot(...own) > Math.hypot(...best) ? own : best));
+function nullVector([row1, row2, row3]) {
+  const vectors = [cross(row1, row2), cross(row2, row3), cross(row3, row1)];
+  return vectors.reduce((best, vector) => (Math.hypot(...vector) > Math.hypot(...best) ? vector : best));
 }
