@@ -21,7 +21,7 @@ from dgc_pose.benchmarks.table import aligned
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import VerdictOptions
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.result import POSE_STATUSES
+from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 
 PairKind = Literal["unrelated", "true", "rotation only"]
@@ -79,7 +79,7 @@ class VerdictScore(PoseScore):
 
 def succeeds(score: VerdictScore, gates: VerdictOptions) -> bool:
     """Whether the pair would be a success with these gates."""
-    return score.evidence is not None and judge(score.evidence, gates).status in POSE_STATUSES
+    return score.evidence is not None and STATUSES[judge(score.evidence, gates).status].has_t
 
 
 def rates(scores: Sequence[VerdictScore], gates: VerdictOptions) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import VerdictOptions
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import ProbabilityModel
-from dgc_pose.estimation.result import POSE_STATUSES
+from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.metrics import Reliability, pose_auc
 
@@ -46,9 +46,9 @@ def judged(record: Record, model: ProbabilityModel, min_probability: float = 0.5
     status = judge(evidence, options, probability).status
     return Judged(
         record,
-        judge(evidence, _GATES).status in POSE_STATUSES,
-        status in POSE_STATUSES,
-        0.0 if status == "rotation_only" else probability,
+        STATUSES[judge(evidence, _GATES).status].has_t,
+        STATUSES[status].has_t,
+        0.0 if STATUSES[status].rotation_alone else probability,
         _expected(evidence, model, "rotation"),
         _expected(evidence, model, "translation"),
     )

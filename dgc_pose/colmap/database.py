@@ -14,6 +14,7 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.system.stderr import quiet
@@ -26,12 +27,6 @@ HALF_PIXEL = 0.5
 _MOST_SKEW = (
     1e-5  # over the focal length: rounding in a calibration, below 0.01 pixels in the image
 )
-# COLMAP's configuration of a pair by our status. Pairs of another status are not written.
-CONFIGURATIONS: Mapping[str, str] = {
-    "ok": "CALIBRATED",
-    "planar": "PLANAR",
-    "rotation_only": "PANORAMIC",
-}
 
 
 def write_database(

@@ -11,10 +11,11 @@ import numpy as np
 
 from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.cells import CellOptions, merge_by_cells
-from dgc_pose.colmap.database import CONFIGURATIONS, write_database
+from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, count_by_length
 from dgc_pose.colmap.tracking import TrackOptions, track_corners
 from dgc_pose.errors import InputError
+from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
 

@@ -2,7 +2,8 @@
 
 from dgc_pose.estimation.options import EstimationOptions, VerdictOptions
 from dgc_pose.estimation.relative_pose import estimate_pose
-from dgc_pose.estimation.result import Alternative, RelativePose, Status
+from dgc_pose.estimation.result import Alternative, RelativePose
+from dgc_pose.estimation.status import Status
 
 __all__ = [
     "Alternative",

@@ -18,8 +18,9 @@ from dgc_pose.estimation.probability import ProbabilityModel, match_kind, shippe
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.ransac import sampled_models
 from dgc_pose.estimation.refine import refine, refit
-from dgc_pose.estimation.result import POSE_STATUSES, Alternative, RelativePose
+from dgc_pose.estimation.result import Alternative, RelativePose
 from dgc_pose.estimation.rivals import rivals
+from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_type
@@ -69,8 +70,8 @@ def estimate_pose(
     verdict = judge(found.evidence, options.verdict, found.probability, against)
 
     inliers[problem.index] = model.inliers
-    has_pose = verdict.status in POSE_STATUSES
-    rotation = found.evidence.rotation if verdict.status == "rotation_only" else None
+    known = STATUSES[verdict.status]
+    rotation = found.evidence.rotation if known.rotation_alone else None
     least = options.verdict.alternative_share * model.count_in_front
     alternatives = [
         look(other, rivals=[model]) for other in others if other.count_in_front >= least
@@ -80,11 +81,11 @@ def estimate_pose(
         reason=verdict.reason,
         inliers=inliers,
         num_matches=len(problem),
-        R=model.R if has_pose else rotation,
-        t=model.t if has_pose else None,
-        covariance=found.calibrated_covariance if has_pose else None,
+        R=model.R if known.has_t else rotation,
+        t=model.t if known.has_t else None,
+        covariance=found.calibrated_covariance if known.has_t else None,
         evidence=found.evidence,
-        probability=0.0 if verdict.status == "rotation_only" else found.probability,
+        probability=0.0 if known.rotation_alone else found.probability,
         alternatives=_alternatives(alternatives, found.probability),
         warnings=problem.warnings + verdict.warnings + _warnings(len(alternatives)),
     )

@@ -5,27 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.estimation.status import STATUSES, Status
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
-
-Status = Literal[
-    "ok",  # R and t
-    "planar",  # R and t, but of a plane, which allows a second solution
-    "rotation_only",  # R alone: the images do not determine t
-    "too_few_matches",
-    "no_model",  # the estimator found no essential matrix, or the inliers do not determine it
-    "chance_inliers",  # no more inliers than unrelated images would have
-    "behind_cameras",  # many points would lie behind a camera
-    "improbable",  # the evidence altogether speaks against the pose
-]
-
-POSE_STATUSES: tuple[Status, ...] = ("ok", "planar")  # those with R and t
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +57,7 @@ class RelativePose:
     @property
     def success(self) -> bool:
         """Whether R and t are known."""
-        return self.status in POSE_STATUSES
+        return STATUSES[self.status].has_t
 
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.options import VerdictOptions
-from dgc_pose.estimation.result import Status
+from dgc_pose.estimation.status import STATUSES, Status
 
 
 class Verdict(NamedTuple):
@@ -88,7 +88,7 @@ def _too_few(evidence: Evidence) -> Verdict:
 def _undetermined(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     """Whether many poses explain the matches, because the translation does not show."""
     if evidence.collinear:
-        return Verdict("no_model", "the inliers lie on one line, which many poses explain")
+        return Verdict("collinear", STATUSES["collinear"].meaning)
     # The model fits the noise of few matches: their errors come out too small by some 1 / sqrt.
     min_parallax = options.min_parallax * (1 + 4 / np.sqrt(max(evidence.num_rotation_inliers, 1)))
     rotates = evidence.rotation_share >= options.rotation_share
@@ -120,7 +120,7 @@ def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
             f"the {evidence.num_inliers} inliers do not determine the pose: its rotation may be "
             f"wrong by {error:.0f} deg"
         )
-        return Verdict("no_model", reason)
+        return Verdict("undetermined", reason)
     return None
 
 
@@ -132,9 +132,9 @@ def _pose(evidence: Evidence, options: VerdictOptions) -> Verdict:
             f"the median triangulation angle is {angle:.2f} deg: the translation is uncertain",
         )
     if evidence.homography_ratio < options.planar_share:
-        return Verdict("ok", "a pose", warnings)
+        return Verdict("ok", STATUSES["ok"].meaning, warnings)
     warnings += (
         f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers: "
         f"the scene is nearly a plane, which allows a second pose",
     )
-    return Verdict("planar", "a pose from a nearly planar scene", warnings)
+    return Verdict("planar", STATUSES["planar"].meaning, warnings)

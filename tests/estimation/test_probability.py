@@ -178,5 +178,5 @@ def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behin
     assert judge(_worse(log10_false_alarms=0.0), OPTIONS, 0.99).status == "chance_inliers"
     rotated = _worse(rotation_share=1.0, parallax=1.0)
     assert judge(rotated, OPTIONS, 0.99).status == "rotation_only"
-    assert judge(_worse(collinear=True), OPTIONS, 0.99).status == "no_model"
+    assert judge(_worse(collinear=True), OPTIONS, 0.99).status == "collinear"
     assert judge(_worse(cheirality_ratio=0.4), OPTIONS, 0.99).status == "behind_cameras"
