@@ -28,7 +28,6 @@ from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
 from dgc_pose.refinement import RefinementOptions, Refiner
-from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.source import MapMatches
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
@@ -192,8 +191,6 @@ def _refiner(matcher: Matcher, options: RefinementOptions) -> Refiner:
     """Refinement of a matcher without a network."""
     if options.source == "map":
         return Refiner(matcher, (MapMatches(),), options.alignment)
-    if options.source == "flow":
-        return Refiner(matcher, (FlowMatches(options.flow),), options.alignment)
     raise InputError(f"{matcher.name}: refine={options.source} needs the features of a network")
 
 

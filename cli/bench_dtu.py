@@ -35,9 +35,8 @@ from dgc_pose.cli.dtu_pairs import FolderChoice
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.files.json_files import write_json
-from dgc_pose.matchers import SIFT
+from dgc_pose.matchers import CLASSICAL
 from dgc_pose.matching.files import FileMatcher
-from dgc_pose.matching.flow import FLOWS
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import option
 
@@ -76,10 +75,10 @@ class Experiment:
 @click.option(
     "--methods",
     default=lambda: ",".join(
-        [*(name + end for name in shipped() for end in ("", EVERYWHERE)), SIFT, *FLOWS]
+        [*(name + end for name in shipped() for end in ("", EVERYWHERE)), *CLASSICAL]
     ),
-    show_default=f"all shipped weights with and without {EVERYWHERE}, {SIFT}, {', '.join(FLOWS)}",
-    help="Comma-separated names or paths of weights, sift, dis, farneback, and names of --matches, "
+    show_default=f"all shipped weights with and without {EVERYWHERE}, {', '.join(CLASSICAL)}",
+    help="Comma-separated names or paths of weights, sift, dis, and names of --matches, "
     "each with options of its own, such as NAME:matchability=0.5:runs=1; "
     f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their matchability.",
 )

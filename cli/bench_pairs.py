@@ -78,7 +78,7 @@ class SceneChoice:
     "--methods",
     default=lambda: ",".join([*shipped(), SIFT]),
     show_default="all shipped weights, and sift",
-    help="Comma-separated names or paths of weights, sift, dis, farneback, each with options of "
+    help="Comma-separated names or paths of weights, sift, dis, each with options of "
     "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
     "image 1.",
 )

@@ -10,7 +10,7 @@ from dgc_pose.cameras.camera import Camera, camera_for, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matching import DEFAULT_WEIGHTS, MatchingOptions
-from dgc_pose.refinement import AlignmentOptions, FlowOptions, RefinementOptions, SourceName
+from dgc_pose.refinement import AlignmentOptions, RefinementOptions, SourceName
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import option
 
@@ -69,22 +69,18 @@ class RefineChoice:
 
     source: Literal["none", SourceName] = option(
         "auto",
-        "Which matches are aligned on the original photographs: the map's, those of the "
-        "encoder's features at native resolution, or those of optical flow guided by the map; "
-        "auto: the features', and the map's if those are few.",
+        "Which matches are aligned on the original photographs: those of the map, or those of the "
+        "encoder's features at native resolution; auto: the features', and the map's if those are "
+        "few.",
         flag="--refine",
     )
 
     def options(self, matching: MatchingOptions) -> RefinementOptions | None:
-        """Refinement with the matchability and the number of matches of the selection."""
+        """Refinement with the number of matches of the selection."""
         if self.source == "none":
             return None
-        most = matching.max_matches
-        return RefinementOptions(
-            source=self.source,
-            flow=FlowOptions(matchability=matching.matchability, max_matches=most),
-            alignment=AlignmentOptions(max_matches=most),
-        )
+        alignment = AlignmentOptions(max_matches=matching.max_matches)
+        return RefinementOptions(source=self.source, alignment=alignment)
 
 
 @dataclass(frozen=True)

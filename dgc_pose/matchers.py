@@ -7,13 +7,12 @@ from pathlib import Path
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
-from dgc_pose.matching.flow import FLOWS, FlowMatcher
+from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.selection import MatchingOptions
 from dgc_pose.matching.sift import KeyPointCache, SiftMatcher, key_point_cache
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.refinement.features import FeatureMatches
-from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import NativeCache, native_cache
 from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.refinement.refiner import Refiner
@@ -23,7 +22,8 @@ from dgc_pose.system.options import check_type
 
 SIFT = "sift"
 _DEFAULT = RefinementOptions()
-CLASSICAL = (SIFT, *FLOWS)  # names of the matchers without weights
+DIS = "dis"
+CLASSICAL = (SIFT, DIS)  # names of the matchers without weights
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ def load_matcher(
 ) -> Matcher:
     """A matcher by its name; by default what `dgc-pose estimate` uses.
 
-    name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), "sift", or an
-    optical flow ("dis", "farneback"). device: of the network, "auto", "cpu" or "cuda". runtime:
+    name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), "sift", or
+    "dis" (optical flow). device: of the network, "auto", "cpu" or "cuda". runtime:
     what runs it, see `load_engine`. half_precision: its convolutions in bfloat16, by torch; faster
     on a GPU, less exact. matching: how matches are selected from a dense map.
-    refinement: of a network's matches; None for the matches of its map. SIFT and the flows are
+    refinement: of a network's matches; None for the matches of its map. SIFT and DIS are
     never refined here; a `Refiner` around them does it.
     caches: to keep what is computed of an image from pair to pair; None to keep nothing.
 
@@ -78,9 +78,8 @@ def load_matcher(
             check_type(value, kind, argument)
     if name == SIFT:
         return SiftMatcher(cache=None if caches is None else caches.key_points)
-    for flow in FLOWS:
-        if name == flow:
-            return FlowMatcher(flow, matching)
+    if name == DIS:
+        return FlowMatcher(matching)
     features, native = (None, None) if caches is None else (caches.features, caches.native)
     dense = load_dense_matcher(
         name,
@@ -102,6 +101,4 @@ def refined(
         sources.append(FeatureMatches(dense.engine, options.features, cache))
     if options.source in ("auto", "map"):
         sources.append(MapMatches())
-    if options.source == "flow":
-        sources.append(FlowMatches(options.flow))
     return Refiner(dense, sources, options.alignment)

@@ -39,7 +39,7 @@ def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
 
 
-@pytest.mark.parametrize("name", ["sift", "dis", "farneback"])
+@pytest.mark.parametrize("name", ["sift", "dis"])
 def test_matchers_without_weights(images: tuple[Image, Image], name: str) -> None:
     options = MatchingOptions(max_matches=100)
     matcher = load_matcher(name, matching=options)

@@ -1,39 +1,28 @@
-"""OpenCV's dense optical flow as a matcher, for comparison with a correspondence network."""
+"""Dense optical flow as a matcher, for comparison with a correspondence network."""
 
 from __future__ import annotations
-
-from typing import Literal, get_args
 
 import cv2
 import numpy as np
 
-from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 
-FlowName = Literal["dis", "farneback"]
-FLOWS: tuple[FlowName, ...] = get_args(FlowName)
 LONGEST_SIDE = 640  # pixels; larger images are shrunk to it before the flow is computed
 _LEAST_SIDE = 16  # pixels
 
 
 class FlowMatcher(Matcher):
-    """DIS (Kroeger et al., ECCV 2016) or Farneback's flow (2003) from image 2 to image 1.
+    """Dense inverse search (Kroeger et al., ECCV 2016; OpenCV's DIS) from image 2 to image 1."""
 
-    Raises InputError if there is no flow of that name.
-    """
-
-    def __init__(self, name: FlowName, options: MatchingOptions | None = None) -> None:
-        if name not in FLOWS:
-            raise InputError(f"a flow must be one of {', '.join(FLOWS)}, not '{name}'")
-        self._name = name
+    def __init__(self, options: MatchingOptions | None = None) -> None:
         self.options = options or MatchingOptions()
 
     @property
     def name(self) -> str:
-        return self._name
+        return "dis"
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The map over the pixels of image 2, or of its shrunk copy, and the matches selected.
@@ -47,32 +36,18 @@ class FlowMatcher(Matcher):
             cv2.cvtColor(resize(image.pixels, (width, height)), cv2.COLOR_RGB2GRAY)
             for image in (image1, image2)
         )
-        forward, backward = self._flow(grey2, grey1), self._flow(grey1, grey2)
-        points1 = pixel_grid((width, height)) + forward
-        found = scaled_map(points1, agreement(forward, backward), image1.size, image2.size)
-        return MatchResult(select_matches(found, self.options), found)
-
-    def _flow(self, of: np.ndarray, to: np.ndarray) -> np.ndarray:
-        """Flow (H, W, 2) float32 on the pixels of the first image (H, W) uint8."""
-        start = np.zeros((*of.shape, 2), np.float32)
-        if self._name == "dis":
-            dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-            return np.asarray(dis.calc(of, to, start))
-        # The settings of OpenCV's own sample, with as many levels as leave 32 pixels a side.
-        levels = max(1, int(np.log2(max(of.shape) / 32)))
-        flow = cv2.calcOpticalFlowFarneback(
-            of,
-            to,
-            start,
-            pyr_scale=0.5,
-            levels=levels,
-            winsize=15,
-            iterations=3,
-            poly_n=5,
-            poly_sigma=1.2,
-            flags=0,
+        dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        forward, backward = (
+            dis.calc(*greys, np.zeros((height, width, 2), np.float32))
+            for greys in ((grey2, grey1), (grey1, grey2))
         )
-        return np.asarray(flow)
+        correspondence_map = scaled_map(
+            pixel_grid((width, height)) + forward,
+            agreement(forward, backward),
+            image1.size,
+            image2.size,
+        )
+        return MatchResult(select_matches(correspondence_map, self.options), correspondence_map)
 
 
 def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:

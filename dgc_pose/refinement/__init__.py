@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from dgc_pose.refinement.options import (
     AlignmentOptions,
     FeatureOptions,
-    FlowOptions,
     RefinementOptions,
     SourceName,
 )
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 __all__ = [
     "AlignmentOptions",
     "FeatureOptions",
-    "FlowOptions",
     "RefinementOptions",
     "Refiner",
     "SourceName",

@@ -7,9 +7,9 @@ from typing import Literal
 
 from dgc_pose.system.options import check_options, option
 
-# The source of the matches to align: the map itself, the encoder's features at native resolution,
-# or optical flow from the map's estimate. "auto": the features, and the map if those give too few.
-SourceName = Literal["auto", "map", "features", "flow"]
+# The source of the matches to align: those selected from the map, or matches of the encoder's
+# features at native resolution. "auto": the features', and the map's if those are too few.
+SourceName = Literal["auto", "map", "features"]
 
 
 @dataclass(frozen=True)
@@ -19,18 +19,6 @@ class FeatureOptions:
     long_side: int = option(800, min=64)  # most pixels of the images that features are computed on
     similar: int = option(12, min=1)  # most similar cells of stride 16, for the consensus
     likely: int = option(4, min=1)  # of them and the map's, those searched besides the map's
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-
-@dataclass(frozen=True)
-class FlowOptions:
-    """Of `FlowMatches`. Raises InputError, naming the field, for a value out of range."""
-
-    matchability: float = option(0.7, min=0, max=1)  # least matchability
-    long_side: int = option(800, min=64)  # most pixels of the images that flow is computed on
-    max_matches: int = option(2000, min=1)  # an even subsample of at most so many
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -59,7 +47,6 @@ class RefinementOptions:
 
     source: SourceName = option("auto")
     features: FeatureOptions = field(default_factory=FeatureOptions)
-    flow: FlowOptions = field(default_factory=FlowOptions)
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
 
     def __post_init__(self) -> None:

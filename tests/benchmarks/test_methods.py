@@ -62,12 +62,12 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
 
 
 def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
-    (method,) = parse_methods(["net:refine=flow:max_matches=300:align=false:runs=2"], REFINED)
+    (method,) = parse_methods(["net:refine=features:max_matches=300:align=false:runs=2"], REFINED)
     refinement = method.options.refinement
     assert method.options.matching == MatchingOptions(max_matches=300)
     assert method.options.estimation == EstimationOptions(runs=2)
-    assert refinement.source == "flow" and not refinement.alignment.align
-    assert (refinement.flow.max_matches, refinement.alignment.max_matches) == (300, 300)
+    assert refinement.source == "features" and not refinement.alignment.align
+    assert refinement.alignment.max_matches == 300
     (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
     assert other.options.estimation == EstimationOptions(threshold_px=1.5, refine=False)
     assert other.options.matching == MatchingOptions(finest=60, cycle_px=3.0)
@@ -170,6 +170,6 @@ def test_a_network_is_read_once_for_all_its_passes(monkeypatch) -> None:
 def test_refinement_by_features_needs_a_network() -> None:
     with pytest.raises(InputError, match="sift: refine=features needs"):
         load_engines(parse_methods(["sift:refine=features"]), device="cpu")
-    methods = parse_methods(["sift:refine=map", "dis:refine=flow"])
+    methods = parse_methods(["sift:refine=map", "dis:refine=map"])
     passes = load_engines(methods, device="cpu").passes
     assert all(len(engine.refiners) == 1 for engine in passes.values())

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches
-from dgc_pose.matching.flow import FLOWS, FlowMatcher, agreement, scaled_map
+from dgc_pose.matching.flow import FlowMatcher, agreement, scaled_map
 from dgc_pose.matching.texture import textured
 
 
@@ -30,7 +29,6 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
     return points[..., 0], points[..., 1]
 
 
-@pytest.mark.parametrize("name", FLOWS)
 @pytest.mark.parametrize(
     ("sizes", "plane"),
     [
@@ -39,17 +37,17 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
         (((1280, 1024), (960, 768)), (640, 512)),
     ],
 )
-def test_the_map_leads_from_image_2_into_image_1(name, sizes, plane) -> None:
+def test_the_map_leads_from_image_2_into_image_1(sizes, plane) -> None:
     """Image 2 shows the plane shifted and rotated a little; large images are shrunk and their maps
     scaled, each axis of each image by its own factor."""
     angle, shift = 0.01, (4.0, -2.5)
     x, y = _plane(sizes[1], *plane)
     moved = (x - angle * y + shift[0], y + angle * x + shift[1])
-    matcher = FlowMatcher(name)
+    matcher = FlowMatcher()
     images = _picture(*_plane(sizes[0], *plane)), _picture(*moved)
     result = matcher.match(*images)
     found = result.correspondence_map
-    assert isinstance(found, CorrespondenceMap) and matcher.name == name
+    assert isinstance(found, CorrespondenceMap)
     selected = textured(select_matches(found, matcher.options), *images)
     assert len(result.matches) == len(selected) > 500
     assert (found.size1, found.size2) == sizes
@@ -84,8 +82,3 @@ def test_scaled_map_follows_the_half_pixel_rule() -> None:
     assert np.allclose(found.map[-1, -1], (394.5, 589.5))
     assert np.allclose(found.grid[0, 0], (0.5, -0.25))
     assert np.allclose(found.grid[-1, -1], (78.5, 14.25))
-
-
-def test_another_flow_is_refused() -> None:
-    with pytest.raises(InputError, match="dis, farneback"):
-        FlowMatcher("pwc")  # type: ignore[arg-type]

@@ -18,11 +18,10 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
 from dgc_pose.matching.files import FileMatcher
-from dgc_pose.matching.flow import FLOWS, FlowMatcher
+from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.sift import SiftMatcher, SiftOptions
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
 from dgc_pose.refinement import Refiner
-from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.source import MapMatches
 
 PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)
@@ -61,11 +60,10 @@ def _stored(folder: Path) -> FileMatcher:
 SOURCES: dict[str, Callable[[Path], Matcher]] = {
     "map": lambda folder: _Everywhere(),
     "map refined": lambda folder: Refiner(_Everywhere(), [MapMatches()]),
-    "flow refined": lambda folder: Refiner(_Everywhere(), [FlowMatches()]),
     "sift": lambda folder: SiftMatcher(SiftOptions(features=1000)),
     "files": _stored,
     "files refined": lambda folder: Refiner(_stored(folder)),
-    **{flow: lambda folder, flow=flow: FlowMatcher(flow) for flow in FLOWS},
+    "dis": lambda folder: FlowMatcher(),
 }
 
 

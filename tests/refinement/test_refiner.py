@@ -21,14 +21,12 @@ from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement import (
     AlignmentOptions,
     FeatureOptions,
-    FlowOptions,
     RefinementOptions,
     Refiner,
 )
 from dgc_pose.refinement.features import FeatureMatches
-from dgc_pose.refinement.flow import FlowMatches
 from dgc_pose.refinement.native import native_cache
-from dgc_pose.refinement.source import MapMatches, MatchSource
+from dgc_pose.refinement.source import MapMatches
 from dgc_pose.runtime.torch_engine import TorchEngine
 
 _OPTIONS = MatchingOptions(max_matches=1500)
@@ -70,12 +68,11 @@ class _GivenPoints(Matcher):
         return MatchResult(self.matches, None)
 
 
-@pytest.mark.parametrize("source", [MapMatches(), FlowMatches()])
 def test_matches_become_ten_times_as_exact_and_so_does_the_pose(
-    images: tuple[Image, Image], source: MatchSource
+    images: tuple[Image, Image],
 ) -> None:
     matcher = _noisy()
-    result = Refiner(matcher, [source]).match(*images)
+    result = Refiner(matcher).match(*images)
     given = matcher.match(*images).matches
     assert np.median(_errors(given)) > 0.5
     assert len(result.matches) > 150 and np.median(_errors(result.matches)) < 0.1
@@ -106,7 +103,7 @@ def test_without_a_map_the_matcher_s_own_matches_are_aligned(
     points2 = rng.uniform((60, 40), (260, 200), (400, 2))
     points1 = dense_scene.points_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
     given = Matches(points1, points2, np.ones(400), 1.0, key_points=True)
-    result = Refiner(_GivenPoints(given), [FeatureMatches(engine), FlowMatches()]).match(*images)
+    result = Refiner(_GivenPoints(given), [FeatureMatches(engine)]).match(*images)
     assert result.correspondence_map is None and result.matches.key_points
     assert len(result.matches) > 150 and np.median(_errors(result.matches)) < 0.1
 
@@ -210,9 +207,6 @@ def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: To
         (FeatureOptions, "long_side", 16),
         (FeatureOptions, "similar", 0),
         (FeatureOptions, "likely", 0),
-        (FlowOptions, "long_side", 16),
-        (FlowOptions, "matchability", -0.1),
-        (FlowOptions, "max_matches", 0),
         (AlignmentOptions, "min_zncc", 0.0),
         (AlignmentOptions, "neighbours", 3),
         (AlignmentOptions, "patch_radius", 1),
