@@ -32,7 +32,7 @@ HEADING = (
     "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
     "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "
-    "which dgcm-lite's mask is trained for"
+    "which dgcm-lite0's mask is trained for"
 )
 
 

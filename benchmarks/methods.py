@@ -1,6 +1,6 @@
 """Methods by specification: what matches, and with which options.
 
-A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite:refine=features:align=false`. NAME is that
+A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=features:align=false`. NAME is that
 of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of
 NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
 `MatchingOptions`, `RefinementOptions` or `EstimationOptions`, or of the options within them, and is

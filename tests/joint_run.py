@@ -57,7 +57,7 @@ def joint_run(out: Path) -> dict[str, dict[str, object]]:
     photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
     pairs = PairOptions(scene_share=0.0)
     options = RunOptions(
-        "dgcm-lite",
+        "dgcm-lite0",
         1.0,
         schedule=_SCHEDULE,
         pairs=pairs,

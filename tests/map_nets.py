@@ -1,4 +1,4 @@
-"""Networks whose maps are known without any weights."""
+"""Networks whose maps are known without any weights, and a small one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import PRESETS
+from dgc_pose.network.config import PRESETS, Conv, DecoderConfig, NetworkConfig, Pool
 from dgc_pose.network.net import Prediction
+
+# For squared images, with a mask, and fast.
+SMALL = NetworkConfig(
+    "small",
+    pyramid=((Conv(8),), *[(Conv(8), Pool())] * 4),
+    decoders=(DecoderConfig((8,), (1,)),) * 5,
+    output="displacement",
+    matchability="decoder",
+    align_corners=False,
+)
 
 
 class MapNet(nn.Module):
@@ -18,7 +28,7 @@ class MapNet(nn.Module):
 
     def __init__(self, map: Tensor, matchability: Tensor | None = None) -> None:
         super().__init__()
-        self.config = PRESETS["dgcm-lite"]
+        self.config = PRESETS["dgcm-lite0"]
         self.anchor = nn.Parameter(torch.zeros(()))  # tells the device
         self.map = map
         self.matchability = matchability

@@ -51,7 +51,7 @@ def test_matchers_without_weights(images: tuple[Image, Image], name: str) -> Non
 
 
 def test_caches_keep_what_is_computed_of_an_image(images: tuple[Image, Image]) -> None:
-    for name, used in (("sift", ["key_points"]), ("dgcm-lite", ["features", "native"])):
+    for name, used in (("sift", ["key_points"]), ("dgcm-lite0", ["features", "native"])):
         caches = MatcherCaches()
         matcher = load_matcher(name, caches=caches)
         for _ in range(2):
@@ -68,7 +68,7 @@ def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:
     found = []
     for seed in (0, 1, 0):
         torch.manual_seed(seed)
-        save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
+        save_weights(DGCNet(preset("dgcm-lite0")), tmp_path / "w.safetensors")
         loaded = [load_matcher(tmp_path / "w.safetensors", refinement=None)]
         loaded.append(load_matcher(tmp_path / "w.safetensors"))
         assert len({one.fingerprint for one in loaded}) == 1

@@ -41,7 +41,7 @@ def test_every_cell_runs_and_the_results_are_good(run: nbformat.NotebookNode) ->
     assert pose.startswith("ok ")
     assert all(float(value) < 0.5 for value in re.findall(r"is ([\d.]+) deg", errors))
     assert own.startswith("ok ")
-    rows = [line.split() for line in bench.splitlines() if line.startswith(("dgcm-lite", "sift"))]
+    rows = [line.split() for line in bench.splitlines() if line.startswith(("dgcm-lite0", "sift"))]
     assert [row[1] for row in rows] == ["10", "10"]
     assert "1 pair" in batch and "2 images" in batch
     assert "['1.png', '2.png']" in database

@@ -20,7 +20,7 @@ PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
 RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
-# dgcm-lite's mask is trained on "visible, and found to within" so many pixels.
+# The mask of dgcm-lite0 is trained on "visible, and found to within" so many pixels.
 FOUND_PX = 4.0
 
 

@@ -14,18 +14,19 @@ INPUT_SIZE = 240  # pixels a side of both input images, if they are squared
 STRIDE = 16  # pixels of an input image per cell of the coarsest level
 LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4
 COARSEST = 4  # index of the level that the correlation runs on
+# Of the peak that corrections start from (ours):
+CORRELATED = (4, 3)  # levels whose features are correlated, the coarsest first
+SECOND_SIZE = 128  # pixels, for 240: both images are also encoded at this scale
+LOCAL_RADIUS = 4  # cells of level 4, of the paper's PWCm-Net
 LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
 
 
 @dataclass(frozen=True)
 class Conv:
-    """One convolution of the pyramid, padded to keep the size, then ReLU by default."""
+    """A 3x3 convolution, padded to keep the size, then ReLU."""
 
     channels: int
-    kernel: int = 3
     stride: int = 1
-    dilation: int = 1
-    relu: bool = True
 
 
 @dataclass(frozen=True)
@@ -33,15 +34,7 @@ class Pool:
     """A 2x2 max-pool with stride 2."""
 
 
-@dataclass(frozen=True)
-class Residual:
-    """x + conv(relu(conv(x))), then ReLU: two 3x3 convolutions around a skip (He et al. 2016)."""
-
-    channels: int  # of input and output
-    dilation: int = 1  # of the second convolution
-
-
-PyramidLevel = tuple[Conv | Residual | Pool, ...]
+PyramidLevel = tuple[Conv | Pool, ...]
 
 
 @dataclass(frozen=True)
@@ -75,26 +68,17 @@ class NetworkConfig:
     pyramid: tuple[PyramidLevel, ...] | EfficientNet  # levels 0 (finest, 240) to 4 (coarsest, 15)
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
     # A decoder's output: the map itself (the paper), the displacement from the identity (the
-    # paper's DGC-Net-flow), or a correction of the previous level's map in cells (ours).
+    # paper's DGC-Net-flow), or a correction of the previous map in cells, where the first map is
+    # the peak of the correlation of CORRELATED levels at two scales (ours).
     output: Literal["absolute", "displacement", "residual"] = "absolute"
     # None: DGC-Net. "network": the paper's mask network on level 0. "decoder": a third channel of
     # every decoder, refined level by level like the map (ours).
     matchability: Literal["network", "decoder"] | None = None
     correlation: Literal["global", "local"] = "global"  # "local": the paper's PWCm-Net
-    local_correlation_radius: int = 4  # cells of level 4, for correlation = "local"
     normalise_features: bool = True  # L2 norm over channels before the correlation
-    normalise_correlation: bool = True  # ReLU and L2 norm over the correlation's channels
-    soft_argmax: bool = False  # the first map from the correlation's peak instead of zeros (ours)
-    # Levels, from the coarsest, whose features are correlated for that peak (ours).
-    correlated_levels: int = 1
-    # A second, smaller scale for that peak: both images are also encoded at this size in pixels and
-    # correlated with the other at full size, for views of different scale (ours).
-    second_size: int | None = None
-    consensus_passes: int = 0  # rounds of belief propagation before that peak (ours)
     # Whether -1 and +1 are the centres of the outer pixels (True, as in the authors' weights) or
     # their outer edges (False, the same point at every level).
     align_corners: bool = True
-    pyramid_batch_norm: bool = False  # in training only; folded afterwards
 
     def __post_init__(self) -> None:
         if len(self.level_channels) != len(LEVEL_SIZES) or len(self.decoders) != len(LEVEL_SIZES):
@@ -102,17 +86,17 @@ class NetworkConfig:
         for decoder in self.decoders:
             if len(decoder.channels) != len(decoder.dilations) or not decoder.channels:
                 raise InputError("a decoder needs as many dilations as channels, and at least one")
-        if self.soft_argmax and self.correlation != "global":
-            raise InputError("soft_argmax needs the global correlation")
-        if self.consensus_passes < 0 or (self.consensus_passes > 0 and not self.soft_argmax):
-            raise InputError("consensus_passes must not be negative, and needs soft_argmax")
-        if not 1 <= self.correlated_levels <= (len(LEVEL_SIZES) if self.soft_argmax else 1):
-            raise InputError("correlated_levels must be 1 to 5, and without soft_argmax 1")
-        coarsest = INPUT_SIZE // LEVEL_SIZES[COARSEST]
-        if self.second_size is not None and (self.second_size % coarsest or not self.soft_argmax):
-            raise InputError(f"second_size must be a multiple of {coarsest}, and needs soft_argmax")
-        if self.decoders[COARSEST].local_radius is not None and not self.soft_argmax:
-            raise InputError("a local correlation around the peak at level 4 needs soft_argmax")
+        if self.any_shape and (
+            self.correlation == "local"
+            or self.matchability == "network"
+            or any(decoder.local_radius is None for decoder in self.decoders)
+        ):
+            raise InputError(
+                "a residual output needs the global correlation, a local_radius of every decoder, "
+                "and no mask network"
+            )
+        if not self.any_shape and self.decoders[COARSEST].local_radius is not None:
+            raise InputError("a local_radius at level 4 needs a residual output")
 
     @property
     def level_channels(self) -> tuple[int, ...]:
@@ -125,11 +109,9 @@ class NetworkConfig:
     def any_shape(self) -> bool:
         """Whether images keep their shape; else both are squared to 240x240.
 
-        The channels of the global correlation fix the number of cells, so every decoder must have a
-        local one. A displacement from the identity is not defined between grids of two shapes.
+        Without corrections the coarsest decoder reads a channel for each cell of a squared image.
         """
-        local = all(decoder.local_radius is not None for decoder in self.decoders)
-        return local and self.output == "residual" and self.matchability != "network"
+        return self.output == "residual"
 
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
         """Width and height that an image of `size` (width, height) is resized to for the network.
@@ -143,6 +125,11 @@ class NetworkConfig:
         return STRIDE * round(side * elongation), STRIDE * round(side / elongation)
 
     @property
+    def correlated(self) -> tuple[int, ...]:
+        """Levels whose features are correlated for the first map, the coarsest first."""
+        return CORRELATED if self.any_shape else (COARSEST,)
+
+    @property
     def map_channels(self) -> int:
         """Channels passed between decoders: x, y and, with matchability "decoder", the mask."""
         return 3 if self.matchability == "decoder" else 2
@@ -153,7 +140,7 @@ class NetworkConfig:
         if level == COARSEST and radius is None:
             width = LEVEL_SIZES[COARSEST]
             if self.correlation == "local":
-                width = 2 * self.local_correlation_radius + 1
+                width = 2 * LOCAL_RADIUS + 1
             return width**2 + self.map_channels
         local = 0 if radius is None else (2 * radius + 1) ** 2
         return 2 * self.level_channels[level] + local + self.map_channels
@@ -178,53 +165,25 @@ _PAPER_DECODERS = (
     DecoderConfig((128, 128, 96, 64, 32), (1, 1, 1, 1, 1)),
     DecoderConfig((128, 128, 96, 64, 32), (1, 1, 1, 1, 1)),
 )
-_LITE_PYRAMID: tuple[PyramidLevel, ...] = (
-    (Conv(16),),
-    (Conv(24, stride=2), Conv(32)),
-    (Conv(48, stride=2), Conv(64), Conv(64, kernel=1, relu=False)),
-    (
-        Conv(128, stride=2),
-        Residual(128),
-        Residual(128, dilation=2),
-        Conv(128, kernel=1, relu=False),
-    ),
-    (
-        Conv(192, stride=2),
-        Residual(192),
-        Residual(192, dilation=2),
-        Conv(128, kernel=1, relu=False),
-    ),
-)
+_LITE_PYRAMID = EfficientNet(((Conv(16),), (Conv(24, stride=2), Conv(32))))
 _LITE_DECODERS = (
     DecoderConfig((32, 16), (1, 2), local_radius=2),
     DecoderConfig((48, 32, 24), (1, 2, 4), local_radius=3),
     DecoderConfig((64, 48, 32), (1, 2, 4), local_radius=3),
     DecoderConfig((128, 96, 64), (1, 1, 2), local_radius=4),
-    DecoderConfig((128, 96, 64), (1, 1, 1)),
-)
-
-_LITE = NetworkConfig(
-    "dgcm-lite",
-    _LITE_PYRAMID,
-    _LITE_DECODERS,
-    output="residual",
-    matchability="decoder",
-    soft_argmax=True,
-    correlated_levels=2,
-    second_size=128,
-    consensus_passes=4,
-    align_corners=False,
+    DecoderConfig((128, 96, 64), (1, 1, 1), local_radius=4),
 )
 
 PRESETS: dict[str, NetworkConfig] = {
     "dgc": NetworkConfig("dgc", _VGG16, _PAPER_DECODERS),
     "dgcm": NetworkConfig("dgcm", _VGG16, _PAPER_DECODERS, matchability="network"),
-    "dgcm-lite": _LITE,
-    "dgcm-lite0": replace(
-        _LITE,
-        name="dgcm-lite0",
-        pyramid=EfficientNet((_LITE_PYRAMID[0], _LITE_PYRAMID[1])),
-        decoders=(*_LITE_DECODERS[:-1], replace(_LITE_DECODERS[-1], local_radius=4)),
+    "dgcm-lite0": NetworkConfig(
+        "dgcm-lite0",
+        _LITE_PYRAMID,
+        _LITE_DECODERS,
+        output="residual",
+        matchability="decoder",
+        align_corners=False,
     ),
 }
 
@@ -241,36 +200,22 @@ def preset(name: str) -> NetworkConfig:
     for ablation in ablations:
         if ablation not in ABLATIONS:
             raise InputError(f"no ablation '{ablation}'; there are {', '.join(ABLATIONS)}")
-        config = ABLATIONS[ablation](config)
+        try:
+            config = ABLATIONS[ablation](config)
+        except InputError as error:
+            raise InputError(f"{ablation} is no ablation of {base}: {error}") from None
     return replace(config, name=name)
 
 
-def without_dilation(config: NetworkConfig) -> NetworkConfig:
-    """The paper's ablation: the same decoders with every dilation 1."""
+def _without_dilation(config: NetworkConfig) -> NetworkConfig:
     decoders = tuple(replace(d, dilations=(1,) * len(d.dilations)) for d in config.decoders)
     return replace(config, decoders=decoders)
 
 
-def _local_correlation(config: NetworkConfig) -> NetworkConfig:
-    coarsest = replace(config.decoders[COARSEST], local_radius=None)
-    return replace(
-        config,
-        decoders=(*config.decoders[:COARSEST], coarsest),
-        correlation="local",
-        soft_argmax=False,
-        correlated_levels=1,
-        second_size=None,
-        consensus_passes=0,
-    )
-
-
-# The paper's ablations (section 5) and two of ours, by the names that `preset` takes behind a "+".
+# The paper's ablations (section 5), by the names that `preset` takes behind a "+".
 ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
     "no-l2": lambda config: replace(config, normalise_features=False),
     "flow": lambda config: replace(config, output="displacement"),
-    "no-dilation": without_dilation,
-    "local-correlation": _local_correlation,
-    "no-consensus": lambda config: replace(config, consensus_passes=0),
-    "one-size": lambda config: replace(config, second_size=None),
-    "coarsest-alone": lambda config: replace(config, correlated_levels=1),
+    "no-dilation": _without_dilation,
+    "local-correlation": lambda config: replace(config, correlation="local"),
 }

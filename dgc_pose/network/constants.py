@@ -7,6 +7,7 @@ PEAK = (0.01, 0.99)  # bounds of the peak's probability, from which the coarsest
 PEAK_WINDOW = 2  # cells along each axis around the highest that belong to the peak
 
 # Of the consensus. Chosen on training photographs; factors from one half to two change little.
+PASSES = 4  # rounds of belief propagation
 REACH = 1.4  # source cells, sigma of a neighbour's match about the match plus the cells' offset
 WEIGHT = 0.4  # of the messages: neighbours are not independent of each other
 FLOOR = 0.01  # smallest message: the neighbour may lie on another surface

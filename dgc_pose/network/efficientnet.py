@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dgc_pose.network.config import EfficientNet
-from dgc_pose.network.plain import plain_level
+from dgc_pose.network.pyramid import plain_level
 
 STEM_CHANNELS = 32
 # Of each inverted residual block: output channels, kernel, stride, and expansion of the channels.

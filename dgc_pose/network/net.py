@@ -13,12 +13,14 @@ from dgc_pose.network.config import (
     COARSEST,
     INPUT_SIZE,
     LEVEL_SIZES,
+    LOCAL_RADIUS,
+    SECOND_SIZE,
     STRIDE,
     EfficientNet,
     NetworkConfig,
 )
 from dgc_pose.network.consensus import consensus
-from dgc_pose.network.constants import PEAK
+from dgc_pose.network.constants import PASSES, PEAK
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
     cell_correlations,
@@ -90,8 +92,8 @@ class DGCNet(nn.Module):
             self.add_module(f"reg_{level}", decoder)
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
-        scales = torch.full((config.correlated_levels,), INITIAL_SCALE)
-        self.register_buffer("correlation_scales", scales, persistent=config.soft_argmax)
+        scales = torch.full((len(config.correlated),), INITIAL_SCALE)
+        self.register_buffer("correlation_scales", scales, persistent=config.any_shape)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
         if self.config.any_shape:
@@ -100,9 +102,7 @@ class DGCNet(nn.Module):
                     f"the sides of source and target must be multiples of {STRIDE}, "
                     f"not {tuple(source.shape)} and {tuple(target.shape)}"
                 )
-            return self.decode(self.features(source), self.features(target))
-        expected = (3, INPUT_SIZE, INPUT_SIZE)
-        if source.shape[1:] != expected or target.shape != source.shape:
+        elif source.shape[1:] != (3, INPUT_SIZE, INPUT_SIZE) or target.shape != source.shape:
             raise ValueError(
                 f"source and target must both be (B, 3, {INPUT_SIZE}, {INPUT_SIZE}), "
                 f"not {tuple(source.shape)} and {tuple(target.shape)}"
@@ -112,17 +112,17 @@ class DGCNet(nn.Module):
     def features(self, image: Tensor) -> list[Tensor]:
         """Features (B, C_k, H_k, W_k) of levels 0 to 4 of a normalised image (B, 3, 16 h, 16 w).
 
-        With `second_size` there follow those of the correlated levels at the second scale, the
+        With `any_shape` there follow those of the correlated levels at the second scale, the
         coarsest first, resampled to the grids of the same levels.
         """
         features = self._encode(image)
-        if self.config.second_size is not None:
-            ratio = self.config.second_size / INPUT_SIZE
+        if self.config.any_shape:
+            ratio = SECOND_SIZE / INPUT_SIZE
             size = [STRIDE * max(1, round(side * ratio / STRIDE)) for side in image.shape[2:]]
             smaller = self._encode(F.interpolate(image, size, mode="bilinear", antialias=True))
             features += [
                 F.interpolate(smaller[level], features[level].shape[2:], mode="bilinear")
-                for level in self._correlated_levels
+                for level in self.config.correlated
             ]
         return features
 
@@ -136,10 +136,6 @@ class DGCNet(nn.Module):
         with self._precision(image):
             features = self.pyramid(image)
         return [feature.to(image.dtype) for feature in features]
-
-    @property
-    def _correlated_levels(self) -> range:
-        return range(COARSEST, COARSEST - self.config.correlated_levels, -1)
 
     def decode(
         self, source: list[Tensor], target: list[Tensor], finest: int = INPUT_SIZE
@@ -175,8 +171,7 @@ class DGCNet(nn.Module):
         config = self.config
         (source, *source_smaller), (target, *target_smaller) = map(self._scales, (source, target))
         if config.correlation == "local":
-            radius = config.local_correlation_radius
-            return Correlation(local_correlation(source[0], target[0], radius), None)
+            return Correlation(local_correlation(source[0], target[0], LOCAL_RADIUS), None)
         scales = cast(Tensor, self.correlation_scales)
         correlations = cell_correlations(source, target)
         evidence = match_evidence(correlations, scales)
@@ -188,8 +183,8 @@ class DGCNet(nn.Module):
 
     def _scales(self, features: list[Tensor]) -> list[list[Tensor]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
-        scales = [[features[level] for level in self._correlated_levels]]
-        if self.config.second_size is not None:
+        scales = [[features[level] for level in self.config.correlated]]
+        if self.config.any_shape:
             scales.append(features[len(LEVEL_SIZES) :])
         if self.config.normalise_features:
             return [[l2_normalise(level) for level in levels] for levels in scales]
@@ -202,22 +197,16 @@ class DGCNet(nn.Module):
         inputs = correlation.coarsest
         batch, _, height, width = inputs.shape
         start = inputs.new_zeros(batch, config.map_channels, height, width)
-        if config.soft_argmax:
-            assert correlation.evidence is not None
-            scores = match_scores(correlation.evidence)
-            if config.consensus_passes > 0:
-                scores = consensus(scores, config.consensus_passes, grid)
-            cells, probability = peaks(scores, grid)
-            start[:, :2] = to_normalised(
-                cells.movedim(1, -1), grid[::-1], config.align_corners
-            ).movedim(-1, 1)
-            if config.matchability == "decoder":
-                start[:, 2] = probability.clamp(*PEAK).logit()
-        if config.decoders[COARSEST].local_radius is not None:
-            return self.refine(COARSEST, self.warp(source, start), target, start, grid=grid)
-        if config.normalise_correlation:
-            inputs = l2_normalise(inputs.relu())
-        return self._decode_level(COARSEST, inputs, start, grid)
+        if not config.any_shape:
+            return self._decode_level(COARSEST, l2_normalise(inputs.relu()), start, grid)
+        assert correlation.evidence is not None
+        scores = consensus(match_scores(correlation.evidence), PASSES, grid)
+        cells, probability = peaks(scores, grid)
+        points = to_normalised(cells.movedim(1, -1), grid[::-1], config.align_corners)
+        start[:, :2] = points.movedim(-1, 1)
+        if config.matchability == "decoder":
+            start[:, 2] = probability.clamp(*PEAK).logit()
+        return self.refine(COARSEST, self.warp(source, start), target, start, grid=grid)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""

@@ -1,23 +1,25 @@
-"""The feature pyramid: VGG-16's first layers for the paper's presets, a slim one for dgcm-lite."""
+"""A feature pyramid of plain convolutions: VGG-16's first layers in the paper's presets."""
 
 from __future__ import annotations
 
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dgc_pose.network.config import LEVEL_SIZES, EfficientNet, NetworkConfig
-from dgc_pose.network.plain import plain_level
+from dgc_pose.network.config import LEVEL_SIZES, EfficientNet, NetworkConfig, Pool, PyramidLevel
 
 
 class Pyramid(nn.Module):
-    """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1)."""
+    """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1).
 
-    def __init__(self, config: NetworkConfig) -> None:
+    batch_norm: after each convolution, in training only; folded afterwards.
+    """
+
+    def __init__(self, config: NetworkConfig, batch_norm: bool = False) -> None:
         super().__init__()
         assert not isinstance(config.pyramid, EfficientNet)
         inputs = 3
         for index, level in enumerate(config.pyramid):
-            self.add_module(f"level_{index}", plain_level(level, inputs, config.pyramid_batch_norm))
+            self.add_module(f"level_{index}", plain_level(level, inputs, batch_norm))
             inputs = config.level_channels[index]
 
     def forward(self, image: Tensor) -> list[Tensor]:
@@ -37,6 +39,21 @@ class Pyramid(nn.Module):
         self.requires_grad_(False)
         for level in list(self.children())[len(LEVEL_SIZES) - levels :]:
             level.requires_grad_(True)
+
+
+def plain_level(level: PyramidLevel, inputs: int, batch_norm: bool = False) -> nn.Sequential:
+    """The layers of a level with `inputs` input channels."""
+    layers: list[nn.Module] = []
+    for part in level:
+        if isinstance(part, Pool):
+            layers.append(nn.MaxPool2d(2, 2))
+            continue
+        layers.append(nn.Conv2d(inputs, part.channels, 3, part.stride, padding=1))
+        if batch_norm:
+            layers.append(nn.BatchNorm2d(part.channels))
+        layers.append(nn.ReLU())
+        inputs = part.channels
+    return nn.Sequential(*layers)
 
 
 def fold_batch_norm(trained: Pyramid, plain: Pyramid) -> None:

@@ -147,13 +147,9 @@ def export(name: str, folder: Path) -> None:
     write(UPSAMPLE, _Upsample(), [state], [{2: h, 3: w}])
     write(RESAMPLE, _Resample(), given, [{1: c, 2: u, 3: v}, {1: d, 2: h, 3: w}])
     for level in range(COARSEST + 1):
-        inputs = config.decoder_inputs(level) - config.map_channels
-        parts = [inputs]
-        radius = config.decoders[level].local_radius
-        if radius is not None:
-            own = config.level_channels[level]
-            parts = [own, own, (2 * radius + 1) ** 2]
-        given = [torch.rand(1, part, rows, columns) for part in parts]
+        channels = config.level_channels[level]
+        window = config.decoder_inputs(level) - 2 * channels - config.map_channels
+        given = [torch.rand(1, part, rows, columns) for part in (channels, channels, window)]
         cell = torch.rand(1, config.map_channels, 1, 1)
         write(
             decoder_graph(level),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-PRESETS = ("dgcm-lite", "dgcm-lite0")
+PRESETS = ("dgcm-lite0",)
 GRAPHS = Path(__file__).parent / "graphs"  # one folder a preset
 LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the pyramid, all of it and its coarser levels
 WARP, UPSAMPLE, RESAMPLE = "warp.onnx", "upsample.onnx", "resample.onnx"  # without weights

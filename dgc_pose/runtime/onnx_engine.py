@@ -17,8 +17,15 @@ import PIL.Image
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
-from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, STRIDE, preset
-from dgc_pose.network.constants import PEAK
+from dgc_pose.network.config import (
+    COARSEST,
+    INPUT_SIZE,
+    LEVEL_SIZES,
+    SECOND_SIZE,
+    STRIDE,
+    preset,
+)
+from dgc_pose.network.constants import PASSES, PEAK
 from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 from dgc_pose.runtime.graphs import (
@@ -34,17 +41,9 @@ from dgc_pose.runtime.graphs import (
 )
 from dgc_pose.runtime.local_correlation import local_correlation
 from dgc_pose.runtime.session import Session
-from dgc_pose.runtime.start import (
-    cell_correlation,
-    consensus,
-    l2_normalised,
-    match_evidence,
-    match_scores,
-    peaks,
-)
+from dgc_pose.runtime.start import consensus, l2_normalised, match_evidence, match_scores, peaks
 
 _SCALES = "correlation_scales"  # the one weight that no graph has
-_LEVELS = len(LEVEL_SIZES)
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
@@ -90,10 +89,9 @@ class OnnxEngine:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
         image = resize(pixels, size).astype(np.float32)
         levels = self._levels(image)
-        if self.config.second_size is not None:
-            smaller = self._levels(_shrunk(image, self.config.second_size / INPUT_SIZE))
-            resample = self._session(RESAMPLE)
-            levels += [resample(smaller[i], levels[i])[0] for i in self._correlated_levels]
+        smaller = self._levels(_shrunk(image, SECOND_SIZE / INPUT_SIZE))
+        resample = self._session(RESAMPLE)
+        levels += [resample(smaller[i], levels[i])[0] for i in self.config.correlated]
         return OnnxFeatures(levels, size)
 
     def coarsest(self, features: OnnxFeatures) -> np.ndarray:
@@ -116,10 +114,6 @@ class OnnxEngine:
         """Levels 0 to 4 of an image (16 h, 16 w, 3) of 0 to 255, float32."""
         return self._session(LEVELS)(image)
 
-    @property
-    def _correlated_levels(self) -> range:
-        return range(COARSEST, COARSEST - self.config.correlated_levels, -1)
-
     def _decode(self, source: OnnxFeatures, target: OnnxFeatures, finest: int) -> DecodedMap:
         state = self._start(source, target)
         for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
@@ -127,14 +121,13 @@ class OnnxEngine:
             parts = self._decoder_inputs(level, source, target, previous)
             rows, columns = source.levels[level].shape[2:]
             # Corrections are in cells of the source; the mask logit has no unit.
-            cell = np.array([2 / columns, 2 / rows, 1], np.float32)[: self.config.map_channels]
+            cell = np.array([2 / columns, 2 / rows, 1], np.float32)
             decoder = self._session(decoder_graph(level))
             (state,) = decoder(*parts, previous, cell[:, None, None][None])
         return self._decoded(state[0], source.size)
 
     def _start(self, source: OnnxFeatures, target: OnnxFeatures) -> np.ndarray:
-        """The map at the coarsest level from the correlation's peak (1, 2 or 3, h, w)."""
-        config = self.config
+        """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
         scales1, scales2 = (self._correlated(features) for features in (source, target))
         (height1, width1), (height2, width2) = grids = tuple(
             features.levels[COARSEST].shape[2:] for features in (source, target)
@@ -145,46 +138,36 @@ class OnnxEngine:
         evidence = match_evidence(*pairs[0], self._weights[_SCALES])
         for pair in pairs[1:]:
             np.maximum(evidence, match_evidence(*pair, self._weights[_SCALES]), out=evidence)
-        scores = match_scores(evidence)
-        if config.consensus_passes > 0:
-            scores = consensus(scores, config.consensus_passes, *grids)
+        scores = consensus(match_scores(evidence), PASSES, *grids)
         cells, probability = peaks(scores, (height1, width1))
         points = (2 * cells + 1) / np.array([[width1], [height1]]) - 1
         probability = probability.clip(*PEAK)
         logits = np.log(probability / (1 - probability))
         state = np.concatenate([points, logits[None]])
-        shape = (1, config.map_channels, height2, width2)
-        return state[: config.map_channels].reshape(shape).astype(np.float32)
+        return state.reshape(1, 3, height2, width2).astype(np.float32)
 
     def _correlated(self, features: OnnxFeatures) -> list[list[np.ndarray]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
-        scales = [[features.levels[level] for level in self._correlated_levels]]
-        if self.config.second_size is not None:
-            scales.append(features.levels[_LEVELS:])
+        levels = features.levels
+        scales = [[levels[level] for level in self.config.correlated], levels[len(LEVEL_SIZES) :]]
         return [[l2_normalised(level[0]) for level in levels] for levels in scales]
 
     def _decoder_inputs(
         self, level: int, source: OnnxFeatures, target: OnnxFeatures, previous: np.ndarray
     ) -> list[np.ndarray]:
         """What a level's decoder is given besides the previous state."""
-        own, other = source.levels[level], target.levels[level]
+        features1, features2 = source.levels[level], target.levels[level]
         radius = self.config.decoders[level].local_radius
-        if radius is None:
-            units = l2_normalised(own[0]), l2_normalised(other[0])
-            scores = cell_correlation(*units, 1).reshape(-1, *other.shape[2:])
-            return [l2_normalised(scores.clip(0, None))[None]]
-        (warped,) = self._session(WARP)(own, previous)
-        units = l2_normalised(warped[0]), l2_normalised(other[0])
-        return [warped, other, local_correlation(*units, radius)[None]]
+        assert radius is not None  # of a preset that has graphs
+        (warped,) = self._session(WARP)(features1, previous)
+        units = l2_normalised(warped[0]), l2_normalised(features2[0])
+        return [warped, features2, local_correlation(*units, radius)[None]]
 
     def _decoded(self, state: np.ndarray, size: Size) -> DecodedMap:
-        """The map of a state (2 or 3, H, W) whose outer edges are -1 and 1."""
+        """The map of a state (3, H, W) whose outer edges are -1 and 1."""
         normalised = np.nan_to_num(state[:2].transpose(1, 2, 0), nan=-2.0)
         points = ((normalised + 1) * np.array(size, np.float32) - 1) / 2
-        matchability = np.ones(state.shape[1:], np.float32)
-        if self.config.matchability is not None:
-            matchability = 1 / (1 + np.exp(-state[2]))
-        return DecodedMap(points, matchability, size)
+        return DecodedMap(points, 1 / (1 + np.exp(-state[2])), size)
 
     def _session(self, graph: str) -> Session:
         key = os.getpid(), graph

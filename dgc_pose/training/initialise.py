@@ -35,10 +35,8 @@ def initialise_from(weights: str | Path, net: DGCNet, part: InitPart = "all") ->
             f"{weights}: weights of {other.config.name}, whose pyramid {net.config.name} lacks"
         )
     net.pyramid.load_state_dict(other.pyramid.state_dict())
-    if net.config.soft_argmax and other.config.soft_argmax:
-        levels = min(net.config.correlated_levels, other.config.correlated_levels)
-        scales = cast(Tensor, net.correlation_scales)
-        scales[:levels] = cast(Tensor, other.correlation_scales)[:levels]
+    if net.config.any_shape and other.config.any_shape:
+        cast(Tensor, net.correlation_scales).copy_(cast(Tensor, other.correlation_scales))
 
 
 def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> None:
@@ -71,7 +69,7 @@ def initialise_stage(stage: EncoderStage, net: DGCNet, images: Tensor) -> None:
     else:
         assert isinstance(net.pyramid, Pyramid)
         unfold_batch_norm(net.pyramid, stage.pyramid, images)
-    if net.config.soft_argmax:
+    if net.config.any_shape:
         scales = cast(Tensor, net.correlation_scales).log()
         stage.log_scales[:] = scales[0]
         stage.log_scales[: len(scales)] = scales

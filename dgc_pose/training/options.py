@@ -19,7 +19,7 @@ Unfrozen = Literal["coarsest", "encoder"]
 class RunOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
-    preset: str = option("dgcm-lite", "Network: dgc, dgcm, dgcm-lite or dgcm-lite0.")
+    preset: str = option("dgcm-lite0", "Network: dgc, dgcm or dgcm-lite0.")
     # The schedule is complete after so many minutes of training, or after so many steps: then a
     # run repeats exactly, whatever else the machine does. One of the two.
     minutes: float | None = option(
@@ -30,8 +30,8 @@ class RunOptions:
     )
     ablations: tuple[str, ...] = option(
         (),
-        "Change of the network: no-l2, flow, no-dilation, local-correlation, no-consensus, "
-        "coarsest-alone or one-size; may be given several times.",
+        "Change of the network, as in the paper: no-l2, flow, no-dilation or local-correlation; "
+        "may be given several times. The first and the third also change dgcm-lite0.",
         flag="--ablation",
     )
     seed: int = option(0, "Seed of all random draws.", min=0, max=MAX_SEED)

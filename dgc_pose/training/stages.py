@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
+from dgc_pose.network.constants import PASSES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid
@@ -58,14 +59,15 @@ class EncoderStage(nn.Module):
             self.pyramid = deepcopy(net.pyramid)
             self.pyramid.unfreeze(1 + len(_CONTRASTED))
         else:
-            self.pyramid = Pyramid(replace(net.config, pyramid_batch_norm=True))
+            self.pyramid = Pyramid(net.config, batch_norm=True)
             for module in self.pyramid.modules():
                 if isinstance(module, nn.Conv2d):
                     nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
         self.half_precision = net.half_precision
         # Of the correlated levels, then of those with a contrastive loss of their own.
-        self.correlated = net.config.correlated_levels
-        self.log_scales = nn.Parameter(torch.full((self.correlated + len(_CONTRASTED),), 2.5))
+        self.correlated = net.config.correlated
+        count = len(self.correlated) + len(_CONTRASTED)
+        self.log_scales = nn.Parameter(torch.full((count,), 2.5))
 
     def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
         """The contrastive loss of a batch, and the share of cells found at each level."""
@@ -74,13 +76,12 @@ class EncoderStage(nn.Module):
             coarse = self.pyramid.coarse(images.contiguous(memory_format=torch.channels_last))
         features = dict(enumerate(coarse, start=2))
         scales = self.log_scales.exp().clamp(max=60)
-        levels = range(COARSEST, COARSEST - self.correlated, -1)
-        halves = [l2_normalise(features[k].float()).chunk(2) for k in levels]
+        halves = [l2_normalise(features[k].float()).chunk(2) for k in self.correlated]
         correlations = cell_correlations(*zip(*halves, strict=True))
-        evidence = match_evidence(correlations, scales[: self.correlated])
+        evidence = match_evidence(correlations, scales[: len(self.correlated)])
         total, share = _coarsest_loss(evidence, pairs)
         shares = {f"found{COARSEST}": share}
-        for level, scale in zip(_CONTRASTED, scales[self.correlated :], strict=True):
+        for level, scale in zip(_CONTRASTED, scales[len(self.correlated) :], strict=True):
             part, share = _level_contrast(level, features[level], pairs, scale, draw)
             total = total + part
             shares[f"found{level}"] = share
@@ -93,8 +94,8 @@ class EncoderStage(nn.Module):
         else:
             assert isinstance(net.pyramid, Pyramid)
             fold_batch_norm(self.pyramid, net.pyramid)
-        if net.config.soft_argmax:
-            scales = self.log_scales[: self.correlated].detach()
+        if net.config.any_shape:
+            scales = self.log_scales[: len(self.correlated)].detach()
             net.correlation_scales = scales.exp().clamp(max=60).clone()
 
 
@@ -113,7 +114,7 @@ class CoarsestStage(nn.Module):
         self.net = net
         self.unfrozen = unfrozen
         net.requires_grad_(False)
-        count = {None: 0, "coarsest": net.config.correlated_levels, "encoder": len(LEVEL_SIZES)}
+        count = {None: 0, "coarsest": len(net.config.correlated), "encoder": len(LEVEL_SIZES)}
         if isinstance(net.pyramid, EfficientPyramid):
             # The loss does not reach levels 0 and 1, which no other level is computed from.
             count["encoder"] = 1 + len(_CONTRASTED)
@@ -150,7 +151,7 @@ class CoarsestStage(nn.Module):
         would drift with the layers that they share with the coarsest.
         """
         assert correlation.evidence is not None
-        passes = self.net.config.consensus_passes
+        passes = PASSES if self.net.config.any_shape else 0
         total, share = _coarsest_loss(correlation.evidence, pairs, passes)
         shares = {f"found{COARSEST}": share}
         if self.unfrozen == "encoder":

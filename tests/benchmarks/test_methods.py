@@ -47,7 +47,7 @@ def test_names_stand_for_methods() -> None:
         (["/all"], [], "is none"),
         (["sift/all"], [], "key points alone"),
         (["dis"], ["sift"], "there already"),
-        (["dis"], ["dgcm-lite"], "there already"),
+        (["dis"], ["dgcm-lite0"], "there already"),
         (["dis:magic=1"], [], "dis:magic=1: no option magic"),
         (["dis:runs=many"], [], "runs cannot be 'many'"),
         (["dis:align=maybe"], [], "align cannot be 'maybe'|no option align"),
@@ -157,11 +157,11 @@ def test_a_network_is_read_once_for_all_its_passes(monkeypatch) -> None:
         return true_loader(name, **options)
 
     monkeypatch.setattr(methods_module, "load_dense_matcher", load)
-    names = ["dgcm-lite", "dgcm-lite:finest=60", "dgcm-lite:finest=60:refine=none"]
+    names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
     methods = parse_methods(names, REFINED)
     engines = load_engines(methods, device="cpu", keep_features=True)
-    assert read == ["dgcm-lite"] and len(engines.passes) == 2
-    assert set(engines.caches) == set(engines.fingerprints) == {"dgcm-lite"}
+    assert read == ["dgcm-lite0"] and len(engines.passes) == 2
+    assert set(engines.caches) == set(engines.fingerprints) == {"dgcm-lite0"}
     refined, coarse, plain = (engines.of(method) for method in methods)
     assert coarse is plain is not refined
     assert set(refined.refiners) == set(coarse.refiners) == {RefinementOptions()}

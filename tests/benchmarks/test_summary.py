@@ -34,7 +34,7 @@ KEYS = [
     "auc20",
     "seconds_per_pair",
 ]
-GOOD = MethodSummary("dgcm-lite", 64, 2, 1.25, 3.5, 3.25, 61.0, 75.5, 83.25, 0.4)
+GOOD = MethodSummary("dgcm-lite0", 64, 2, 1.25, 3.5, 3.25, 61.0, 75.5, 83.25, 0.4)
 LOST = MethodSummary("sift", 64, 40, math.inf, math.inf, math.inf, 10.0, 12.0, 14.0, 1.5)
 
 
@@ -50,7 +50,7 @@ def test_the_summary_is_valid_json_with_the_keys():
 def test_the_table_tells_infinite_medians_and_the_share_of_failures():
     header, good, lost = summary_table([GOOD, LOST]).splitlines()
     assert len(header) == len(good) == len(lost)
-    assert good.split() == "dgcm-lite 64 2 (3.1 %) 1.25 3.50 3.25 61.0 75.5 83.2 0.40".split()
+    assert good.split() == "dgcm-lite0 64 2 (3.1 %) 1.25 3.50 3.25 61.0 75.5 83.2 0.40".split()
     assert lost.split() == "sift 64 40 (62.5 %) inf inf inf 10.0 12.0 14.0 1.50".split()
 
 

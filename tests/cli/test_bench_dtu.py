@@ -72,7 +72,7 @@ def table(folder: Path, *, but: tuple[str, ...] = ()) -> list[dict[str, str]]:
 def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
     torch.manual_seed(0)
     weights = tmp_path / "net.safetensors"
-    net = DGCNet(preset("dgcm-lite"))
+    net = DGCNet(preset("dgcm-lite0"))
     with torch.no_grad():
         net.get_submodule("reg_4.final").bias[2] = 20.0  # matchable everywhere
     save_weights(net, weights)

@@ -52,17 +52,18 @@ def test_weights_from_a_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pictures(tmp_path)
     torch.manual_seed(0)
-    save_weights(DGCNet(preset("dgcm-lite")), "w.safetensors")
+    save_weights(DGCNet(preset("dgcm-lite0")), "w.safetensors")
     options = ("--weights", "w.safetensors", "--device", "cpu", "--matchability", "0")
     result = match("one.png", "two.png", "--out", "m.npz", "--max-matches", "100", *options)
     assert result.exit_code == 0, result.stderr
     with np.load("m.npz", allow_pickle=False) as file:
-        assert file["map"].shape == file["grid"].shape == (240, 240, 2)
-        assert file["matchability"].shape == (240, 240)
+        assert file["map"].shape == file["grid"].shape == (208, 272, 2)
+        assert file["matchability"].shape == (208, 272)
         assert np.isfinite(file["map"]).all()
-        # The grid's corners are the centres of cells of 320/240 by 1 pixels.
-        assert file["grid"][0, 0] == pytest.approx([320 / 480 - 0.5, 0])
-        assert file["grid"][-1, -1] == pytest.approx([320 - 320 / 480 - 0.5, 239])
+        # The grid's corners are the centres of cells of 320/272 by 240/208 pixels.
+        corner = [320 / 544 - 0.5, 240 / 416 - 0.5]
+        assert file["grid"][0, 0] == pytest.approx(corner, abs=1e-4)
+        assert file["grid"][-1, -1] == pytest.approx(np.subtract([319, 239], corner), abs=1e-4)
 
 
 @pytest.mark.parametrize(

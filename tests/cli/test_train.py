@@ -24,7 +24,7 @@ def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path:
     words += ["--validation-pairs", "1"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.stderr
-    assert load_network(out / "dgcm-lite.safetensors").config.name == "dgcm-lite"
+    assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
     assert all(word in done.stderr for word in ("pairs/s", "loss", "validation"))
     refused = CliRunner().invoke(main, words)
     assert refused.exit_code == 2 and "--resume" in refused.stderr
@@ -37,14 +37,15 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
     out = tmp_path / "run"
     words = ["train", "--photos", str(photos), "--out", str(out), "--minutes", "0.1"]
     words += ["--batch", "1", "--scene-share", "0", "--validation-pairs", "1", "--split", "0,100,0"]
-    words += ["--ablation", "flow", "--ablation", "no-l2", "--warps", "paper", "--curriculum"]
+    words += ["--ablation", "no-dilation", "--ablation", "no-l2"]
+    words += ["--warps", "paper", "--curriculum"]
     stopped = CliRunner().invoke(main, [*words, "--stop-after", "0.0001"])
     assert stopped.exit_code == 0, stopped.stderr
     assert "of 0.1 minutes" in stopped.output and not list(out.glob("*.safetensors"))
     done = CliRunner().invoke(main, [*words, "--resume"])
     assert done.exit_code == 0, done.stderr
-    config = load_network(out / "dgcm-lite+flow+no-l2.safetensors").config
-    assert config.output == "displacement" and not config.normalise_features
+    config = load_network(out / "dgcm-lite0+no-dilation+no-l2.safetensors").config
+    assert config.decoders[2].dilations == (1, 1, 1) and not config.normalise_features
 
 
 @pytest.mark.parametrize(
@@ -56,8 +57,8 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
         (["--rgbd", "nowhere"], "nowhere"),
         (["--init", "nowhere.pth"], "nowhere.pth"),
         (["--teacher", "nowhere.pth"], "nowhere.pth"),
-        (["--validation-pairs", "1", "--backbone", "no.pth"], "has no EfficientNet-Lite0"),
-        (["--validation-pairs", "1", "--preset", "dgcm-lite0", "--backbone", "no.pth"], "no.pth"),
+        (["--validation-pairs", "1", "--preset", "dgc", "--backbone", "x"], "has no EfficientNet"),
+        (["--validation-pairs", "1", "--backbone", "no.pth"], "no.pth"),
         (["--rate", "0"], "rate must be positive"),
         (["--batch", "0"], "batch must lie in [1, 65536]"),
         (["--stop-after", "-1"], "must be positive"),

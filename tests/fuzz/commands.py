@@ -234,7 +234,7 @@ def without_network() -> None:
     real = matchers.load_dense_matcher
 
     def load(weights, *, options, **others):  # type: ignore[no-untyped-def]
-        if weights != "dgcm-lite":
+        if weights != "dgcm-lite0":
             return real(weights, options=options, **others)
         return dense_scene.MapMatcher(dense_scene.true_map(), options)
 

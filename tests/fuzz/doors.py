@@ -153,7 +153,7 @@ def _read_layout(folder: Path, path: Path) -> object:
 
 def _make_weights(folder: Path) -> None:
     torch.manual_seed(0)
-    net = DGCNet(preset("dgcm-lite"))
+    net = DGCNet(preset("dgcm-lite0"))
     save_weights(net, folder / "own.safetensors")
     state = {
         "pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3),
@@ -164,7 +164,7 @@ def _make_weights(folder: Path) -> None:
 
 
 def _make_checkpoints(folder: Path) -> None:
-    state = {"preset": "dgcm-lite", "elapsed": 1.5, "step": 3, "stage": "encoder", "net": {}}
+    state = {"preset": "dgcm-lite0", "elapsed": 1.5, "step": 3, "stage": "encoder", "net": {}}
     state["net"]["weight"] = torch.ones(3, 4)
     torch.save(state, folder / "checkpoint.pt")
     torch.save(state, folder / "legacy.pt", _use_new_zipfile_serialization=False)

@@ -108,7 +108,7 @@ def test_no_pickle_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     ("value", "words"), [(np.nan, "not finite"), (np.inf, "not finite"), (1j, "not real")]
 )
 def test_weights_that_are_no_numbers_are_refused(value: complex, words: str, tmp_path: Path):
-    save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
+    save_weights(DGCNet(preset("dgcm-lite0")), tmp_path / "w.safetensors")
     from safetensors.torch import load_file
 
     state = load_file(tmp_path / "w.safetensors")
@@ -117,7 +117,7 @@ def test_weights_that_are_no_numbers_are_refused(value: complex, words: str, tmp
         state[key] = state[key].to(torch.complex64)
     else:
         state[key].view(-1)[0] = value
-    save_file(state, tmp_path / "w.safetensors", metadata={"preset": "dgcm-lite"})
+    save_file(state, tmp_path / "w.safetensors", metadata={"preset": "dgcm-lite0"})
     with pytest.raises(WeightsError, match=words) as caught:
         load_network(tmp_path / "w.safetensors")
     assert key in str(caught.value)

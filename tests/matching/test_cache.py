@@ -77,7 +77,7 @@ def _images(count: int) -> list[Image]:
 
 def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     torch.manual_seed(0)
-    net = DGCNet(preset("dgcm-lite"))
+    net = DGCNet(preset("dgcm-lite0"))
     options = MatchingOptions(matchability=0.0, search_below=0.0)
     engine = TorchEngine(net)
     plain, cached = DenseMatcher(engine, options), DenseMatcher(engine, options, feature_cache())
@@ -94,7 +94,7 @@ def test_views_have_features_of_their_own(monkeypatch: pytest.MonkeyPatch) -> No
     """Features are made for both images, and for the view of image 2 that the search suggests."""
     torch.manual_seed(0)
     options = MatchingOptions(matchability=0.0, search_below=1.0)
-    engine = TorchEngine(DGCNet(preset("dgcm-lite")))
+    engine = TorchEngine(DGCNet(preset("dgcm-lite0")))
     matcher = DenseMatcher(engine, options, feature_cache())
     plain = DenseMatcher(engine, options)
     images = _images(2)

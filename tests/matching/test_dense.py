@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from map_nets import SMALL
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.geometry.pixels import within
@@ -23,8 +24,7 @@ from dgc_pose.runtime.torch_engine import TorchEngine, network_input
 
 def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
     """A net that maps every cell to itself, shifted in x by a normalised amount."""
-    config = replace(preset("dgcm-lite"), output="displacement", align_corners=align_corners)
-    net = DGCNet(config).eval()
+    net = DGCNet(replace(SMALL, align_corners=align_corners)).eval()
     for level in range(5):
         final = net.get_submodule(f"reg_{level}.final")
         torch.nn.init.zeros_(final.weight)
@@ -86,7 +86,7 @@ def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
 def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
     """The same values as that level of the full pass, on that level's grid."""
     torch.manual_seed(0)
-    net = DGCNet(preset("dgcm-lite")).eval()
+    net = DGCNet(SMALL).eval()
     first, second = _image(480, 360, 1), _image(320, 240, 2)
     with torch.no_grad():
         inputs = [
@@ -128,7 +128,7 @@ def test_a_mask_network_has_no_coarser_level() -> None:
 def test_the_same_images_give_the_same_matches() -> None:
     torch.manual_seed(0)
     matcher = DenseMatcher(
-        TorchEngine(DGCNet(preset("dgcm-lite"))), MatchingOptions(matchability=0.0)
+        TorchEngine(DGCNet(preset("dgcm-lite0"))), MatchingOptions(matchability=0.0)
     )
     pair = _image(200, 150, 1), _image(180, 240, 2)
     one, two = matcher.match(*pair).matches, matcher.match(*pair).matches
@@ -211,7 +211,7 @@ def test_a_batch_gives_what_its_pairs_give_alone() -> None:
     """Of several sizes, with the cycle error, and with rotations of those that match badly."""
     torch.manual_seed(0)
     options = MatchingOptions(matchability=0.0, cycle_px=5.0)
-    matcher = DenseMatcher(TorchEngine(DGCNet(preset("dgcm-lite"))), options)
+    matcher = DenseMatcher(TorchEngine(DGCNet(preset("dgcm-lite0"))), options)
     pairs = [
         (_image(200, 150, 1), _image(180, 240, 2)),
         (_image(100, 100, 3), _image(300, 100, 4)),

@@ -27,7 +27,7 @@ def test_the_grid_has_the_images_shape_and_about_225_cells():
     assert config.input_size((5000, 10)) == (720, 80)  # squeezed to 9:1
 
 
-@pytest.mark.parametrize("name", ["dgc", "dgcm", "dgcm-lite", "dgcm-lite0+local-correlation"])
+@pytest.mark.parametrize("name", ["dgc", "dgcm", "dgcm+local-correlation"])
 def test_networks_tied_to_225_channels_square_their_images(name):
     config = preset(name)
     assert not config.any_shape
@@ -38,7 +38,7 @@ def test_a_local_start_needs_a_peak():
     lite = preset("dgcm-lite0")
     paper = preset("dgc")
     decoders = (*paper.decoders[:4], DecoderConfig((128,), (1,), local_radius=4))
-    with pytest.raises(InputError, match="needs soft_argmax"):
+    with pytest.raises(InputError, match="needs a residual output"):
         NetworkConfig("x", paper.pyramid, decoders)
     assert lite.decoder_inputs(4) == 2 * 128 + 81 + 3
 

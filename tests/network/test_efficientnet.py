@@ -32,7 +32,7 @@ def test_features_of_a_rotated_image_lie_in_the_rotated_cells(pyramid: Efficient
         if isinstance(module, nn.Conv2d):
             module.weight.copy_(module.weight.flip(-1, -2))
     rotated = pyramid(image.flip(-1, -2))
-    # Level 1 has an odd kernel of stride 2, as in dgcm-lite, and is not matched between rotations.
+    # Level 1 has an odd kernel of stride 2, as in dgcm-lite0, and is not matched between rotations.
     for level in (0, 2, 3, 4):
         expected = upright[level].flip(-1, -2)
         assert torch.allclose(rotated[level], expected, atol=1e-4 * expected.abs().max())

@@ -41,7 +41,7 @@ def _apart_px(one: Prediction, other: Prediction) -> Tensor:
     return (one.maps[-1] - other.maps[-1]).norm(dim=1) * INPUT_SIZE / 2
 
 
-@pytest.mark.parametrize("name", ["dgcm", "dgcm-lite"])
+@pytest.mark.parametrize("name", ["dgcm", "dgcm-lite0"])
 def test_the_same_map(name: str) -> None:
     # Random features are all but alike, and their first correlation peak a matter of rounding.
     net = load_network(name) if name in shipped() else _net(name)
@@ -64,7 +64,7 @@ def test_the_same_map(name: str) -> None:
 
 
 def test_the_original_is_left_alone() -> None:
-    net = _net("dgcm-lite").train()
+    net = _net("dgcm-lite0").train()
     before = {key: value.clone() for key, value in net.state_dict().items()}
     for_inference(net)
     assert net.training and all(parameter.requires_grad for parameter in net.parameters())
@@ -72,7 +72,7 @@ def test_the_original_is_left_alone() -> None:
 
 
 def test_any_size_of_image_is_encoded_the_same() -> None:
-    net = _net("dgcm-lite")
+    net = _net("dgcm-lite0")
     image = torch.randn(1, 3, 96, 160)
     with torch.inference_mode():
         for one, other in zip(net.features(image), for_inference(net).features(image), strict=True):
@@ -81,7 +81,7 @@ def test_any_size_of_image_is_encoded_the_same() -> None:
 
 def test_half_precision_comes_near() -> None:
     """bfloat16 convolutions, coordinates in single precision: within a cell in the median."""
-    net = _net("dgcm-lite")
+    net = _net("dgcm-lite0")
     exact = for_inference(net)
     net.half_precision = True
     half = for_inference(net)

@@ -1,4 +1,4 @@
-"""The encoder's features at native resolution; even an untrained one finds similar patches."""
+"""The encoder's features at native resolution."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.view import View
-from dgc_pose.network.config import preset
-from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement.features import (
     _views,
     equal_scales,
@@ -25,13 +23,12 @@ from dgc_pose.refinement.features import (
 from dgc_pose.refinement.native import native_cache
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import NativeFeatures
-from dgc_pose.runtime.torch_engine import TorchEngine
+from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 
 
 @pytest.fixture(scope="module")
 def engine() -> TorchEngine:
-    torch.manual_seed(0)
-    return TorchEngine(DGCNet(preset("dgcm-lite")))
+    return load_torch_engine("dgcm-lite0", torch.device("cpu"))
 
 
 def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:

@@ -21,7 +21,7 @@ def test_sides_become_the_nearest_multiples_of_16() -> None:
 
 def test_a_cache_counts_images_and_features() -> None:
     torch.manual_seed(0)
-    engine = TorchEngine(DGCNet(preset("dgcm-lite")))
+    engine = TorchEngine(DGCNet(preset("dgcm-lite0")))
     cache = native_cache()
     image = Image(np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8))
     for _ in range(2):

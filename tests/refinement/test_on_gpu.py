@@ -25,7 +25,7 @@ def images() -> list[Image]:
     return [Image(pixels) for pixels in dense_scene.pictures()]
 
 
-@pytest.mark.parametrize("name", ["dgcm-lite", "dgcm+flow"])
+@pytest.mark.parametrize("name", ["dgcm-lite0", "dgcm+flow"])
 def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset(name)).eval()
@@ -39,7 +39,7 @@ def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
 
 
 def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
-    net = load_network("dgcm-lite").eval()
+    net = load_network("dgcm-lite0").eval()
     options = RefinementOptions(source="features")
     on_cpu = refined(DenseMatcher(TorchEngine(net)), options).match(*images).matches
     with pretended_gpu():

@@ -41,7 +41,7 @@ def images() -> tuple[Image, Image]:
 @pytest.fixture(scope="module")
 def engine() -> TorchEngine:
     torch.manual_seed(0)
-    return TorchEngine(DGCNet(preset("dgcm-lite")))
+    return TorchEngine(DGCNet(preset("dgcm-lite0")))
 
 
 def _noisy() -> dense_scene.MapMatcher:

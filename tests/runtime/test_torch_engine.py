@@ -19,7 +19,7 @@ from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 def net(request: pytest.FixtureRequest) -> DGCNet:
     """In either precision; a processor without bfloat16 computes it the slow way."""
     torch.manual_seed(0)
-    net = DGCNet(preset("dgcm-lite")).eval().requires_grad_(False)
+    net = DGCNet(preset("dgcm-lite0")).eval().requires_grad_(False)
     net.half_precision = request.param
     return net
 
@@ -41,7 +41,7 @@ def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
     pixels, half = _noise(96, 64), net.half_precision
     found = TorchEngine(net).native(pixels, (6, 4))
     planes = torch.from_numpy(pixels).permute(2, 0, 1)[None].double() / 255
-    levels = DGCNet(preset("dgcm-lite")).double().pyramid
+    levels = DGCNet(preset("dgcm-lite0")).double().pyramid
     levels.load_state_dict({key: value.double() for key, value in net.pyramid.state_dict().items()})
     with torch.no_grad():
         truth = levels(normalise(planes))
@@ -64,10 +64,10 @@ def test_a_map_is_in_pixels_of_the_resized_source(net: DGCNet) -> None:
     source, target = (engine.encode(_noise(300, 200, seed)) for seed in (0, 1))
     for finest, level in ((240, -1), (60, -3)):
         (found,) = engine.decode([source], [target], finest)
-        assert found.size == (240, 240) and found.points.dtype == np.float32
+        assert found.size == (288, 192) and found.points.dtype == np.float32
         with torch.inference_mode():
             prediction = net.decode(source.levels, target.levels)
-        wanted = (prediction.maps[level][0].movedim(0, -1).numpy() + 1) * 120 - 0.5
+        wanted = (prediction.maps[level][0].movedim(0, -1).numpy() + 1) * (144, 96) - 0.5
         np.testing.assert_allclose(found.points, wanted, atol=1e-3)
         mask = prediction.logits[level][0, 0].sigmoid().numpy()
         np.testing.assert_allclose(found.matchability, mask, atol=1e-5)
@@ -85,7 +85,7 @@ def test_pairs_decoded_together_are_those_decoded_alone(net: DGCNet) -> None:
 
 def test_the_fingerprint_is_that_of_the_weights_before_they_are_folded(tmp_path) -> None:
     torch.manual_seed(1)
-    net = DGCNet(preset("dgcm-lite")).half().float()
+    net = DGCNet(preset("dgcm-lite0")).half().float()
     save_weights(net, tmp_path / "w.safetensors")
     engine = load_torch_engine(tmp_path / "w.safetensors", torch.device("cpu"))
     assert engine.fingerprint == network_fingerprint(net) == TorchEngine(net).fingerprint

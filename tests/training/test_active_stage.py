@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from map_nets import SMALL
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -29,7 +30,7 @@ def test_a_backbone_learns_at_a_quarter_of_the_rate() -> None:
 
 
 def test_a_network_without_backbone_has_one_rate() -> None:
-    net = DGCNet(preset("dgcm-lite"))
-    stage = ActiveStage("encoder", net, RunOptions("dgcm-lite", 1.0), torch.randn(1, 3, 32, 32))
+    net = DGCNet(SMALL)
+    stage = ActiveStage("encoder", net, RunOptions("dgcm-lite0", 1.0), torch.randn(1, 3, 32, 32))
     rate = stage.set_rate(0.5)
     assert [group["lr"] for group in stage.optimizer.param_groups] == [rate]

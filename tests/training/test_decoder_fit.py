@@ -79,5 +79,5 @@ def test_decoders_of_other_widths_are_refused(trained: DGCNet) -> None:
 
 def test_a_run_with_an_encoder_stage_is_refused() -> None:
     with pytest.raises(InputError, match="leaves the encoder as it is"):
-        RunOptions(steps=1, fit_decoders="dgcm-lite")
-    RunOptions(steps=1, fit_decoders="dgcm-lite", schedule=Schedule(0, 0.9, 0.1))
+        RunOptions(steps=1, fit_decoders="dgcm-lite0")
+    RunOptions(steps=1, fit_decoders="dgcm-lite0", schedule=Schedule(0, 0.9, 0.1))

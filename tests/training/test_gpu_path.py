@@ -78,9 +78,9 @@ def test_light_is_changed_there(photos: Photos) -> None:
 def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path: Path) -> None:
     """All stages, with weights to initialise from and a teacher."""
     torch.manual_seed(0)
-    save_weights(DGCNet(preset("dgcm-lite")), tmp_path / "w.safetensors")
+    save_weights(DGCNet(preset("dgcm-lite0")), tmp_path / "w.safetensors")
     options = RunOptions(
-        "dgcm-lite",
+        "dgcm-lite0",
         steps=4,
         batch=2,
         schedule=Schedule(1 / 4, 1 / 4, 1 / 4, 1 / 4),

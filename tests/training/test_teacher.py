@@ -37,7 +37,7 @@ def _strided(images: torch.Tensor) -> torch.Tensor:
 
 def test_the_teacher_fills_in_what_is_not_known(pairs: MapPairs) -> None:
     torch.manual_seed(0)
-    net = DGCNet(preset("dgcm-lite")).eval()
+    net = DGCNet(preset("dgcm-lite0")).eval()
     taught, target = Teacher(net, 0.7).target(pairs)
     with torch.no_grad():
         prediction = net(_strided(pairs.image1), _strided(pairs.image2))
@@ -56,7 +56,7 @@ def test_what_is_not_known_teaches_nothing(pairs: MapPairs) -> None:
     """Whatever stands at unknown pixels, the loss is the same, and so is the gradient."""
     losses, gradients = [], []
     torch.manual_seed(0)
-    net = DGCNet(preset("dgcm-lite"))
+    net = DGCNet(preset("dgcm-lite0"))
     for value in (torch.nan, 7.0):
         truth = torch.where(pairs.known[..., None], pairs.map, value)
         stage = DecoderStage(net).eval()
