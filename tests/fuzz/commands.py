@@ -25,7 +25,7 @@ import cv2
 import dense_scene
 import numpy as np
 from click.testing import CliRunner
-from fuzz.result_doors import make_batch
+from fuzz.readers import make_batch
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main

@@ -19,7 +19,7 @@ import pycolmap
 import pytest
 from click.testing import CliRunner, Result
 from fuzz.commands import png_claiming
-from fuzz.result_doors import make_batch
+from fuzz.readers import make_batch
 from fuzz.test_commands import hashes
 
 from dgc_pose.batch.pair_choice import parse_pair_choice

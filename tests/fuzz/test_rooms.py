@@ -13,7 +13,7 @@ import dense_scene
 import pytest
 from batch_runs import view_folder
 from click.testing import CliRunner
-from fuzz.result_doors import make_batch
+from fuzz.readers import make_batch
 from multi_view import K_text
 
 from dgc_pose.cli.main import main

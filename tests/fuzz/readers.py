@@ -1,0 +1,392 @@
+"""Every reader of the package, with good files that the tests make themselves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import dense_scene
+import dtu_layout
+import homography_scene
+import numpy as np
+import PIL.Image
+import pycolmap
+import torch
+
+from dgc_pose.batch.calibration import read_calibration
+from dgc_pose.batch.matches_file import PairMatches
+from dgc_pose.batch.plan import Plan, read_plan, write_plan
+from dgc_pose.batch.rows import BAD_INPUT, PairRow, row_data, unmatched_row
+from dgc_pose.batch.run import read_batch
+from dgc_pose.batch.store import PartStore, read_part
+from dgc_pose.batch.work import Matched
+from dgc_pose.benchmarks.dtu.dataset import open_dataset
+from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
+from dgc_pose.benchmarks.homographies import find_homography_pairs
+from dgc_pose.benchmarks.hpatches_lists import read_lists
+from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
+from dgc_pose.benchmarks.probability.plan import Source
+from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
+from dgc_pose.benchmarks.samples import draw_sample, read_sample, write_sample
+from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import RunStore
+from dgc_pose.cameras.camera import Camera, guess_camera, parse_camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
+from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.estimation.probability import FEATURES, FORMAT, models_of
+from dgc_pose.files.inputs import read_text
+from dgc_pose.images.image import Image, image_size, load_image, read_pixels
+from dgc_pose.matches import Matches
+from dgc_pose.matching.files import FileMatcher
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
+from dgc_pose.serve.cameras import CameraRequest, command, python_text
+from dgc_pose.serve.store import StoredImage
+from dgc_pose.synthesis.photos import load_photos
+from dgc_pose.synthesis.posed_depth import read_rgbd
+from dgc_pose.synthesis.warp_lists import WarpList
+
+Make = Callable[[Path], object]  # writes good files into a folder
+Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
+
+
+def _pixels(size: tuple[int, int] = (40, 30)) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return cv2.resize(rng.integers(0, 256, (5, 7, 3), np.uint8), size)
+
+
+def _make_images(folder: Path) -> None:
+    picture = PIL.Image.fromarray(_pixels())
+    for ending in ("png", "jpg", "tiff", "bmp", "ppm", "webp", "gif", "jp2", "avif"):
+        with suppress(KeyError, OSError, ValueError):  # a Pillow without that format
+            picture.save(folder / f"plain.{ending}")
+    with suppress(ImportError):
+        import pillow_heif
+
+        pillow_heif.from_pillow(picture).save(folder / "plain.heic")
+    exif = picture.getexif()
+    exif[0x0112], exif[0x010F], exif[0x0110] = 6, "Canon", "EOS"
+    exif.get_ifd(0x8769).update({0x920A: 35.0, 0xA405: 35})
+    picture.save(folder / "turned.jpeg", exif=exif)
+    picture.convert("P").save(folder / "palette.png")
+    picture.save(folder / "packed.tiff", compression="tiff_lzw")
+    deep = _pixels().astype(np.uint16) * 200
+    floats = _pixels().astype(np.float32) / 255
+    for name, pixels in (
+        ("deep.png", deep),
+        ("deep.tiff", deep),
+        ("deep.pgm", deep[:, :, 0]),
+        ("floats.tiff", floats),
+        ("floats.hdr", floats),
+        ("floats.pfm", floats),
+        ("planes.pam", _pixels()),
+        ("sun.ras", _pixels()),
+    ):
+        cv2.imwrite(str(folder / name), pixels)
+
+
+def _read_image(folder: Path, path: Path) -> None:
+    try:
+        image_size(path)
+    finally:
+        image = load_image(path)
+    assert image.pixels.dtype == np.uint8 and image.pixels.shape[2] == 3
+    if path.suffix != ".tiff":  # OpenCV makes no colours of floats
+        read_pixels(path, cv2.IMREAD_COLOR)
+
+
+def _make_cameras(folder: Path) -> None:
+    (folder / "K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
+    np.save(folder / "K.npy", dense_scene.K)
+    (folder / "pinhole.arg").write_text(dense_scene.K_TEXT)
+    (folder / "opencv.arg").write_text("OPENCV,320,240,300,300,160,120,0.1,0.01,0,0")
+    (folder / "radial.arg").write_text("SIMPLE_RADIAL,320,240,300,160,120,-0.1")
+
+
+def _read_camera(folder: Path, path: Path) -> None:
+    text = str(path)
+    if path.suffix == ".arg":  # what a user might type
+        text = path.read_bytes().decode("utf-8", "surrogateescape")
+    parse_camera(text).normalise(np.array([[10.0, 20.0]]))
+
+
+def _make_calibrations(folder: Path) -> None:
+    (folder / "table.csv").write_text("name,fx,fy,cx,cy,width,height\na.png,9,9,4,3,10,8\n")
+    frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
+    nerf = {"fl_x": 9.0, "fl_y": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(nerf))
+    (folder / "calib.txt").write_text("P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n")
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 9.0, 10, 8)
+    model.add_camera_with_trivial_rig(camera)
+    image = pycolmap.Image(name="a.png", camera_id=1, image_id=1)
+    image.points2D = pycolmap.Point2DList([pycolmap.Point2D([2.0, 3.0])])
+    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    for name in ("text", "binary"):
+        (folder / name).mkdir()
+    model.write_text(folder / "text")
+    model.write_binary(folder / "binary")
+
+
+def _read_calibration(folder: Path, path: Path) -> None:
+    read_calibration(str(path if path.parent == folder else path.parent))
+
+
+def _make_database(folder: Path) -> None:
+    with pycolmap.Database.open(folder / "a.db") as database:
+        camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 9.0, 10, 8)
+        camera.has_prior_focal_length = True
+        database.write_camera(camera, use_camera_id=True)
+        for number in (1, 2):
+            image = pycolmap.Image(name=f"{number}.png", camera_id=1, image_id=number)
+            database.write_image(image, use_image_id=True)
+        database.write_matches(1, 2, np.array([[0, 0], [1, 1]], np.uint32))
+
+
+def _make_pair_list(folder: Path) -> None:
+    dense_scene.write_pair_list(folder, pairs=2)
+    for picture in folder.glob("*.png"):
+        picture.unlink()
+
+
+def _make_batch_lists(folder: Path) -> None:
+    (folder / "plain.txt").write_text("a.png b.png\n# c\na.png c.png\n")
+    (folder / "table.csv").write_text("name1,name2\na.png,b.png\n")
+    _make_pair_list(folder)
+
+
+def _make_layout(layout: str) -> Make:
+    def make(folder: Path) -> None:
+        dtu_layout.WRITERS[layout](folder, dtu_layout.grey_scan([-10.0, 0.0, 12.0]))
+        (folder / "pairs.csv").write_text("scene,view1,view2\n65,1,2\n65,1,3\n")
+        (folder / "poses.txt").write_text("-- id1 id2 scan q t\n1 2 65 1 0 0 0 1 0 0\n")
+        names = "scan65/rect_001_3_r5000.png scan65/rect_002_3_r5000.png"
+        numbers = " ".join(["300 0 80 0 300 60 0 0 1"] * 2 + ["1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1"])
+        (folder / "glue.txt").write_text(f"{names} 0 0 {numbers}\n")
+
+    return make
+
+
+def _read_layout(folder: Path, path: Path) -> None:
+    dataset = open_dataset(folder)
+    if path.parent == folder:
+        read_pair_file(path, dataset)
+
+
+def _make_homographies(folder: Path) -> None:
+    homography_scene.write_sequence(folder / "v_wall", 3)
+    homography_scene.write_lists(folder, ["v_wall"])
+
+
+def _read_homographies(folder: Path, path: Path) -> None:
+    read_lists(folder, folder) if path.suffix == ".csv" else find_homography_pairs(folder)
+
+
+def _make_weights(folder: Path) -> None:
+    torch.manual_seed(0)
+    save_weights(DGCNet(preset("dgcm-lite0")), folder / "a.safetensors")
+    state = {"pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3), "x": torch.ones(3)}
+    torch.save({"state_dict": state}, folder / "a.pth")
+    torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
+
+
+def _make_checkpoints(folder: Path) -> None:
+    state = {"preset": "dgcm-lite0", "elapsed": 1.5, "step": 3, "stage": "encoder", "net": {}}
+    state["net"]["weight"] = torch.ones(3, 4)
+    torch.save(state, folder / "checkpoint.pt")
+    torch.save(state, folder / "legacy.pt", _use_new_zipfile_serialization=False)
+
+
+def _make_matches(folder: Path) -> None:
+    """A folder of each format, as `--matches` takes them."""
+    flow = np.random.default_rng(0).normal(size=(30, 40, 2)).astype(np.float32)
+    for name in ("flo", "npy", "flow", "map", "points", "kitti"):
+        (folder / name).mkdir()
+    cv2.writeOpticalFlow(str(folder / "flo/pair.flo"), flow)
+    np.save(folder / "npy/pair.npy", flow)
+    np.savez(folder / "flow/pair.npz", flow=flow, certainty=np.ones((30, 40)))
+    grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(30.0)), -1)
+    maps = {"map": grid + 1, "grid": grid, "matchability": np.ones((30, 40))}
+    np.savez_compressed(folder / "map/pair.npz", **maps)
+    points = {"points1": grid.reshape(-1, 2), "points2": grid.reshape(-1, 2), "error_px": 1.0}
+    np.savez(folder / "points/pair.npz", **points, confidence=np.ones(1200), key_points=True)
+    kitti = np.dstack([np.ones((30, 40)), flow[..., ::-1] * 64 + 2**15]).astype(np.uint16)
+    cv2.imwrite(str(folder / "kitti/pair.png"), kitti)
+
+
+def _read_matches(folder: Path, path: Path) -> None:
+    images = [Image(_pixels(), name) for name in ("one", "two")]
+    FileMatcher(path.parent, lambda *_: "pair").match(*images)
+
+
+_KEYS = [[("sift", "a", "b")], [("sift", "a", "c")]]
+
+
+def _make_run(folder: Path) -> None:
+    RunStore(folder, PairScore, _KEYS, {"batch": 1})
+    values = dict.fromkeys(PairScore.tables["results.csv"], "1")
+    values |= {"method": "sift", "image1": "a", "image2": "b", "success": "True", "status": "ok"}
+    rows = [",".join(PairScore.headings.get(n, n) for n in values), ",".join(values.values())]
+    (folder / "results.csv").write_text("\n".join(rows) + "\n")
+
+
+def _make_sample(folder: Path) -> None:
+    points = np.random.default_rng(0).uniform(0, 30, (20, 2))
+    matches = Matches(points, points, np.ones(20), error_px=1.0)
+    write_sample(folder, ("sift", 1, 2, 3), draw_sample(matches, np.ones(20, bool), 0))
+
+
+def _make_warps(folder: Path) -> None:
+    names = ",".join(["fname", "aff/tps/homo", *(f"t{k}" for k in range(1, 19))])
+    bent = ",".join(["1", "0", "0", "0", "1", "0", *["0"] * 12])
+    plane = ",".join(["1", "0", "5", "0", "1", "5", "0", "0", "1", *["0"] * 9])
+    (folder / "warps.csv").write_text(f"{names}\na.jpg,0,{bent}\na.jpg,1,{bent}\na.jpg,2,{plane}\n")
+
+
+def _make_rgbd(folder: Path) -> None:
+    for name, pixels in (("images", _pixels()), ("depth", np.full((30, 40), 1500, np.uint16))):
+        (folder / name).mkdir()
+        for k in range(2):
+            cv2.imwrite(str(folder / name / f"{k}.png"), pixels)
+    (folder / "K.txt").write_text("40 0 19.5\n0 40 14.5\n0 0 1\n")
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 2)
+
+
+def _make_photos(folder: Path) -> None:
+    for k in range(24):
+        cv2.imwrite(str(folder / f"{k}.{'jpg' if k % 2 else 'png'}"), _pixels((8, 6)))
+
+
+def make_batch(folder: Path) -> None:
+    """A finished batch: a pose of two images, and a pair with a bad image."""
+    store = _store(folder)
+    bad = store.assemble()
+    store.close()
+    summary = {"images": 3, "bad_images": bad, "guessed_focal": 1, "pairs": 2, "poses": 1}
+    summary |= {"by_status": {"ok": 1, "bad_input": 1}, "matched_now": 2, "seconds": 0.5}
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
+def _make_parts(folder: Path) -> None:
+    _store(folder).close()
+
+
+def _store(folder: Path) -> PartStore:
+    """The parts of a batch that has matched all and is not assembled."""
+    names = ("a.png", "b.png", "c.png")
+    K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
+    cameras = {
+        "a.png": Camera(K, (10, 8), guessed_focal=True),
+        "b.png": Camera(K, (10, 8), Distortion("OPENCV", (0.1, 0.0, 0.0, 0.0))),
+    }
+    states = {name: (100, 10**18) for name in names}
+    settings = {"format": "jsonl", "runtime": "auto"}
+    indices = np.array([[0, 1], [1, 2]])
+    plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
+    write_plan(folder, plan)
+    store = PartStore(folder, plan)
+    values = row_data(unmatched_row(names[:2], BAD_INPUT, "a pose"))
+    values |= {"status": "ok", "success": True, "R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
+    values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
+    rows = [PairRow(**values), unmatched_row(names[1:], BAD_INPUT, "too small")]
+    store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {"c.png": "too small"}))
+    return store
+
+
+def _matches(count: int) -> PairMatches:
+    points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
+    return PairMatches(points, points + 1, np.ones(count, np.float32), np.ones(count, bool))
+
+
+def _read_part(folder: Path, path: Path) -> None:
+    if path.parent != folder:
+        read_part(path, read_plan(folder))
+
+
+def _make_collection(folder: Path) -> None:
+    engine = folder / "matches" / "sift"
+    (engine / "scene").mkdir(parents=True)
+    (engine / "engine.json").write_text(json.dumps({"name": "sift", "fingerprint": None}))
+    points = np.random.default_rng(0).uniform(0, 9, (6, 2)).astype(np.float32)
+    arrays = {"scene": "scene", "R": np.eye(3), "t": np.array([1.0, 0, 0])}
+    for number in (1, 2):
+        arrays |= {f"K{number}": np.diag([9.0, 9, 1]), f"size{number}": (10, 8)}
+    for prefix in ("", "map_"):
+        arrays |= {f"{prefix}points1": points, f"{prefix}points2": points}
+        arrays |= {f"{prefix}confidence": np.ones(6, np.float32), f"{prefix}error_px": 1.0}
+        arrays |= {f"{prefix}key_points": True}
+    np.savez_compressed(engine / "scene" / "0000.npz", **arrays)
+    parts = [("x", "fit"), ("z", "report")]
+    plan = [{"name": name, "part": part, "kind": "list", "path": "a"} for name, part in parts]
+    (folder / "plan.json").write_text(json.dumps(plan))
+
+
+def _read_collection(folder: Path, path: Path) -> None:
+    read_sources(folder / "plan.json")
+    read_engine(folder, "sift")
+    list(read_collection(folder, "sift", [Source("scene", part="fit", kind="list")]))
+
+
+def _make_models(folder: Path) -> None:
+    part = {"slope": -0.3, "intercept": 0.5}
+    weights = dict.fromkeys(FEATURES, 0.5)
+    model = {"weights": weights, "intercept": 1.0, "reference": weights}
+    model |= {"rotation_error": part, "translation_error": part}
+    data = {"format": FORMAT, "models": {"network": model}}
+    (folder / "probability.json").write_text(json.dumps(data))
+
+
+def _make_requests(folder: Path) -> None:
+    opencv = "OPENCV,10,8,9,9,5,4,0.1,0,0,0"
+    requests = ({"kind": "k", "k1": "9,9,4,3", "k2": ""}, {"kind": "k", "k1": opencv, "k2": opencv})
+    for number, request in enumerate((*requests, {"kind": "fov", "fov": 60})):
+        (folder / f"{number}.json").write_text(json.dumps(request))
+
+
+def _read_request(folder: Path, path: Path) -> None:
+    try:
+        data = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return  # the server refuses it itself
+    request = CameraRequest.of(data)
+    names = ("one", "--two")
+    cameras = request.resolve(*(StoredImage(folder / n, n, (10, 8)) for n in names))
+    command(names, request.flags(cameras), [])
+    python_text(names, request.python(cameras, names), "")
+
+
+READERS: dict[str, tuple[Make, Read]] = {
+    "images": (_make_images, _read_image),
+    "guessed cameras": (_make_images, lambda _, path: guess_camera(path)),
+    "cameras": (_make_cameras, _read_camera),
+    "calibrations": (_make_calibrations, _read_calibration),
+    "databases": (_make_database, lambda _, path: read_database(path)),
+    "pair lists": (_make_pair_list, lambda _, path: read_pairs(path)),
+    "batch lists": (_make_batch_lists, lambda _, path: read_pair_list(path)),
+    "DTU raw": (_make_layout("raw"), _read_layout),
+    "DTU MVSNet": (_make_layout("mvsnet"), _read_layout),
+    "DTU NeuS": (_make_layout("neus"), _read_layout),
+    "homographies": (_make_homographies, _read_homographies),
+    "weights": (_make_weights, lambda _, path: load_network(path)),
+    "checkpoints": (_make_checkpoints, lambda _, path: load_checkpoint(path)),
+    "matches": (_make_matches, _read_matches),
+    "results": (
+        _make_run,
+        lambda folder, _: RunStore(folder, PairScore, _KEYS, {"batch": 1}, resume=True),
+    ),
+    "samples": (_make_sample, lambda folder, _: read_sample(folder, ("sift", 1, 2, 3))),
+    "warp lists": (_make_warps, lambda _, path: WarpList.read(path)),
+    "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
+    "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
+    "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
+    "batch parts": (_make_parts, _read_part),
+    "collections": (_make_collection, _read_collection),
+    "models": (_make_models, lambda _, path: models_of(read_text(path), str(path))),
+    "requests": (_make_requests, _read_request),
+}
