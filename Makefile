@@ -40,11 +40,14 @@ lint: $(VENV)/.installed-dev
 		--cache-dir $(CURDIR)/.mypy_cache -p dgc_pose
 	cd $(INSTALLED) && PYTHONPATH=. $(BIN)/lint-imports --config $(CURDIR)/setup.cfg
 
-# Damaged files for every reader for so long, then every command with bad values.
+# Damaged files for every reader and bad values for every option, other ones in each round, until
+# the minutes are over. A round takes some minutes.
 MINUTES ?= 10
 fuzz: $(VENV)/.installed-dev
-	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.trial --minutes $(MINUTES)
-	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python -m fuzz.commands
+	end=$$(( $$(date +%s) + 60 * $(MINUTES) )); while [ $$(date +%s) -lt $$end ]; do \
+		OMP_NUM_THREADS=1 $(BIN)/python -m pytest --hypothesis-profile fuzz tests/fuzz/test_readers.py \
+			tests/fuzz/test_commands.py tests/fuzz/test_endurance.py || exit 1; \
+	done
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict

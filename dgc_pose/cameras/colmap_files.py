@@ -146,7 +146,10 @@ def read_database(path: Path) -> DatabaseContent:
             with quiet(), pycolmap.Database.open(copy) as database:
                 cameras = {own.camera_id: own for own in database.read_all_cameras()}
                 images = database.read_all_images()
-                keys, _ = database.read_all_matches()
+            # pycolmap's reader of matches ends the process where a column is of another type.
+            with closing(sqlite3.connect(copy)) as plain:
+                rows = plain.execute("SELECT pair_id FROM matches WHERE rows > 0")
+                keys = [key for (key,) in rows]
             return _content(cameras, images, keys)
         except (*_FAILURES, sqlite3.Error) as error:
             why = reason(error)

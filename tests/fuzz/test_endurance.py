@@ -11,7 +11,7 @@ from hypothesis import settings
 
 from dgc_pose import EstimationOptions, estimate_relative_pose, load_matcher
 
-CALLS = settings.default.max_examples // 5
+CALLS = settings.default.max_examples // 12
 GROWTH = 20 * 2**20  # bytes
 
 
