@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.images.image import Image, resize_by
@@ -47,10 +47,9 @@ class ImageChange:
 
     def angles(self, count: int) -> list[float]:
         """Degrees of each of so many pairs."""
-        if self.roll_at_random:
-            drawn = np.random.default_rng(self.roll_seed).uniform(30, 330, count)
-            return [float(angle) for angle in drawn]
-        return [self.roll] * count
+        if not self.roll_at_random:
+            return [self.roll] * count
+        return list(map(float, np.random.default_rng(self.roll_seed).uniform(30, 330, count)))
 
 
 class ChangedPairs(ListedPairs):
@@ -69,17 +68,11 @@ class ChangedPairs(ListedPairs):
         ]
 
     def pair(self, number: int) -> PosedPair:
-        found = super().pair(number)
-        truth = found.truth
-        assert truth.R is not None and truth.t is not None
-        change = self.change
+        pair, change = super().pair(number), self.change
         image2, camera2, turn = changed_view(
-            found.image2, truth.camera2, self.angles[number], change.shrink, change.crop
+            pair.image2, pair.truth.camera2, self.angles[number], change.shrink, change.crop
         )
-        rolled = Truth(
-            truth.ids, truth.camera1, camera2, turn @ truth.R, turn @ truth.t, truth.seed
-        )
-        return PosedPair(rolled, found.image1, image2)
+        return PosedPair(pair.truth.turned(turn, camera2), pair.image1, image2)
 
 
 def changed_view(
@@ -96,9 +89,7 @@ def changed_view(
     K = camera.K - [[0, 0, left], [0, 0, top], [0, 0, 0]]
     if shrink > 1:
         pixels = resize_by(pixels, 1 / shrink)
-        step = np.array([pixels.shape[1] / width, pixels.shape[0] / height])
-        K = np.diag([*step, 1]) @ (K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-        K -= [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+        K = Camera(K, (width, height)).resized((pixels.shape[1], pixels.shape[0])).K
     height, width = pixels.shape[:2]
     radians = math.radians(angle_deg)
     cosine, sine = math.cos(radians), math.sin(radians)

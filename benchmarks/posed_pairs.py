@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
-from dgc_pose.cameras.camera import Camera, check_size
+from dgc_pose.cameras.camera import Camera, check_size, guess_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
 from dgc_pose.images.image import Image, load_image
@@ -19,6 +19,9 @@ from dgc_pose.matching.cache import BoundedCache
 
 if TYPE_CHECKING:
     import torch
+
+    from dgc_pose.synthesis.render import SceneOptions
+    from dgc_pose.synthesis.render.bank import TextureBank
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view
@@ -35,6 +38,11 @@ class Truth:
     R: np.ndarray | None  # (3, 3); None for images of two scenes
     t: np.ndarray | None  # (3,), any length; None as well for a camera that only rotated
     seed: tuple[int, ...] = ()  # added to the seed of the estimator; (): one seed for all pairs
+
+    def turned(self, turn: np.ndarray, camera2: Camera) -> Truth:
+        """The truth with another camera 2, in the same place and rotated by `turn` (3, 3)."""
+        assert self.R is not None and self.t is not None
+        return replace(self, camera2=camera2, R=turn @ self.R, t=turn @ self.t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,19 +76,17 @@ class FilePairs(PairSet[Score]):
         super().__init__(kind, ids)
         self.pairs = pairs
         self._images: BoundedCache[Path, tuple[Image, tuple[int, int]]] = BoundedCache(
-            lambda _, found: found[0].pixels.nbytes, _IMAGE_BYTES
+            lambda _, entry: entry[0].pixels.nbytes, _IMAGE_BYTES
         )
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         return (self.pair(number) for number in range(first, len(self.pairs)))
 
     def pair(self, number: int) -> PosedPair:
-        """One pair by its number. Raises as `read` does."""
+        """A pair by its number. Raises as `read` does."""
         pair = self.pairs[number]
-        (image1, camera1), (image2, camera2) = (
-            self._view(path, camera)
-            for path, camera in ((pair.path1, pair.camera1), (pair.path2, pair.camera2))
-        )
+        image1, camera1 = self._prepared(pair.path1, pair.camera1)
+        image2, camera2 = self._prepared(pair.path2, pair.camera2)
         truth = Truth(self.ids[number], camera1, camera2, pair.R, pair.t, self.seed(number))
         return PosedPair(truth, image1, image2)
 
@@ -98,7 +104,7 @@ class FilePairs(PairSet[Score]):
         """The camera of an image of size (width, height) `shown`, from that of the file."""
         return camera
 
-    def _view(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
+    def _prepared(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
         image, stored = self._images.get(path, lambda: self._read(path))
         check_size(camera, stored, f"K of {image.name}")
         return image, self.prepare_camera(camera, stored, image.size)
@@ -116,7 +122,7 @@ class ListedPairs(FilePairs[PairScore]):
         super().__init__(PairScore, pairs, ids)
 
 
-class RenderedPairs(PairSet[MapScore]):
+class RenderedPosedPairs(PairSet[MapScore]):
     """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
     the photographs that training holds back: what defaults are chosen on."""
 
@@ -132,23 +138,39 @@ class RenderedPairs(PairSet[MapScore]):
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         import torch
 
-        from dgc_pose.synthesis.render import SceneOptions, render_pairs
+        from dgc_pose.synthesis.render import SceneOptions
 
         generator = torch.Generator().manual_seed(self._seed)
         # Several copies of a photograph side by side would make its blur, not its detail, the scene
         scenes = SceneOptions(
             rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
         )
-        size = (RENDERED_SIZE, RENDERED_SIZE)
         for number, ids in enumerate(self.ids):
-            views = render_pairs(self._textures, 1, RENDERED_SIZE, generator, scenes)
-            if number < first:
-                continue
-            pose = views.cam2_from_cam1[0].double().numpy()
-            cameras = [Camera(K[0].double().numpy(), size) for K in (views.K1, views.K2)]
-            truth = Truth(ids, cameras[0], cameras[1], pose[:, :3], pose[:, 3])
-            image1, image2 = _image(views.image1[0]), _image(views.image2[0])
-            yield PosedPair(truth, image1, image2)
+            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids)
+            if number >= first:
+                yield pair
+
+
+def rendered_pair(
+    textures: TextureBank, side: int, generator: torch.Generator, scenes: SceneOptions, ids: Ids
+) -> PosedPair:
+    """Two views of a rendered scene, `side` pixels square."""
+    from dgc_pose.synthesis.render import render_pairs
+
+    views = render_pairs(textures, 1, side, generator, scenes)
+    pose = views.cam2_from_cam1[0].double().numpy()
+    camera1, camera2 = (Camera(K[0].double().numpy(), (side, side)) for K in (views.K1, views.K2))
+    image1, image2 = (
+        Image((255 * planes[0].permute(1, 2, 0)).round().byte().contiguous().numpy())
+        for planes in (views.image1, views.image2)
+    )
+    return PosedPair(Truth(ids, camera1, camera2, pose[:, :3], pose[:, 3]), image1, image2)
+
+
+def unrelated_pair(path1: Path, path2: Path) -> PosedPair:
+    """Photographs of different places, with guessed cameras. Raises ImageError."""
+    truth = Truth({}, guess_camera(path1), guess_camera(path2), None, None)
+    return PosedPair(truth, load_image(path1), load_image(path2))
 
 
 def require_images(pairs: Sequence[Pair]) -> None:
@@ -157,8 +179,3 @@ def require_images(pairs: Sequence[Pair]) -> None:
         for path in (pair.path1, pair.path2):
             if not path.is_file():
                 raise ImageError(f"{path}: no such image; it is named in the pair list")
-
-
-def _image(view: torch.Tensor) -> Image:
-    """An image from a tensor (3, H, W) in [0, 1]."""
-    return Image((255 * view.permute(1, 2, 0)).round().byte().contiguous().numpy())

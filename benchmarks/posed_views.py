@@ -1,4 +1,4 @@
-"""Photographs of one scene with true camera poses: what reconstructions are compared with."""
+"""Photographs of a scene with true camera poses: what reconstructions are compared with."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced, require_no_input, writing
-from dgc_pose.images.image import load_image, resize_by
+from dgc_pose.images.image import image_size, load_image, resize_by
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +33,11 @@ class PosedViews:
 
     def every(self, step: int) -> PosedViews:
         """The first view and every `step`-th after it, in the order of the names."""
-        kept = sorted(self.poses)[::step]
+        names = sorted(self.poses)[::step]
         return replace(
             self,
-            cameras={name: self.cameras[name] for name in kept},
-            poses={name: self.poses[name] for name in kept},
+            cameras={name: self.cameras[name] for name in names},
+            poses={name: self.poses[name] for name in names},
         )
 
     def resized(self, scale: float, folder: Path) -> PosedViews:
@@ -45,18 +45,17 @@ class PosedViews:
 
         Raises InputError if a copy would replace an image; OSError if it cannot be written.
         """
-        cameras, poses = {}, {}
-        copies = [folder / Path(name).with_suffix(".png") for name in self.cameras]
-        require_no_input(copies, [self.root / name for name in self.cameras])
-        for name, camera in self.cameras.items():
+        copies = {name: str(Path(name).with_suffix(".png")) for name in self.cameras}
+        images = [self.root / name for name in copies]
+        require_no_input([folder / copy for copy in copies.values()], images)
+        cameras = {}
+        for name, copy in copies.items():
             small = resize_by(load_image(self.root / name).pixels, scale)
-            new = str(Path(name).with_suffix(".png"))
-            (folder / new).parent.mkdir(parents=True, exist_ok=True)
-            with replaced(folder / new) as stage, writing(stage):
+            (folder / copy).parent.mkdir(parents=True, exist_ok=True)
+            with replaced(folder / copy) as stage, writing(stage):
                 stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
-            cameras[new] = camera.resized((small.shape[1], small.shape[0]))
-            poses[new] = self.poses[name]
-        return PosedViews(folder, cameras, poses)
+            cameras[copy] = self.cameras[name].resized((small.shape[1], small.shape[0]))
+        return PosedViews(folder, cameras, {copies[name]: self.poses[name] for name in copies})
 
 
 def views_of_list(path: Path, folder: Path) -> PosedViews:
@@ -65,17 +64,15 @@ def views_of_list(path: Path, folder: Path) -> PosedViews:
     folder: of the images; names are those of the list relative to it. Raises InputError if the
     pairs do not connect all images.
     """
-    pairs = read_pairs(path)
-    names = {str(p): _relative(p, folder) for q in pairs for p in (q.path1, q.path2)}
     cameras: dict[str, Camera] = {}
-    steps: dict[str, list[tuple[str, np.ndarray]]] = {}
-    for pair in pairs:
-        first, second = names[str(pair.path1)], names[str(pair.path2)]
+    steps: dict[str, list[tuple[str, np.ndarray]]] = {}  # by image, others with their poses in it
+    for pair in read_pairs(path):
+        name1, name2 = _relative(pair.path1, folder), _relative(pair.path2, folder)
         step = _square(pair)
-        steps.setdefault(first, []).append((second, step))
-        steps.setdefault(second, []).append((first, np.linalg.inv(step)))
-        cameras.setdefault(first, pair.camera1)
-        cameras.setdefault(second, pair.camera2)
+        steps.setdefault(name1, []).append((name2, step))
+        steps.setdefault(name2, []).append((name1, np.linalg.inv(step)))
+        cameras.setdefault(name1, pair.camera1)
+        cameras.setdefault(name2, pair.camera2)
     start = min(steps)
     poses = {start: np.eye(4)}
     queue = deque([start])
@@ -121,4 +118,4 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _sized(camera: Camera, path: Path) -> Camera:
-    return Camera(camera.K, load_image(path).size, camera.distortion)
+    return replace(camera, size=image_size(path))

@@ -17,7 +17,7 @@ from dgc_pose.batch.source import Source
 from dgc_pose.batch.work import MatcherSettings
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.table import aligned
-from dgc_pose.colmap.mapping import MappingError, MappingOptions, map_database
+from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.reconstruction import (
     DATABASE,
     Model,
@@ -61,9 +61,7 @@ class ReconstructionScore:
     seconds: float
 
 
-def run_method(
-    method: str, views: PosedViews, out: Path, setting: Setting
-) -> tuple[ReconstructionScore, Model | None]:
+def run_method(method: str, views: PosedViews, out: Path, setting: Setting) -> ReconstructionScore:
     """Reconstruct the views by one method: `colmap-sift`, or a matcher by its name.
 
     Both map with the same options. The folder keeps a matcher's batch, which `resume` goes on with.
@@ -73,7 +71,10 @@ def run_method(
     pairs = poses = 0
     try:
         if method == COLMAP_SIFT:
-            model = _by_sift(views, out, setting.reconstruction.mapping)
+            database, mapping = out / DATABASE, setting.reconstruction.mapping
+            database.unlink(missing_ok=True)
+            sift_database(database, views.root, views.cameras, mapping.threads)
+            model = as_model(map_database(database, views.root, mapping))
             pairs = poses = len(views.poses) * (len(views.poses) - 1) // 2
         else:
             batch = run_batch(
@@ -90,7 +91,7 @@ def run_method(
     except MappingError:
         model = None
     seconds = time.perf_counter() - start
-    return score(method, model, views, pairs, poses, seconds), model
+    return score(method, model, views, pairs, poses, seconds)
 
 
 def score(
@@ -139,55 +140,33 @@ def position_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np
     """Distances (N,) of the positions after the best similarity, the truth's unit."""
     from dgc_pose.system.colmap_library import pycolmap
 
-    found = np.stack([model.centre(name) for name in names])
+    centres = np.stack([model.centre(name) for name in names])
     true = np.stack([views.centre(name) for name in names])
-    similarity = pycolmap.estimate_sim3d(found, true)
+    similarity = pycolmap.estimate_sim3d(centres, true)
     if similarity is None:
         return np.full(len(names), np.nan)
     matrix = similarity.matrix()
-    return np.linalg.norm(found @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
+    return np.linalg.norm(centres @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
 
 
 def score_table(scores: Sequence[ReconstructionScore]) -> str:
     """A line a method."""
     heading = (
-        "method",
-        "images",
-        "registered",
-        "R med deg",
-        "position rms",
-        "med",
-        "% of extent",
-        "points",
-        "track length",
-        "reprojection px",
-        "pairs",
-        "poses",
-        "seconds",
+        *("method", "images", "registered", "R med deg", "position rms", "med", "% of extent"),
+        *("points", "track length", "reprojection px", "pairs", "poses", "seconds"),
     )
     rows = [
         (
-            one.method,
-            str(one.images),
-            str(one.registered),
-            f"{one.rotation_median_deg:.3f}",
-            f"{one.position_rms:.4g}",
-            f"{one.position_median:.4g}",
-            f"{one.position_percent:.3f}",
-            str(one.points),
-            f"{one.mean_track_length:.2f}",
-            f"{one.reprojection_error_px:.3f}",
-            str(one.pairs),
-            str(one.poses),
-            f"{one.seconds:.0f}",
+            *(score.method, str(score.images), str(score.registered)),
+            f"{score.rotation_median_deg:.3f}",
+            f"{score.position_rms:.4g}",
+            f"{score.position_median:.4g}",
+            f"{score.position_percent:.3f}",
+            str(score.points),
+            f"{score.mean_track_length:.2f}",
+            f"{score.reprojection_error_px:.3f}",
+            *(str(score.pairs), str(score.poses), f"{score.seconds:.0f}"),
         )
-        for one in scores
+        for score in scores
     ]
     return aligned([heading, *rows])
-
-
-def _by_sift(views: PosedViews, out: Path, options: MappingOptions) -> Model:
-    database = out / DATABASE
-    database.unlink(missing_ok=True)
-    sift_database(database, views.root, views.cameras, options.threads)
-    return as_model(map_database(database, views.root, options))

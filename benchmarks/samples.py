@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from dgc_pose.benchmarks.scores import Key
-from dgc_pose.errors import InputError
+from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import save_text
 from dgc_pose.matches import Matches
@@ -24,25 +24,11 @@ _DECIMALS = 2  # of a pixel
 
 @dataclass(frozen=True, eq=False)
 class MatchSample:
-    """Matches in pixels of the images that the methods saw. Raises InputError if the shapes
-    disagree or a coordinate is not finite."""
+    """Matches in pixels of the images that the methods saw."""
 
     points1: np.ndarray  # (N, 2) float64
     points2: np.ndarray  # (N, 2) float64
     inliers: np.ndarray  # (N,) bool: whether the estimated pose agrees
-
-    def __post_init__(self) -> None:
-        for name in ("points1", "points2"):
-            points = np.asarray(getattr(self, name), dtype=np.float64).reshape(-1, 2)
-            if not np.isfinite(points).all():
-                raise InputError(f"{name} of a sample must be finite")
-            object.__setattr__(self, name, points)
-        inliers = np.asarray(self.inliers)
-        if inliers.dtype != bool and len(inliers):
-            raise InputError("inliers of a sample must be true or false")
-        object.__setattr__(self, "inliers", inliers.astype(bool))
-        if not self.points1.shape == self.points2.shape == (*self.inliers.shape, 2):
-            raise InputError("points1, points2 and inliers of a sample must have the same length")
 
     def __len__(self) -> int:
         return len(self.points1)
@@ -71,14 +57,15 @@ def write_sample(out: Path, key: Key, sample: MatchSample) -> None:
 def read_sample(out: Path, key: Key) -> MatchSample:
     """Read what `write_sample` wrote. Raises InputError with the path if it is no sample, OSError
     if it cannot be read."""
-    path = sample_path(out, key)
-    record = read_json(path, "a sample of matches")
-    try:
-        return MatchSample(record["points1"], record["points2"], record["inliers"])
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (ValueError, KeyError, TypeError, OverflowError):
-        raise InputError(f"{path}: not a sample of matches") from None
+    path, what = sample_path(out, key), "a sample of matches"
+    record = read_json(path, what)
+    with read_as(what, path):
+        count = len(record["inliers"])
+        points1, points2 = (
+            np.array(record[side], dtype=np.float64).reshape(count, 2)
+            for side in ("points1", "points2")
+        )
+        return MatchSample(points1, points2, np.array(record["inliers"], dtype=bool))
 
 
 def sample_path(out: Path, key: Key) -> Path:

@@ -50,6 +50,10 @@ POSE_COLUMNS = (
     *("rotation_error_deg", "translation_error_deg", "translation_folded_deg"),
 )
 SECONDS = ("match_seconds", "estimate_seconds")
+_EPIPOLAR = (
+    *("epipolar_all_px", "epipolar_confident_px"),
+    *("epipolar_all_mean_px", "epipolar_confident_mean_px"),
+)
 
 
 @dataclass(frozen=True)
@@ -77,15 +81,7 @@ class MapScore(PairScore):
     epipolar_all_mean_px: float
     epipolar_confident_mean_px: float
 
-    tables = {
-        RESULTS: (
-            *PairScore.tables[RESULTS],
-            "epipolar_all_px",
-            "epipolar_confident_px",
-            "epipolar_all_mean_px",
-            "epipolar_confident_mean_px",
-        )
-    }
+    tables = {RESULTS: (*PairScore.tables[RESULTS], *_EPIPOLAR)}
 
 
 @dataclass(frozen=True)
@@ -111,7 +107,7 @@ class DtuScore(MapScore):
             *identity,
             *("image1", "image2", "protocol", "true_rotation_deg", "true_baseline_mm", "overlap"),
             *POSE_COLUMNS,
-            *MapScore.tables[RESULTS][-4:],
+            *_EPIPOLAR,
         ),
         TIMINGS: (*identity, *SECONDS),
     }
@@ -119,10 +115,11 @@ class DtuScore(MapScore):
 
 def make_score(kind: type[Score], values: Mapping[str, Any]) -> Score:
     """A record from all that is known, of which it takes its fields."""
-    own = {field.name: values[field.name] for field in fields(kind)}
+    chosen = {field.name: values[field.name] for field in fields(kind)}
     if kind.decimals is not None:
-        own |= {k: round(float(v), kind.decimals) for k, v in own.items() if isinstance(v, float)}
-    return kind(**own)
+        numbers = {name: float(v) for name, v in chosen.items() if isinstance(v, float)}
+        chosen |= {name: round(number, kind.decimals) for name, number in numbers.items()}
+    return kind(**chosen)
 
 
 def pose_errors(

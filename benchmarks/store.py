@@ -11,7 +11,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Generic, TextIO, get_type_hints
 
 from dgc_pose.benchmarks.posed_pairs import PairSet
@@ -66,15 +65,25 @@ class RunStore(Generic[Score]):
         self._samples = samples
         self._stack = ExitStack()
         self._tables: dict[str, TextIO] = {}
-        if out is not None:
-            if overwrite and not resume:
-                _drop(out, kind)
-            _require(out, settings, resume)
-            tables = {name: _read_rows(out / name, kind, name) for name in kind.tables}
-            self.done = _complete(kind, keys, tables)
-            count = sum(len(own) for own in keys[: self.done])
-            for rows in zip(*(rows[:count] for rows in tables.values()), strict=True):
-                self.scores.append(kind(**{k: v for row in rows for k, v in row.items()}))
+        if out is None:
+            return
+        if overwrite and not resume:
+            for name in (*kind.tables, SETTINGS):  # a run without tables begins anew
+                (out / name).unlink(missing_ok=True)
+        _begin(out, settings, resume)
+        tables = [_read_rows(out / name, kind) for name in kind.tables]
+        for name, rows in zip(kind.tables, tables, strict=True):
+            _require_order(out / name, kind, keys, rows)
+        records = [
+            {k: v for part in parts for k, v in part.items()}
+            for parts in zip(*tables, strict=False)
+        ]
+        for of_pair in keys:
+            chosen = records[len(self.scores) : len(self.scores) + len(of_pair)]
+            if len(chosen) < len(of_pair):
+                break
+            self.scores += [kind(**record) for record in chosen]
+            self.done += 1
 
     def __enter__(self) -> RunStore[Score]:
         if self.out is not None:
@@ -83,79 +92,64 @@ class RunStore(Generic[Score]):
                 self._tables[name] = self._open(self.out / name)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._stack.close()
 
     def add(self, scored: Sequence[Scored[Score]]) -> None:
         """Put the next pair on disk: a row a method. Its rows in results.csv come last, so that a
         pair that has them has everything."""
-        for one in scored:
-            if self.out is not None and self._samples:
-                write_sample(self.out, one.score.key, one.sample)
-            self.scores.append(one.score)
+        scores = [result.score for result in scored]
+        if self.out is not None and self._samples:
+            for result in scored:
+                write_sample(self.out, result.score.key, result.sample)
         for name in reversed(self._tables):
-            for one in scored:
-                self._write(name, self._tables[name], one.score)
+            self._write(name, self._tables[name], scores)
+        self.scores += scores
         self.done += 1
 
     def _open(self, path: Path) -> TextIO:
-        """The table with the rows that are kept, ready for more."""
+        """The table with the rows of the finished pairs, ready for more."""
         with (
             replaced(path) as stage,
             writing(stage),
             stage.open("w", newline="", encoding="utf-8") as stream,
         ):
             csv.writer(stream).writerow(_columns(self._kind, path.name))
-            for score in self.scores:
-                self._write(path.name, stream, score)
+            self._write(path.name, stream, self.scores)
         stream = path.open("a", newline="", encoding="utf-8")
         self._stack.callback(writing(path)(stream.close))
         return stream
 
-    def _write(self, name: str, stream: TextIO, score: Score) -> None:
-        row = [getattr(score, field) for field in self._kind.tables[name]]
+    def _write(self, name: str, stream: TextIO, scores: Sequence[Score]) -> None:
+        fields = self._kind.tables[name]
         with writing(stream.name):
-            csv.writer(stream).writerow(row)
+            csv.writer(stream).writerows([getattr(s, field) for field in fields] for s in scores)
             stream.flush()
 
 
 def keys_of(pairs: PairSet[Score], methods: Sequence[str]) -> list[list[Key]]:
     """The keys of the records of each pair, one a method."""
     identity = pairs.kind.identity[1:]
-    found = [tuple(ids[name] for name in identity) for ids in pairs.ids]
-    return [[(method, *own) for method in methods] for own in found]
+    return [
+        [(method, *(ids[name] for name in identity)) for method in methods] for ids in pairs.ids
+    ]
 
 
 def _columns(kind: type[PoseScore], table: str) -> list[str]:
     return [kind.headings.get(name, name) for name in kind.tables[table]]
 
 
-def _drop(out: Path, kind: type[PoseScore]) -> None:
-    """Remove the tables of a run, its settings last: a run without tables begins anew."""
-    for name in (*kind.tables, SETTINGS):
-        (out / name).unlink(missing_ok=True)
-
-
-def _require(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
+def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
     """Begin a run, or see that the one that is there can be gone on with."""
-    known = out / SETTINGS
-    if known.is_file():
-        if not resume:
-            raise InputError(f"{known} is there already: --resume goes on with that run")
-        _require_same(known, settings)
-    elif (out / RESULTS).exists():
-        raise InputError(f"{out / RESULTS} is there already, and of no run of this command")
-    else:
+    path = out / SETTINGS
+    if not path.is_file():
+        if (out / RESULTS).exists():
+            raise InputError(f"{out / RESULTS} is there already, and of no run of this command")
         out.mkdir(parents=True, exist_ok=True)
-        write_text(known, json.dumps(settings, indent=2) + "\n")
-
-
-def _require_same(path: Path, settings: Mapping[str, Any]) -> None:
+        write_text(path, json.dumps(settings, indent=2) + "\n")
+        return
+    if not resume:
+        raise InputError(f"{path} is there already: --resume goes on with that run")
     before = read_json(path, "the settings of a run")
     if not isinstance(before, dict):
         raise InputError(f"{path}: not the settings of a run")
@@ -167,42 +161,33 @@ def _require_same(path: Path, settings: Mapping[str, Any]) -> None:
             )
 
 
-def _complete(
-    kind: type[Score], keys: Sequence[Sequence[Key]], tables: Mapping[str, list[dict[str, Any]]]
-) -> int:
-    """How many pairs from the first on have all their rows in all tables."""
-    expected = [key for own in keys for key in own]
-    for name, found in tables.items():
-        for number, (key, row) in enumerate(zip(expected, found, strict=False), start=2):
-            own = tuple(row[field] for field in kind.identity)
-            if own != key:
-                raise InputError(f"{name}:{number}: expected the row of {key}, found {own}")
-        if len(found) > len(expected):
-            raise InputError(f"{name}: more rows than the list has pairs")
-    rows, pairs = min(map(len, tables.values())), 0
-    while pairs < len(keys) and len(keys[pairs]) <= rows:
-        rows -= len(keys[pairs])
-        pairs += 1
-    return pairs
+def _require_order(
+    path: Path, kind: type[Score], keys: Sequence[Sequence[Key]], rows: Sequence[Mapping[str, Any]]
+) -> None:
+    """Raise InputError unless the rows are those of the first pairs, in their order."""
+    expected = [key for of_pair in keys for key in of_pair]
+    if len(rows) > len(expected):
+        raise InputError(f"{path}: more rows than the list has pairs")
+    for number, (key, row) in enumerate(zip(expected, rows, strict=False), start=2):
+        actual = tuple(row[field] for field in kind.identity)
+        if actual != key:
+            raise InputError(f"{path}:{number}: expected the row of {key}, found {actual}")
 
 
-def _read_rows(path: Path, kind: type[Score], table: str) -> list[dict[str, Any]]:
+def _read_rows(path: Path, kind: type[Score]) -> list[dict[str, Any]]:
     """The complete rows of a table, by field; a row that a kill cut short is left out."""
-    if not path.exists():
-        return []
-    whole = read_bytes(path).rpartition(b"\n")[0].decode("utf-8", "replace")
-    lines = csv.reader(whole.splitlines())
-    columns = _columns(kind, table)
-    hints = get_type_hints(kind)
+    whole = read_bytes(path).rpartition(b"\n")[0] if path.exists() else b""
+    hints, columns = get_type_hints(kind), _columns(kind, path.name)
+    readers = {name: _READERS.get(hints[name], str) for name in kind.tables[path.name]}
     rows = []
     with read_as("a table of results", path):
-        if whole and next(lines, None) != columns:
+        lines = csv.reader(whole.decode("utf-8", "replace").splitlines())
+        if whole and next(lines) != columns:
             raise InputError(f"{path}:1: expected the columns {','.join(columns)}")
-        found = list(lines)
-    for number, line in enumerate(found, start=2):
-        try:
-            cells = zip(kind.tables[table], line, strict=True)
-            rows.append({name: _READERS.get(hints[name], str)(text) for name, text in cells})
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"{path}:{number}: not a row of this table") from None
+        for number, line in enumerate(lines, start=2):
+            try:
+                cells = zip(readers.items(), line, strict=True)
+                rows.append({name: read(text) for (name, read), text in cells})
+            except (KeyError, ValueError):
+                raise InputError(f"{path}:{number}: not a row of this table") from None
     return rows

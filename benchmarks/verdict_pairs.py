@@ -18,22 +18,22 @@ from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     PairSet,
     PosedPair,
-    RenderedPairs,
+    RenderedPosedPairs,
     Truth,
     require_images,
+    unrelated_pair,
 )
 from dgc_pose.benchmarks.verdicts import PairKind, VerdictScore
-from dgc_pose.cameras.camera import Camera, guess_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.images.folder import search_images
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import Image
 from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
 from dgc_pose.synthesis.photos import held_back_paths
 from dgc_pose.synthesis.render.scene_pair import PairKind as SceneKind
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
-Parts = tuple[Image, Image, Truth]  # of a pair, whose ids are still to be put in
 Change = Literal["roll 90", "roll 180", "4x zoom", "night"]
 _VIEW = (800, 600)  # pixels of the views with procedural textures, and of the facade
 
@@ -46,15 +46,15 @@ class Group:
     name: str
     kind: PairKind
     names: Sequence[str]
-    make: Callable[[], Iterator[Parts]]
+    make: Callable[[], Iterator[PosedPair]]  # their ids are still to be put in
 
     @property
     def ids(self) -> list[Ids]:
         return [{"name": name, "group": self.name, "kind": self.kind} for name in self.names]
 
     def __iter__(self) -> Iterator[PosedPair]:
-        for ids, (image1, image2, truth) in zip(self.ids, self.make(), strict=True):
-            yield PosedPair(replace(truth, ids=ids), image1, image2)
+        for ids, pair in zip(self.ids, self.make(), strict=True):
+            yield replace(pair, truth=replace(pair.truth, ids=ids))
 
 
 class VerdictPairs(PairSet[VerdictScore]):
@@ -78,7 +78,7 @@ def unrelated_photos(photos: Path, count: int, seed: int) -> Group:
         raise InputError(f"{photos}: {len(paths)} photographs that training holds back; need two")
     rng = np.random.default_rng(seed)
     drawn = [rng.choice(len(paths), 2, replace=False) for _ in range(count)]
-    return _unrelated("other photographs", [(paths[one], paths[other]) for one, other in drawn])
+    return _unrelated("other photographs", [(paths[i], paths[j]) for i, j in drawn])
 
 
 def unrelated_scenes(folders: Sequence[Path], count: int, seed: int) -> Group:
@@ -88,26 +88,25 @@ def unrelated_scenes(folders: Sequence[Path], count: int, seed: int) -> Group:
     """
     scenes = []
     for folder in folders:
-        found = [folder / name for name in search_images(folder).names if "/" not in name]
-        if not found:
+        scenes.append([folder / name for name in search_images(folder).names if "/" not in name])
+        if not scenes[-1]:
             raise InputError(f"{folder}: no photographs")
-        scenes.append(found)
     if len(scenes) < 2:
         raise InputError("unrelated pairs need the folders of two scenes at least")
     rng = np.random.default_rng(seed)
     drawn = []
     for _ in range(count):
-        one, other = rng.choice(len(scenes), 2, replace=False)
-        first, second = (scenes[k][rng.integers(len(scenes[k]))] for k in (one, other))
-        drawn.append((first, second))
+        i, j = rng.choice(len(scenes), 2, replace=False)
+        path1, path2 = (scenes[k][rng.integers(len(scenes[k]))] for k in (i, j))
+        drawn.append((path1, path2))
     return _unrelated("other scenes", drawn)
 
 
 def rendered(photos: Path, count: int, seed: int) -> Group:
-    """True pairs of 5 to 40 degrees, see `RenderedPairs`."""
-    pairs = RenderedPairs(photos, count, seed)
+    """True pairs of 5 to 40 degrees, see `RenderedPosedPairs`."""
+    pairs = RenderedPosedPairs(photos, count, seed)
     names = [f"rendered {seed} {number}" for number in range(count)]
-    return Group("rendered, 5 to 40 deg", "true", names, lambda: map(_parts, pairs.read()))
+    return Group("rendered, 5 to 40 deg", "true", names, pairs.read)
 
 
 def listed(pair_list: Path, root: Path | None, limit: int | None) -> Group:
@@ -115,9 +114,9 @@ def listed(pair_list: Path, root: Path | None, limit: int | None) -> Group:
     pairs = read_pairs(pair_list, root)
     require_images(pairs)
     chosen = np.linspace(0, len(pairs) - 1, min(limit or len(pairs), len(pairs))).round()
-    kept = [pairs[int(k)] for k in chosen]
-    names = [f"{pair_list.stem} {pair.name1} {pair.name2}" for pair in kept]
-    return Group(pair_list.stem, "true", names, lambda: map(_parts, ListedPairs(kept).read()))
+    pairs = [pairs[int(k)] for k in chosen]
+    names = [f"{pair_list.stem} {pair.name1} {pair.name2}" for pair in pairs]
+    return Group(pair_list.stem, "true", names, ListedPairs(pairs).read)
 
 
 def misleading(photos: Path, count: int, seed: int) -> list[Group]:
@@ -129,59 +128,47 @@ def misleading(photos: Path, count: int, seed: int) -> list[Group]:
         Group("facade", "true", [f"facade {k}" for k in seeds], lambda: map(facade, seeds))
     )
     true = rendered(photos, count, seed + 1)
-    return groups + [changed_views(true, change, seed) for change in get_args(Change)]
+    return groups + [_changed_views(true, change, seed) for change in get_args(Change)]
 
 
-def changed_views(pairs: Group, change: Change, seed: int) -> Group:
-    """True pairs with another second view each, and the poses that belong to them."""
+def changed(pair: PosedPair, change: Change, seed: int) -> PosedPair:
+    """A true pair with another second view, and the pose that belongs to it."""
+    camera2, pixels, R = pair.truth.camera2, pair.image2.pixels, np.eye(3)
+    if change == "4x zoom":
+        pixels, camera2 = middle_quarter(pixels, camera2)
+    elif change == "night":
+        pixels = night(pixels, np.random.default_rng(seed))
+    else:
+        pixels, camera2, R = rolled(pixels, camera2, 1 if change == "roll 90" else 2)
+    image2 = Image(np.ascontiguousarray(pixels), f"{pair.image2.name}, {change}")
+    return PosedPair(pair.truth.turned(R, camera2), pair.image1, image2)
+
+
+def facade(seed: int) -> PosedPair:
+    """See `render_facade`."""
+    left, right, camera, R, t = render_facade(seed, _VIEW)
+    return PosedPair(Truth({}, camera, camera, R, t), Image(left), Image(right))
+
+
+def _unrelated(name: str, drawn: Sequence[tuple[Path, Path]]) -> Group:
+    names = [" ".join(f"{path.parent.name}/{path.name}" for path in pair) for pair in drawn]
+    return Group(name, "unrelated", names, lambda: (unrelated_pair(*pair) for pair in drawn))
+
+
+def _changed_views(pairs: Group, change: Change, seed: int) -> Group:
     names = [f"{name}, {change}" for name in pairs.names]
     return Group(change, "true", names, lambda: (changed(pair, change, seed) for pair in pairs))
 
 
-def changed(pair: PosedPair, change: Change, seed: int) -> Parts:
-    """A true pair with another second view, and the pose that belongs to it."""
-    truth, pixels, R = pair.truth, pair.image2.pixels, np.eye(3)
-    assert truth.R is not None and truth.t is not None
-    if change in ("roll 90", "roll 180"):
-        pixels, camera2, R = rolled(pixels, truth.camera2, 1 if change == "roll 90" else 2)
-    elif change == "4x zoom":
-        pixels, camera2 = middle_quarter(pixels, truth.camera2)
-    else:
-        pixels, camera2 = night(pixels, np.random.default_rng(seed)), truth.camera2
-    image2 = Image(np.ascontiguousarray(pixels), f"{pair.image2.name}, {change}")
-    return pair.image1, image2, replace(truth, camera2=camera2, R=R @ truth.R, t=R @ truth.t)
+def _scenes(kind: SceneKind, seeds: Sequence[int]) -> Group:
+    rotated = kind == "rotation_only"
 
-
-def facade(seed: int) -> Parts:
-    """See `render_facade`."""
-    left, right, camera, R, t = render_facade(seed, _VIEW)
-    return Image(left), Image(right), Truth({}, camera, camera, R, t)
-
-
-def _unrelated(name: str, drawn: Sequence[tuple[Path, Path]]) -> Group:
-    def make() -> Iterator[Parts]:
-        for pair in drawn:
-            first, second = (load_image(path) for path in pair)
-            camera1, camera2 = (guess_camera(path) for path in pair)
-            yield first, second, Truth({}, camera1, camera2, None, None)
-
-    names = [" ".join(f"{path.parent.name}/{path.name}" for path in pair) for pair in drawn]
-    return Group(name, "unrelated", names, make)
-
-
-def _scenes(scene: SceneKind, seeds: Sequence[int]) -> Group:
-    rotated = scene == "rotation_only"
-
-    def make() -> Iterator[Parts]:
+    def make() -> Iterator[PosedPair]:
         for seed in seeds:
-            pair = render_scene_pair(seed, size1=_VIEW, size2=_VIEW, rotation_deg=12.0, kind=scene)
+            pair = render_scene_pair(seed, size1=_VIEW, size2=_VIEW, rotation_deg=12.0, kind=kind)
             camera1, camera2 = (Camera(K, _VIEW) for K in (pair.K1, pair.K2))
             truth = Truth({}, camera1, camera2, pair.R, None if rotated else pair.t)
-            yield Image(pair.image1), Image(pair.image2), truth
+            yield PosedPair(truth, Image(pair.image1), Image(pair.image2))
 
-    names = [f"{scene} {seed}" for seed in seeds]
-    return Group(scene.replace("_", " "), "rotation only" if rotated else "true", names, make)
-
-
-def _parts(pair: PosedPair) -> Parts:
-    return pair.image1, pair.image2, pair.truth
+    names = [f"{kind} {seed}" for seed in seeds]
+    return Group(kind.replace("_", " "), "rotation only" if rotated else "true", names, make)

@@ -43,7 +43,7 @@ class VerdictScore(PoseScore):
     name: str
     group: str
     kind: PairKind
-    rotation_90_deg: float  # what the pose expects of its own error; NaN if it does not say
+    rotation_90_deg: float  # what the pose expects of its error; NaN if it does not say
     translation_90_deg: float
     evidence_json: str  # empty if there were too few matches, or no model
 
@@ -85,9 +85,12 @@ def succeeds(score: VerdictScore, gates: VerdictOptions) -> bool:
 def rates(scores: Sequence[VerdictScore], gates: VerdictOptions) -> tuple[float, float]:
     """The shares of unrelated pairs called a success, and of true ones called a failure; NaN
     without such pairs."""
-    unrelated = [succeeds(one, gates) for one in scores if one.kind == "unrelated"]
-    true = [succeeds(one, gates) for one in scores if one.kind == "true"]
-    return _mean(unrelated), _mean([not success for success in true])
+    false = [succeeds(score, gates) for score in scores if score.kind == "unrelated"]
+    missed = [not succeeds(score, gates) for score in scores if score.kind == "true"]
+    unrelated_rate, true_rate = (
+        float(np.mean(flags)) if flags else float("nan") for flags in (false, missed)
+    )
+    return unrelated_rate, true_rate
 
 
 def candidates() -> Iterator[VerdictOptions]:
@@ -105,7 +108,7 @@ def choose_gates(scores: Sequence[VerdictScore]) -> VerdictOptions:
 
     Raises InputError without unrelated or without true pairs to choose on.
     """
-    if not {"unrelated", "true"} <= {one.kind for one in scores}:
+    if not {"unrelated", "true"} <= {score.kind for score in scores}:
         raise InputError("gates need unrelated and true pairs to be chosen on; take more pairs")
 
     def loss(gates: VerdictOptions) -> float:
@@ -118,43 +121,43 @@ def choose_gates(scores: Sequence[VerdictScore]) -> VerdictOptions:
 def groups_table(scores: Sequence[VerdictScore]) -> str:
     """A row a group: what was called what, and whether 90 % means 90 %."""
     headings = ("pairs", "number", "a pose", "wrong", "no pose", "R med", "t med")
-    rows: list[tuple[str, ...]] = [(*headings, "R in 90 %", "t in 90 %", "statuses")]
-    for group in dict.fromkeys(one.group for one in scores):
-        own = [one for one in scores if one.group == group]
-        kind = own[0].kind
-        poses = [one for one in own if one.success]
-        statuses = sorted({one.status for one in own})
-        rows.append(
+    table: list[tuple[str, ...]] = [(*headings, "R in 90 %", "t in 90 %", "statuses")]
+    for group in dict.fromkeys(score.group for score in scores):
+        rows = [score for score in scores if score.group == group]
+        kind = rows[0].kind
+        poses = sum(row.success for row in rows)
+        rotation = _median([row.rotation_error_deg for row in rows])
+        translation = _median([row.translation_error_deg for row in rows])
+        statuses = [row.status for row in rows]
+        table.append(
             (
-                group,
-                str(len(own)),
-                str(len(poses)),
-                str(sum(one.far_off for one in poses)) if kind == "true" else "-",
-                str(len(own) - len(poses)),
-                "-" if kind == "unrelated" else _median([one.rotation_error_deg for one in own]),
-                _median([one.translation_error_deg for one in own]) if kind == "true" else "-",
-                *coverage(own),
-                ", ".join(f"{s} {sum(one.status == s for one in own)}" for s in statuses),
+                *(group, str(len(rows)), str(poses)),
+                str(sum(row.far_off for row in rows)) if kind == "true" else "-",
+                str(len(rows) - poses),
+                "-" if kind == "unrelated" else rotation,
+                translation if kind == "true" else "-",
+                *coverage(rows),
+                ", ".join(f"{name} {statuses.count(name)}" for name in sorted(set(statuses))),
             )
         )
-    return aligned(rows)
+    return aligned(table)
 
 
 def coverage(scores: Sequence[VerdictScore]) -> tuple[str, str]:
     """How often the errors of R and of t are within what the pose expected, "k of n"."""
-    true = [one for one in scores if one.kind == "true" and np.isfinite(one.rotation_90_deg)]
+    true = [s for s in scores if s.kind == "true" and np.isfinite(s.rotation_90_deg)]
     if not true:
         return "-", "-"
-    R = sum(one.rotation_error_deg <= one.rotation_90_deg for one in true)
-    t = sum(one.translation_error_deg <= one.translation_90_deg for one in true)
+    R = sum(score.rotation_error_deg <= score.rotation_90_deg for score in true)
+    t = sum(score.translation_error_deg <= score.translation_90_deg for score in true)
     return f"{R} of {len(true)}", f"{t} of {len(true)}"
 
 
 def gates_table(scores: Sequence[VerdictScore]) -> str:
     """The default gates and those chosen on one half, on both halves."""
     halves = {
-        "choosing": [one for one in scores if one.chooses],
-        "reporting": [one for one in scores if not one.chooses],
+        "choosing": [score for score in scores if score.chooses],
+        "reporting": [score for score in scores if not score.chooses],
     }
     try:
         chosen = choose_gates(halves["choosing"])
@@ -162,21 +165,17 @@ def gates_table(scores: Sequence[VerdictScore]) -> str:
         return f"no gates: {error}"
     rows = [("gates", "half", "unrelated", "a pose", "share", "true", "missed", "share")]
     for name, gates in (("default", VerdictOptions()), ("chosen", chosen)):
-        for half, own in halves.items():
-            counts = [sum(one.kind == kind for one in own) for kind in ("unrelated", "true")]
-            cells = [
-                (str(count), f"{rate * count:.0f}", f"{100 * rate:.1f} %")
-                for rate, count in zip(rates(own, gates), counts, strict=True)
-            ]
-            rows.append((name, half, *cells[0], *cells[1]))
+        for half, members in halves.items():
+            kinds: list[str] = [score.kind for score in members]
+            unrelated, true = (
+                (str(kinds.count(kind)), f"{rate * kinds.count(kind):.0f}", f"{100 * rate:.1f} %")
+                for kind, rate in zip(("unrelated", "true"), rates(members, gates), strict=True)
+            )
+            rows.append((name, half, *unrelated, *true))
     return (
         f"{aligned(rows)}\nchosen: min_inliers {chosen.min_inliers}, min_inlier_ratio "
         f"{chosen.min_inlier_ratio:g}, min_occupied_cells {chosen.min_occupied_cells}"
     )
-
-
-def _mean(flags: Sequence[bool]) -> float:
-    return float(np.mean(flags)) if flags else float("nan")
 
 
 def _median(errors: Sequence[float]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_engines, parse_methods
-from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPairs
+from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPosedPairs
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.summary import (
     MethodSummary,
@@ -125,7 +125,7 @@ def bench_pairs(
     elif changed:
         raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
     elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
-        pairs = RenderedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
+        pairs = RenderedPosedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
     else:
         raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
     chosen = parse_methods(split_names(methods), defaults.options)

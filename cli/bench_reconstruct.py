@@ -101,7 +101,7 @@ def bench_reconstruct(
     if scale != 1:
         views = views.resized(scale, out / "images")  # a later --resume reads them again
     for method in split_names(methods):
-        score, _ = run_method(method, views, out / Path(method).stem, setting)
+        score = run_method(method, views, out / Path(method).stem, setting)
         scores.append(score)
         click.echo(f"{method}: {score.registered} of {score.images} images", err=True)
     data = [

@@ -13,7 +13,7 @@ from verdict_folder import write_photos
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPairs, require_images
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPosedPairs, require_images
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.main import main
@@ -122,7 +122,7 @@ def photos(tmp_path, monkeypatch):
 
 
 def test_rendered_pairs_are_the_same_from_any_of_them_on(photos):
-    pairs = RenderedPairs(photos, 3, 7)
+    pairs = RenderedPosedPairs(photos, 3, 7)
     whole, rest = list(pairs.read()), list(pairs.read(1))
     assert [one.truth.ids for one in whole] == pairs.ids
     assert [one.truth.ids for one in rest] == pairs.ids[1:]

@@ -163,25 +163,20 @@ def small_renders(monkeypatch):
 
     class SmallPairs:
         def __init__(self, photos, count, seed):
-            self.seeds = range(seed, seed + count)
+            self.read = lambda: map(small_pair, range(seed, seed + count))
 
-        def read(self):
-            return map(small_pair, self.seeds)
-
-    monkeypatch.setattr(verdict_pairs, "RenderedPairs", SmallPairs)
+    monkeypatch.setattr(verdict_pairs, "RenderedPosedPairs", SmallPairs)
 
 
 def test_a_pair_is_judged_with_its_errors():
-    image1, image2, truth = verdict_pairs._parts(small_pair(3))
-    truths = [
-        truth,
-        dataclasses.replace(truth, t=None),
-        dataclasses.replace(truth, R=None, t=None),
-    ]
-    kinds = ["true", "rotation only", "unrelated"]
+    pair = small_pair(3)
+    unknown = {"true": {}, "rotation only": {"t": None}, "unrelated": {"R": None, "t": None}}
+    kinds = [*unknown]
+    truths = [dataclasses.replace(pair.truth, **values) for values in unknown.values()]
+    pairs = [dataclasses.replace(pair, truth=truth) for truth in truths]
     groups = [
-        verdict_pairs.Group("g", kind, ["x"], lambda one=one: iter([(image1, image2, one)]))
-        for kind, one in zip(kinds, truths, strict=True)
+        verdict_pairs.Group("g", kind, ["x"], lambda pair=pair: iter([pair]))
+        for kind, pair in zip(kinds, pairs, strict=True)
     ]
     methods = parse_methods(["sift:runs=1"])
     engines = load_engines(methods, device="cpu")
