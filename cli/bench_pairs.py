@@ -92,7 +92,7 @@ class SceneChoice:
 @click.option(
     "--json",
     "json_path",
-    type=OutputFile("json"),
+    type=OutputFile(),
     metavar="PATH",
     help="Write the summary as JSON.",
 )

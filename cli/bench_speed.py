@@ -71,7 +71,7 @@ from dgc_pose.runtime.torch_engine import network_input
 @click.option(
     "--json",
     "json_path",
-    type=OutputFile("json"),
+    type=OutputFile(),
     metavar="PATH",
     help="Write all figures as JSON.",
 )

@@ -22,7 +22,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 @click.option(
     "--plot",
     "plot_path",
-    type=OutputFile(None),
+    type=OutputFile(),
     metavar="PATH.png",
     help="Draw what the pose was found from.",
 )

@@ -32,7 +32,7 @@ class FolderChoice:
 
 @click.command()
 @click.argument("root", metavar="ROOT")
-@click.argument("out", metavar="OUT.txt", type=OutputFile("text"))
+@click.argument("out", metavar="OUT.txt", type=OutputFile())
 @click.option("--scan", type=click.IntRange(0, 10**6), required=True, help="Number of the scan.")
 @dataclass_options(FolderChoice, "folder")
 @dataclass_options(ViewPairOptions, "options")

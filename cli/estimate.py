@@ -25,19 +25,19 @@ class Outputs:
         None,
         "Write the pose as JSON; - for stdout.",
         metavar="PATH|-",
-        type=OutputFile("json", stdout=True),
+        type=OutputFile(stdout=True),
     )
     matches: str | None = option(
         None,
         "Write the matches and which are inliers.",
         metavar="PATH.npz",
-        type=OutputFile("npz"),
+        type=OutputFile(),
     )
     plot: str | None = option(
         None,
         "Draw inliers, epipolar lines and the warp.",
         metavar="PATH.png",
-        type=OutputFile(None),
+        type=OutputFile(),
     )
 
 

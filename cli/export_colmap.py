@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import OutputFile, OutputFolder, overwrites
+from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
 from dgc_pose.system.options import check_options, option
@@ -86,7 +85,7 @@ def images_bar() -> Iterator[Callable[[int, int], None]]:
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--database", type=OutputFile("db"), metavar="DB", help="The database to write.")
+@click.option("--database", type=OutputFile(), metavar="DB", help="The database to write.")
 @click.option(
     "--hloc",
     type=OutputFolder(*HLOC, path_type=Path),
@@ -111,10 +110,6 @@ def export_colmap(
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")
-    if database is not None and os.path.exists(database) and not overwrites():
-        raise InputError(f"{database} is there already: --overwrite replaces it")
-    if database is not None and not Path(database).resolve().parent.is_dir():
-        raise InputError(f"{database}: no such folder to write it into")
     batch = read_batch(folder)
     written = [] if database is None else [Path(database)]
     written += [] if hloc is None else [hloc / name for name in HLOC]

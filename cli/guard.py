@@ -1,82 +1,78 @@
 """What every sub-command gets: --debug, --max-pixels, --overwrite, and the check of its outputs.
 
-A command declares its outputs by the types `OutputFile` and `OutputFolder` of its options. All
-other options and arguments that name a file are its inputs. The check runs before the command.
+A command declares its outputs by the types `OutputFile` and `OutputFolder` of its options; its
+other options and arguments may name inputs. The rule: an output that exists is replaced with
+--overwrite alone, and an input is never replaced. It is checked before the command runs.
 """
 
 from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import Kind, output_target, require_kind, require_no_input
+from dgc_pose.files.outputs import output_target, require_no_input
 
 STDOUT = "-"
 DEBUG, OVERWRITE = "--debug", "--overwrite"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
-_PICTURES = {"jpeg": "jpg", "tiff": "tif"}  # kinds that are called by several endings
+# Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
+_SEPARATOR = re.compile(r"[,:=]|/all\b")
 
 
-class OutputFile(click.ParamType):
-    """The path of a file that the command writes; None of the kind is that of the path's ending.
+class OutputFile(click.Path):
+    """The path of a file that the command writes. stdout: whether `-` stands for stdout."""
 
-    stdout: whether `-` stands for stdout.
-    """
-
-    name = "path"
-
-    def __init__(self, kind: Kind | None, *, stdout: bool = False) -> None:
-        self.kind = kind
+    def __init__(self, *, stdout: bool = False) -> None:
+        super().__init__()
         self.stdout = stdout
 
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Left to the shell."""
-        return [CompletionItem(incomplete, type="file")]
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value  # `check` needs the other options
 
-    def check(self, path: str) -> None:
-        """Raise InputError if the path is no file's, or another kind of file is there."""
-        ending = Path(path).suffix.lower().lstrip(".")
-        kind = self.kind or _PICTURES.get(ending, ending)
-        require_kind(path, kind)  # type: ignore[arg-type]
+    def check(self, path: str, context: click.Context) -> None:
+        """Raise InputError if the path is no file's, or a file's that is not to be replaced."""
+        if path == STDOUT:
+            if not self.stdout:
+                raise InputError("only --json goes to stdout; a file called - is ./-")
+            return
+        target = output_target(path)
+        require_no_input([path], _inputs(context))
+        if target.exists() and not _overwrites(context):
+            raise InputError(f"{path} is there already: --overwrite replaces it")
+        if not target.parent.is_dir():
+            raise InputError(f"{path}: no such folder to write it into")
 
 
-class OutputFolder(click.ParamType):
-    """The folder of a command's files. names: of those that a new run does not replace."""
+class OutputFolder(click.Path):
+    """The folder of a command's files. results: names of those that are not to be replaced."""
 
-    name = "directory"
-
-    def __init__(self, *names: str, path_type: type = str) -> None:
-        self.names = names
-        self.path_type = path_type
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Left to the shell."""
-        return [CompletionItem(incomplete, type="dir")]
+    def __init__(self, *results: str, path_type: type = str) -> None:
+        super().__init__(file_okay=False, path_type=path_type)
+        self.results = results
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if not os.fspath(value):  # Path("") would be the working folder
-            raise click.BadParameter("the folder of the results needs a name", ctx, param)
-        return self.path_type(value)
+            self.fail("the folder of the results needs a name", param, ctx)
+        return self.coerce_path_result(value)
 
-    def check(self, path: str, *, names: Sequence[str], resumes: bool) -> None:
-        """Raise InputError if the path is no folder's, or there are results of a run."""
+    def check(self, path: str | Path, context: click.Context) -> None:
+        """Raise InputError if the path is no folder's, or holds results of a run that is neither
+        resumed nor replaced."""
         if os.path.exists(path) and not os.path.isdir(path):
             raise InputError(f"{path}: the results need a folder, and this is none")
-        for name in names:
+        resume = {name.rpartition("__")[2]: value for name, value in context.params.items()}
+        if resume.get("resume") or _overwrites(context):
+            return
+        for name in self.results:
             if os.path.lexists(os.path.join(path, name)):
-                hint = "--resume goes on with that run, " if resumes else ""
+                hint = "--resume goes on with that run, " if "resume" in resume else ""
                 raise InputError(
                     f"{os.path.join(path, name)} is there already: {hint}--overwrite replaces it"
                 )
@@ -92,25 +88,19 @@ def guarded(command: click.Command) -> click.Command:
             type=click.IntRange(1, 2**30),
             metavar="N",
             expose_value=False,
-            callback=_keep("max_pixels"),
+            callback=_set_max_pixels,
             help="Most pixels of an image that is decoded; default: 210 million.",
         ),
-        click.Option(
-            [DEBUG],
-            is_flag=True,
-            expose_value=False,
-            help="Show the trace of an error.",
-        ),
+        click.Option([DEBUG], is_flag=True, expose_value=False, help="Show the trace of an error."),
     ]
-    own = any(OVERWRITE in parameter.opts for parameter in command.params)
-    if not own and any(_replaces(parameter.type) for parameter in command.params):
+    if any(_replaces(parameter.type) for parameter in command.params):
         command.params.append(
             click.Option(
                 [OVERWRITE],
                 is_flag=True,
                 expose_value=False,
-                callback=_keep("overwrite"),
-                help="Replace files of another kind, and the results of an earlier run.",
+                callback=_set_overwrite,
+                help="Replace outputs that exist. An input is never replaced.",
             )
         )
     run = command.callback
@@ -118,101 +108,61 @@ def guarded(command: click.Command) -> click.Command:
 
     @functools.wraps(run)
     def checked(*args: Any, **kwargs: Any) -> Any:
-        context = click.get_current_context()
-        _check_outputs(context)
-        with _environment(MAX_PIXELS_VARIABLE, context.meta.get(_key("max_pixels"))):
-            return run(*args, **kwargs)
+        _check_outputs(click.get_current_context())
+        return run(*args, **kwargs)
 
     command.callback = checked
     return command
 
 
-def _replaces(kind: click.ParamType) -> bool:
-    return isinstance(kind, OutputFile) or (isinstance(kind, OutputFolder) and bool(kind.names))
-
-
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
-    return bool(click.get_current_context().meta.get(_key("overwrite")))
+    return _overwrites(click.get_current_context())
 
 
-def _key(name: str) -> str:
-    return f"{__name__}.{name}"
+def _overwrites(context: click.Context) -> bool:
+    return bool(context.meta.get(OVERWRITE))
 
 
-def _keep(name: str) -> Any:
-    def keep(context: click.Context, parameter: click.Parameter, value: Any) -> None:
-        context.meta[_key(name)] = value
+def _set_overwrite(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    context.meta[OVERWRITE] = value
 
-    return keep
+
+def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: int | None) -> None:
+    if value is not None:
+        os.environ[MAX_PIXELS_VARIABLE] = str(value)  # reaches worker processes too
+        context.call_on_close(lambda: os.environ.pop(MAX_PIXELS_VARIABLE))
+
+
+def _replaces(kind: click.ParamType) -> bool:
+    return isinstance(kind, OutputFile) or (isinstance(kind, OutputFolder) and bool(kind.results))
 
 
 def _check_outputs(context: click.Context) -> None:
-    """Raise InputError, naming the option, for an output that would destroy something."""
-    values = [
-        (parameter, context.params.get(parameter.name or ""))
-        for parameter in context.command.params
-    ]
-    inputs = [
+    """Raise BadParameter, naming the option, for an output that would destroy something."""
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if value is not None and isinstance(parameter.type, OutputFile | OutputFolder):
+            try:
+                parameter.type.check(value, context)
+            except InputError as error:
+                raise click.BadParameter(str(error), context, parameter) from None
+
+
+def _inputs(context: click.Context) -> list[str]:
+    """What the values of the other options and arguments may name."""
+    return [
         path
-        for parameter, value in values
+        for parameter in context.command.params
         if not isinstance(parameter.type, OutputFile | OutputFolder)
-        for path in _files(value)
+        for path in _paths(context.params.get(parameter.name or ""))
     ]
-    resumes = {name.rpartition("__")[2]: value for name, value in context.params.items()}
-    for parameter, value in values:
-        kind = parameter.type
-        if value is None or not isinstance(kind, OutputFile | OutputFolder):
-            continue
-        path = os.fspath(value)
-        try:
-            if isinstance(kind, OutputFolder):
-                fresh = overwrites() or resumes.get("resume")
-                kind.check(path, names=() if fresh else kind.names, resumes="resume" in resumes)
-            elif path != STDOUT:
-                output_target(path)
-                require_no_input([path], inputs)
-                if not overwrites():
-                    kind.check(path)
-            elif not kind.stdout:
-                raise InputError("only --json goes to stdout; a file called - is ./-")
-        except InputError as error:
-            raise InputError(f"{_label(parameter)}: {error}") from None
 
 
-def _label(parameter: click.Parameter) -> str:
-    if isinstance(parameter, click.Argument):
-        return parameter.make_metavar(click.get_current_context())
-    return max(parameter.opts, key=len)
-
-
-def _files(value: Any) -> Iterator[str]:
-    """The existing files that an option's value names: a path, or several in a text such as
-    `NAME=PATH`, `PATH,PATH` or `PATH:option=value`."""
+def _paths(value: Any) -> Iterator[str]:
     if isinstance(value, tuple | list):
-        for one in value:
-            yield from _files(one)
+        for item in value:
+            yield from _paths(item)
     elif isinstance(value, str | os.PathLike):
         text = os.fspath(value)
-        parts = {text}
-        for part in text.split(","):
-            name = part.strip()
-            parts |= {name, name.partition("=")[2], name.partition(":")[0].removesuffix("/all")}
-        yield from filter(os.path.isfile, sorted(parts))
-
-
-@contextmanager
-def _environment(name: str, value: Any) -> Iterator[None]:
-    """A variable of the environment within the block: it reaches worker processes too."""
-    if value is None:
-        yield
-        return
-    before = os.environ.get(name)
-    os.environ[name] = str(value)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
+        yield from {text, *(part.strip() for part in _SEPARATOR.split(text))}

@@ -58,7 +58,7 @@ class MapBenchOptions:
         "Write all figures as JSON.",
         flag="--json",
         metavar="PATH",
-        type=OutputFile("json"),
+        type=OutputFile(),
     )
     device: DeviceName = option("auto", "Where the network runs.")
 

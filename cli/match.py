@@ -19,7 +19,7 @@ from dgc_pose.images.image import load_image
 @click.option(
     "--out",
     required=True,
-    type=OutputFile("npz"),
+    type=OutputFile(),
     metavar="PATH.npz",
     help="Where to write the matches.",
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, suppress
@@ -41,7 +42,7 @@ from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import replaced, require_room, writing
 
 SUMMARY, MATCHES, PARTS = "summary.json", "matches.h5", "parts"
-_PART = re.compile(r"(\.?)\d{9,}\.h5(\..*\.partial)?")  # also one that a kill left half-written
+_PART = re.compile(r"\d{9,}\.h5")
 _OPEN_PARTS = 64  # while the result is put together
 _SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
     **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
@@ -159,6 +160,8 @@ class PartStore:
         with suppress(OSError):
             for path in self._parts():
                 path.unlink()
+            for left_by_kill in self.folder.glob(".*.h5.partial"):
+                shutil.rmtree(left_by_kill)
             self.folder.rmdir()
 
     def _parts(self) -> list[Path]:

@@ -48,16 +48,12 @@ def export_batch(
     database: Path,
     options: ExportOptions | None = None,
     *,
-    overwrite: bool = False,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Exported:
-    """Write the database of a batch's poses and matches.
+    """Write the database of a batch's poses and matches, over what is there.
 
-    Raises InputError if the file is there already and `overwrite` is not asked for, or if no pair
-    has a pose; ImageError if an image cannot be read any more.
+    Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
-    if database.exists() and not overwrite:
-        raise InputError(f"{database} is there already: --overwrite replaces it")
     shared, pairs = share(batch, options or ExportOptions(), progress)
     return write_shared(batch, shared, pairs, database)
 

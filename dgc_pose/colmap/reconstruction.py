@@ -66,7 +66,7 @@ def reconstruct(
     out.mkdir(parents=True, exist_ok=True)
     database = out / DATABASE
     with only_writer(out):
-        exported = export_batch(batch, database, options.export, overwrite=True, progress=progress)
+        exported = export_batch(batch, database, options.export, progress=progress)
         found = map_database(database, batch.plan.root, options.mapping)
         with replaced_folder(out / MODEL) as folder:
             found.write_binary(folder)

@@ -99,7 +99,9 @@ def test_out_holds_the_same_figures_and_the_pictures(folder):
 def test_pck_counts_per_axis_on_demand(folder):
     shares = []
     for extra in ((), ("--per-axis",)):
-        result = bench("--root", "data", "--methods", "still", "--json", "s.json", *extra)
+        result = bench(
+            "--root", "data", "--methods", "still", "--json", "s.json", "--overwrite", *extra
+        )
         assert result.exit_code == 0, result.output
         data = json.loads((folder / "s.json").read_text())
         shares.append(np.array(data["methods"][0]["all"]["pck"]))

@@ -60,7 +60,8 @@ def test_the_same_seed_gives_the_same_figures_whatever_the_other_sets(folder):
     figures = []
     for sets, seed in (("affine", "0"), ("homography,affine", "0"), ("affine", "1")):
         result = bench(
-            "--methods", "still", "--sets", sets, "--pairs", "2", "--seed", seed, "--json", "s.json"
+            *("--methods", "still", "--sets", sets, "--pairs", "2", "--seed", seed),
+            *("--json", "s.json", "--overwrite"),
         )
         assert result.exit_code == 0, result.output
         groups = json.loads((folder / "s.json").read_text())["methods"][0]["groups"]

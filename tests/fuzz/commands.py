@@ -168,11 +168,10 @@ def _values(parameter: click.Parameter) -> Sequence[str]:
     if getattr(parameter, "is_flag", False):
         return ()
     if isinstance(kind, OutputFile):
-        # A picture may replace a picture that is no input.
-        return [one for one in OUTPUTS if kind.kind or one not in ("one.png", "link")]
+        return OUTPUTS
     if isinstance(kind, OutputFolder):
         # What a run has left is in the way of a run alone.
-        return [one for one in FOLDERS if one != "run" or "features.h5" not in kind.names]
+        return [one for one in FOLDERS if one != "run" or "features.h5" not in kind.results]
     if isinstance(kind, _NUMBERED):
         return NUMBERS
     if isinstance(kind, click.Choice):

@@ -64,7 +64,7 @@ def _views(count: int) -> Callable[[Path], object]:
 
 
 _QUICK = ("--runs", "1", "--iterations", "300")
-_OUT = ("--json", "o.json", "--matches", "o.npz", "--plot", "o.png")
+_OUT = ("--overwrite", "--json", "o.json", "--matches", "o.npz", "--plot", "o.png")
 _VIEWS = ("--K", multi_view.K_text(), "--weights", "sift", "--workers", "2", *_QUICK)
 SCENARIOS: Mapping[str, Scenario] = {
     "estimate": Scenario(
@@ -97,7 +97,7 @@ SCENARIOS: Mapping[str, Scenario] = {
         lambda folder: dense_scene.write_pair_list(folder, pairs=6),
         lambda folder: [
             *("bench-pairs", f"{folder}/pairs.txt", "--methods", "dis,sift", "--out", "out"),
-            *("--workers", "2", "--json", "o.json", *_QUICK),
+            *("--workers", "2", "--json", "o.json", "--overwrite", *_QUICK),
         ],
         again=("--resume",),
     ),
@@ -167,7 +167,8 @@ class Bench:
         if found.keys() != self.whole.keys():
             faults.append(f"files: {sorted(found.keys() ^ self.whole.keys())}")
         faults += [f"{one} differs" for one in self.stable if found.get(one) != self.whole[one]]
-        faults += [f"temporary: {left}" for left in _temporary(out)]
+        if all(number != signal.SIGKILL for number, _ in plan):
+            faults += [f"temporary: {left}" for left in _temporary(out)]
         result.faults += [f"{plan}: {fault}" for fault in faults]
 
     def _further(self, out: Path) -> Sequence[str]:
@@ -232,7 +233,7 @@ class Bench:
             result.slowest_cpu_s = max(result.slowest_cpu_s, spent - before)
             result.slowest_s = max(result.slowest_s, time.monotonic() - start)
             yield from _told_wrong(told, process.returncode, number)
-            yield from (f"left: {path}" for path in _files(out) if path.suffix == ".partial")
+            yield from (f"left: {path}" for path in _files(out) if ".partial" in str(path))
             yield from (f"left: {path}" for path in _temporary(out))
         while left := _session(process.pid):
             if time.monotonic() - start > ORPHAN_S:
@@ -309,7 +310,7 @@ def digest(path: Path) -> str:
 
 def is_whole(path: Path) -> bool:
     """Whether an output under its own name can be read. Tables grow by rows, and logs too."""
-    if path.name.startswith("."):
+    if path.name.startswith(".") or path.parent.name.endswith(".partial"):
         return True
     try:
         if path.suffix == ".json":

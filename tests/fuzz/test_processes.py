@@ -22,7 +22,7 @@ from dgc_pose.cli.main import main
 from dgc_pose.files.outputs import save_text, staged
 
 @click.command()
-@click.option("--json", "out", type=OutputFile("json"))
+@click.option("--json", "out", type=OutputFile())
 @click.option("--size", type=int, default=4)
 def demo(out, size):
     with staged(out) as stage:
@@ -41,10 +41,12 @@ main()
 
 
 def start(folder: Path, *arguments: str, **settings: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", COMMAND, "demo", "--json", "out.json", *arguments]
+    words = ("demo", "--overwrite", "--json", "out.json", *arguments)
     pipes = {"stdin": -1, "stdout": -1, "stderr": -1, **settings}
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.Popen(command, cwd=folder, text=True, env=environment, **pipes)  # type: ignore
+    return subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *words], cwd=folder, text=True, env=environment, **pipes
+    )  # type: ignore
 
 
 def ready(process: subprocess.Popen[str]) -> subprocess.Popen[str]:
@@ -65,25 +67,21 @@ def test_a_stopped_command_leaves_nothing(tmp_path: Path, number: signal.Signals
     assert (tmp_path / "out.json").read_text() == "{}"
 
 
-def test_what_a_killed_command_left_is_told_and_cleared(tmp_path: Path) -> None:
+def test_what_a_killed_command_left_is_cleared(tmp_path: Path) -> None:
     process = ready(start(tmp_path))
     process.kill()
     process.communicate()
-    (left,) = os.listdir(tmp_path)
-    assert left.endswith(".partial")
-    _, told = ready(start(tmp_path)).communicate("on\n", timeout=60)
-    assert told.count("\n") == 1 and told.startswith("warning: ") and left in told
+    assert os.listdir(tmp_path) == [".out.json.partial"]
+    assert ready(start(tmp_path)).communicate("on\n", timeout=60) == ("done\n", "")
     assert os.listdir(tmp_path) == ["out.json"]
 
 
-def test_two_writers_do_not_harm_each_other(tmp_path: Path) -> None:
+def test_a_second_writer_of_an_output_is_refused(tmp_path: Path) -> None:
     first = ready(start(tmp_path))
-    second = ready(start(tmp_path))
-    assert len(os.listdir(tmp_path)) == 2
-    for process in (second, first):
-        _, told = process.communicate("on\n", timeout=60)
-        assert (process.returncode, told) == (0, "")
-        assert (tmp_path / "out.json").read_text() == '{"whole": 1}'
+    printed, told = start(tmp_path).communicate("on\n", timeout=60)
+    assert (printed, told) == ("", "error: out.json: another run is writing there\n")
+    assert first.communicate("on\n", timeout=60) == ("done\n", "")
+    assert (tmp_path / "out.json").read_text() == '{"whole": 1}'
     assert os.listdir(tmp_path) == ["out.json"]
 
 
