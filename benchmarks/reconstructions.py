@@ -20,10 +20,10 @@ from dgc_pose.benchmarks.table import aligned
 from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.reconstruction import (
     DATABASE,
-    Model,
     ReconstructionOptions,
-    as_model,
+    SparseModel,
     reconstruct,
+    sparse_model,
 )
 from dgc_pose.colmap.sift import sift_database
 from dgc_pose.estimation import EstimationOptions
@@ -74,7 +74,7 @@ def run_method(method: str, views: PosedViews, out: Path, setting: Setting) -> R
             database, mapping = out / DATABASE, setting.reconstruction.mapping
             database.unlink(missing_ok=True)
             sift_database(database, views.root, views.cameras, mapping.threads)
-            model = as_model(map_database(database, views.root, mapping))
+            model = sparse_model(map_database(database, views.root, mapping))
             pairs = poses = len(views.poses) * (len(views.poses) - 1) // 2
         else:
             batch = run_batch(
@@ -95,7 +95,12 @@ def run_method(method: str, views: PosedViews, out: Path, setting: Setting) -> R
 
 
 def score(
-    method: str, model: Model | None, views: PosedViews, pairs: int, poses: int, seconds: float
+    method: str,
+    model: SparseModel | None,
+    views: PosedViews,
+    pairs: int,
+    poses: int,
+    seconds: float,
 ) -> ReconstructionScore:
     """A model's cameras compared with the true ones."""
     names = [] if model is None else sorted(model.poses)
@@ -123,7 +128,7 @@ def score(
     )
 
 
-def rotation_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np.ndarray:
+def rotation_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
     """Errors of the relative rotations of all pairs, degrees."""
     return np.array(
         [
@@ -136,7 +141,7 @@ def rotation_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np
     )
 
 
-def position_errors(model: Model, views: PosedViews, names: Sequence[str]) -> np.ndarray:
+def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
     """Distances (N,) of the positions after the best similarity, the truth's unit."""
     from dgc_pose.system.colmap_library import pycolmap
 

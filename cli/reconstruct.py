@@ -19,7 +19,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
-    from dgc_pose.colmap.reconstruction import Model
+    from dgc_pose.colmap.reconstruction import SparseModel
 
 BATCH, PICTURE = "batch", "picture.png"
 EXHAUSTIVE_UP_TO = 20  # images
@@ -110,8 +110,7 @@ def reconstruct(
         model, exported = reconstruction.reconstruct(batch, out, options, progress)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
     _draw(out / PICTURE, model)
-    data = reconstruction.summary_data(batch, model, exported, seconds)
-    reconstruction.write_summary(out, data)
+    data = reconstruction.write_summary(out, batch, model, exported, seconds)
     click.echo(f"{out / reconstruction.DATABASE}: {described(exported)}")
     click.echo(
         f"{out / reconstruction.MODEL}: {data['registered']} of {data['images']} images, "
@@ -126,7 +125,7 @@ def _default_pairs(images: int) -> str:
     return "exhaustive" if images <= EXHAUSTIVE_UP_TO else "auto:10"
 
 
-def _draw(path: Path, model: Model) -> None:
+def _draw(path: Path, model: SparseModel) -> None:
     from dgc_pose.files.outputs import replaced
     from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.reconstruction import plot_reconstruction

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dgc_pose.colmap.shared import PairGeometry, SharedMatches, neighbours_of, one_to_one
+from dgc_pose.colmap.shared import PairGeometry, SharedMatches, one_to_one, pairs_by_image
 from dgc_pose.system.options import check_options, option
 
 
@@ -37,33 +37,31 @@ def merge_by_cells(
     """
     options = options or CellOptions()
     key_points = {
-        name: _best_of_cells(name, own, options) for name, own in neighbours_of(pairs).items()
+        name: _best_of_cells(name, its_pairs, options)
+        for name, its_pairs in pairs_by_image(pairs).items()
     }
     trees = {name: cKDTree(points) for name, points in key_points.items()}
-    found = {}
+    matches = {}
     for pair in pairs:
-        index = []
-        near = np.ones(len(pair.points1), dtype=bool)
-        for name, points in zip(pair.names, (pair.points1, pair.points2), strict=True):
-            distance, nearest = trees[name].query(points)
-            near &= distance <= options.max_error_px
-            index.append(nearest)
-        matches = np.column_stack(index)[near].astype(np.uint32)
-        if len(matches):
-            found[pair.names] = one_to_one(matches, pair.scores[near])
-    return SharedMatches(key_points, found)
+        distance1, nearest1 = trees[pair.row.name1].query(pair.points1)
+        distance2, nearest2 = trees[pair.row.name2].query(pair.points2)
+        near = np.maximum(distance1, distance2) <= options.max_error_px
+        if near.any():
+            index = np.column_stack([nearest1, nearest2])[near].astype(np.uint32)
+            matches[pair.names] = one_to_one(index, pair.scores[near])
+    return SharedMatches(key_points, matches)
 
 
 def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: CellOptions) -> np.ndarray:
-    """The key points (N, 2) of one image."""
+    """The key points (N, 2) of an image."""
     points = np.concatenate([p.points1 if p.row.name1 == name else p.points2 for p in pairs])
     scores = np.concatenate([p.scores for p in pairs])
-    of_pair = np.concatenate([np.full(len(p.scores), i) for i, p in enumerate(pairs)])
+    pair = np.repeat(np.arange(len(pairs)), [len(p.scores) for p in pairs])
     cells = np.floor((points + 0.5) / options.cell_px).astype(np.int64)
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     cell = cell.ravel()
-    seen = np.unique(np.column_stack([cell, of_pair]), axis=0)[:, 0]
-    support = np.bincount(seen)[cell]
+    pairs_of_cells = np.unique(np.column_stack([cell, pair]), axis=0)
+    support = np.bincount(pairs_of_cells[:, 0])[cell]
     order = np.lexsort((np.arange(len(points)), -scores, -support))
     _, first = np.unique(cell[order], return_index=True)
     best = order[np.sort(first)][: options.per_image]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,18 +14,15 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.estimation.status import CONFIGURATIONS
-from dgc_pose.files.outputs import replaced, require_room
+from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.stderr import quiet
-
-if TYPE_CHECKING:
-    import pycolmap
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
-_MOST_SKEW = (
-    1e-5  # over the focal length: rounding in a calibration, below 0.01 pixels in the image
-)
+# Over the focal length: rounding in a calibration, below 0.01 pixels in the image.
+_MOST_SKEW = 1e-5
 
 
 def write_database(
@@ -41,24 +37,38 @@ def write_database(
     names: all images; those without a camera are left out. rows: by pair, of a status in
     `CONFIGURATIONS`.
 
-    Raises InputError if COLMAP cannot hold a camera; OSError without room for the arrays;
-    DgcPoseError if pycolmap fails, or if the file lacks rows after it was written.
+    Raises InputError if COLMAP cannot hold a camera; DgcPoseError if pycolmap fails, or if the file
+    lacks rows after it was written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with replaced(path) as temporary, _without_sidecars(path, temporary):
-        temporary.unlink(missing_ok=True)
-        require_room(path, _array_bytes(shared))
-        with _opened(temporary, path) as database:
-            ids = _write_images(database, names, cameras)
-            for name, points in shared.key_points.items():
-                xy = (points + HALF_PIXEL).astype(np.float32)
-                database.write_keypoints(ids[name], xy)
-            for pair, index in shared.pairs.items():
-                first, second = (ids[name] for name in pair)
-                database.write_matches(first, second, index)
-                geometry = two_view_geometry(rows[pair], index)
-                database.write_two_view_geometry(first, second, geometry)
+    with replaced(path) as temporary:
+        try:
+            # Without a transaction of pycolmap, whose end terminates the process when a disk is
+            # full. There is nothing to undo: the file has not taken its name.
+            with quiet(), pycolmap.Database.open(temporary) as database:
+                _write(database, names, cameras, shared, rows)
+        except RuntimeError as error:
+            raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
+        for ending in ("-wal", "-shm", "-journal"):
+            # SQLite would take a log of the old database for one of the new.
+            Path(f"{path}{ending}").unlink(missing_ok=True)
+
+
+def _write(
+    database: pycolmap.Database,
+    names: Sequence[str],
+    cameras: Mapping[str, Camera],
+    shared: SharedMatches,
+    rows: Mapping[Names, PairRow],
+) -> None:
+    ids = _write_images(database, names, cameras)
+    for name, points in shared.key_points.items():
+        database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))
+    for pair, index in shared.pairs.items():
+        id1, id2 = (ids[name] for name in pair)
+        database.write_matches(id1, id2, index)
+        database.write_two_view_geometry(id1, id2, two_view_geometry(rows[pair], index))
 
 
 def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeometry:
@@ -66,8 +76,6 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 
     matches: (M, 2) uint32, indices of key points, all of them inliers.
     """
-    from dgc_pose.system.colmap_library import pycolmap
-
     geometry = pycolmap.TwoViewGeometry()
     name = CONFIGURATIONS[row.status]
     geometry.config = getattr(pycolmap.TwoViewGeometryConfiguration, name)
@@ -89,41 +97,33 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
     Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew, or two
     focal lengths in a model of one.
     """
-    from dgc_pose.system.colmap_library import pycolmap
-
     assert camera.size is not None
     K = camera.K
     if abs(K[0, 1]) > _MOST_SKEW * K[0, 0]:
         raise InputError(f"{name}: its K has a skew of {K[0, 1]:g}, which COLMAP cannot hold")
     lens = camera.distortion
-    made = pycolmap.Camera.create_from_model_name(
+    converted = pycolmap.Camera.create_from_model_name(
         0, "PINHOLE" if lens is None else lens.model, 1.0, *camera.size
     )
-    parameters = np.zeros(len(made.params))
-    focal = list(made.focal_length_idxs())
+    parameters = np.zeros(len(converted.params))
+    focal = list(converted.focal_length_idxs())
     if len(focal) == 1 and abs(K[0, 0] - K[1, 1]) > 1e-6 * K[0, 0]:
-        raise InputError(f"{name}: {made.model.name} has one focal length, and its K has two")
+        raise InputError(f"{name}: {converted.model.name} has one focal length, and its K has two")
     parameters[focal] = (K[0, 0], K[1, 1])[: len(focal)]
-    parameters[list(made.principal_point_idxs())] = K[:2, 2] + HALF_PIXEL
+    parameters[list(converted.principal_point_idxs())] = K[:2, 2] + HALF_PIXEL
     if lens is not None:
-        parameters[list(made.extra_params_idxs())] = lens.coefficients
-    made.params = parameters.tolist()
-    return made
+        parameters[list(converted.extra_params_idxs())] = lens.coefficients
+    converted.params = parameters.tolist()
+    return converted
 
 
 def _write_images(
-    database: pycolmap.Database,
-    names: Sequence[str],
-    cameras: Mapping[str, Camera],
+    database: pycolmap.Database, names: Sequence[str], cameras: Mapping[str, Camera]
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera."""
-    from dgc_pose.system.colmap_library import pycolmap
-
-    known: dict[tuple[object, ...], int] = {}
+    camera_ids: dict[tuple[object, ...], int] = {}
     ids = {}
-    for name in names:
-        if name not in cameras:
-            continue
+    for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
         camera.has_prior_focal_length = not cameras[name].guessed_focal
         key = (
@@ -133,43 +133,17 @@ def _write_images(
             camera.height,
             *camera.params.tolist(),
         )
-        if key not in known:
-            known[key] = camera.camera_id = database.write_camera(camera)
-            rig = pycolmap.Rig(rig_id=known[key])
+        if key not in camera_ids:
+            camera_ids[key] = camera.camera_id = database.write_camera(camera)
+            rig = pycolmap.Rig(rig_id=camera_ids[key])
             rig.add_ref_sensor(camera.sensor_id)
             database.write_rig(rig, use_rig_id=True)
-        image = pycolmap.Image(name=name, camera_id=known[key])
+        image = pycolmap.Image(name=name, camera_id=camera_ids[key])
         image.image_id = ids[name] = database.write_image(image)
-        frame = pycolmap.Frame(frame_id=image.image_id, rig_id=known[key])
+        frame = pycolmap.Frame(frame_id=image.image_id, rig_id=camera_ids[key])
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
     return ids
-
-
-_SIDECARS = ("-wal", "-shm", "-journal")  # of SQLite, beside a database
-
-
-def _array_bytes(shared: SharedMatches) -> int:
-    """Bytes of the key points and of the matches, which COLMAP stores twice."""
-    points = sum(array.size for array in shared.key_points.values())
-    matches = sum(array.size for array in shared.pairs.values())
-    return 4 * points + 2 * 4 * matches
-
-
-@contextmanager
-def _opened(temporary: Path, path: Path) -> Iterator[pycolmap.Database]:
-    """A new database. Raises DgcPoseError, with `path`, for what pycolmap raises.
-
-    Without a transaction of pycolmap, whose end terminates the process when a disk is full. There
-    is nothing to undo: the file has not taken its name.
-    """
-    from dgc_pose.system.colmap_library import pycolmap
-
-    try:
-        with quiet(), pycolmap.Database.open(temporary) as database:
-            yield database
-    except RuntimeError as error:
-        raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
 
 
 def _require_rows(temporary: Path, path: Path, keypoints: int, matches: int) -> None:
@@ -185,20 +159,3 @@ def _require_rows(temporary: Path, path: Path, keypoints: int, matches: int) -> 
                     raise DgcPoseError(f"{path}: {rows} of {count} rows of {table} were written")
     except sqlite3.Error as error:
         raise DgcPoseError(f"{path}: SQLite: {reason(error)}") from error
-
-
-@contextmanager
-def _without_sidecars(path: Path, temporary: Path) -> Iterator[None]:
-    """Remove what SQLite left beside both files: a log of the old database would be taken for one
-    of the new."""
-    try:
-        yield
-        _remove_sidecars(path)
-    finally:
-        _remove_sidecars(temporary)
-
-
-def _remove_sidecars(path: Path) -> None:
-    for ending in _SIDECARS:
-        with suppress(OSError):
-            Path(f"{path}{ending}").unlink(missing_ok=True)

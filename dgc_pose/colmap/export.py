@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,13 +13,14 @@ import numpy as np
 from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.cells import CellOptions, merge_by_cells
 from dgc_pose.colmap.database import write_database
-from dgc_pose.colmap.shared import PairGeometry, SharedMatches, count_by_length
+from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import TrackOptions, track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
 
+_IMAGE_BYTES = 2**29  # of images in memory
 Sharing = Literal["tracks", "cells"]
 
 
@@ -29,7 +31,6 @@ class ExportOptions:
     sharing: Sharing = "tracks"
     tracks: TrackOptions = field(default_factory=TrackOptions)
     cells: CellOptions = field(default_factory=CellOptions)
-    memory_bytes: int = 2**29  # of images that are kept
 
 
 @dataclass(frozen=True)
@@ -43,19 +44,40 @@ class Exported:
     tracks_by_length: dict[int, int]  # tracks by number of views
 
 
-def export_batch(
+def share(
     batch: Batch,
-    database: Path,
-    options: ExportOptions | None = None,
-    *,
+    options: ExportOptions,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> Exported:
-    """Write the database of a batch's poses and matches, over what is there.
+) -> tuple[SharedMatches, list[PairGeometry]]:
+    """The shared key points of a batch, and the pairs that they are of.
 
     Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
-    shared, pairs = share(batch, options or ExportOptions(), progress)
-    return write_shared(batch, shared, pairs, database)
+    pairs = pair_geometries(batch)
+    if not pairs:
+        raise InputError(f"{batch.folder}: no pair of this batch has a pose")
+    if options.sharing == "cells":
+        return merge_by_cells(pairs, options.cells), pairs
+    images: BoundedCache[str, Image] = BoundedCache(
+        lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
+    )
+
+    def load(name: str) -> Image:
+        return images.get(name, lambda: load_image(batch.plan.root / name))
+
+    shared = track_corners(pairs, batch.plan.cameras, load, options.tracks, progress)
+    return shared, pairs
+
+
+def pair_geometries(batch: Batch) -> list[PairGeometry]:
+    """The pairs with a pose or a rotation, and the matches that fit it."""
+    geometries = []
+    for row, matches in batch.matches():
+        if row.status in CONFIGURATIONS:
+            arrays = (matches.points1, matches.points2, matches.scores)
+            inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
+            geometries.append(PairGeometry(row, *inliers))
+    return geometries
 
 
 def write_shared(
@@ -70,41 +92,5 @@ def write_shared(
         key_points=sum(map(len, shared.key_points.values())),
         pairs=len(shared.pairs),
         matches=sum(map(len, shared.pairs.values())),
-        tracks_by_length=count_by_length(shared.track_lengths()),
+        tracks_by_length=dict(sorted(Counter(shared.track_lengths().tolist()).items())),
     )
-
-
-def share(
-    batch: Batch,
-    options: ExportOptions,
-    progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[SharedMatches, list[PairGeometry]]:
-    """The shared key points of a batch, and the pairs that they are of.
-
-    Raises InputError if no pair has a pose.
-    """
-    pairs = pair_geometries(batch)
-    if not pairs:
-        raise InputError(f"{batch.folder}: no pair of this batch has a pose")
-    if options.sharing == "cells":
-        return merge_by_cells(pairs, options.cells), pairs
-    images: BoundedCache[str, Image] = BoundedCache(
-        lambda name, image: image.pixels.nbytes, options.memory_bytes
-    )
-
-    def load(name: str) -> Image:
-        return images.get(name, lambda: load_image(batch.plan.root / name))
-
-    shared = track_corners(pairs, batch.plan.cameras, load, options.tracks, progress)
-    return shared, pairs
-
-
-def pair_geometries(batch: Batch) -> list[PairGeometry]:
-    """The pairs with a pose or a rotation, and the matches that fit it."""
-    found = []
-    for row, matches in batch.matches():
-        if row.status in CONFIGURATIONS:
-            kept = matches.inliers
-            arrays = (matches.points1[kept], matches.points2[kept], matches.scores[kept])
-            found.append(PairGeometry(row, *(array.astype(np.float64) for array in arrays)))
-    return found

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.files.outputs import scratch_folder
-
-if TYPE_CHECKING:
-    import pycolmap
+from dgc_pose.system.colmap_library import pycolmap
 
 MapperName = Literal["incremental", "global"]
 LEAST_IMAGES = 3  # of a model
@@ -27,20 +25,17 @@ class MappingOptions:
 
 
 class MappingError(DgcPoseError):
-    """No reconstruction was found."""
+    """COLMAP made no model."""
 
 
 def map_database(database: Path, images: Path, options: MappingOptions) -> pycolmap.Reconstruction:
     """The model with the most images. Raises MappingError if there is none."""
-    from dgc_pose.system.colmap_library import pycolmap
-
     pycolmap.set_random_seed(options.seed)
     with scratch_folder() as folder:
         try:
             if options.mapper == "incremental":
-                models = pycolmap.incremental_mapping(
-                    database, images, folder, _incremental(options)
-                )
+                settings = _incremental(options)
+                models = pycolmap.incremental_mapping(database, images, folder, settings)
             else:
                 models = pycolmap.global_mapping(database, images, folder, _global(options))
         except (RuntimeError, ValueError) as error:
@@ -53,30 +48,24 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
 
 
 def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions:
-    from dgc_pose.system.colmap_library import pycolmap
-
-    made = pycolmap.IncrementalPipelineOptions()
-    made.min_model_size = LEAST_IMAGES
-    made.ba_refine_focal_length = options.refine_intrinsics
-    made.ba_refine_extra_params = options.refine_intrinsics
-    made.num_threads = options.threads
-    made.random_seed = options.seed
-    made.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
-    made.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
-    made.mapper.random_seed = options.seed
-    return made
+    settings = pycolmap.IncrementalPipelineOptions()
+    settings.min_model_size = LEAST_IMAGES
+    settings.ba_refine_focal_length = options.refine_intrinsics
+    settings.ba_refine_extra_params = options.refine_intrinsics
+    settings.num_threads = options.threads
+    settings.random_seed = settings.mapper.random_seed = options.seed
+    settings.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
+    settings.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
+    return settings
 
 
 def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
-    from dgc_pose.system.colmap_library import pycolmap
-
-    made = pycolmap.GlobalPipelineOptions()
-    made.min_model_size = LEAST_IMAGES
-    made.num_threads = options.threads
-    made.random_seed = options.seed
-    made.mapper.random_seed = options.seed
-    made.mapper.bundle_adjustment.refine_focal_length = options.refine_intrinsics
-    made.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
-    made.mapper.bundle_adjustment.ceres.use_gpu = False
-    made.mapper.global_positioning.use_gpu = False
-    return made
+    settings = pycolmap.GlobalPipelineOptions()
+    settings.min_model_size = LEAST_IMAGES
+    settings.num_threads = options.threads
+    settings.random_seed = settings.mapper.random_seed = options.seed
+    settings.mapper.bundle_adjustment.refine_focal_length = options.refine_intrinsics
+    settings.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
+    settings.mapper.bundle_adjustment.ceres.use_gpu = False
+    settings.mapper.global_positioning.use_gpu = False
+    return settings

@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from dgc_pose.batch.run import Batch
-from dgc_pose.colmap.export import Exported, ExportOptions, export_batch
+from dgc_pose.colmap.export import Exported, ExportOptions, share, write_shared
 from dgc_pose.colmap.mapping import MappingOptions, map_database
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder
-
-if TYPE_CHECKING:
-    import pycolmap
+from dgc_pose.system.colmap_library import pycolmap
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
@@ -34,8 +32,8 @@ class ReconstructionOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """Cameras and points, in the model's own unit and axes. Pixels have (0, 0) at the first pixel's
+class SparseModel:
+    """Cameras and points, in the model's unit and axes. Pixels have (0, 0) at the first pixel's
     centre."""
 
     poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by image name
@@ -55,48 +53,44 @@ def reconstruct(
     out: Path,
     options: ReconstructionOptions | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[Model, Exported]:
+) -> tuple[SparseModel, Exported]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
 
-    Raises MappingError if no model is found; InputError if `sparse` holds other files than a
-    model's, or another process writes into `out`; what `export_batch` raises.
+    Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
+    model's, another process writes into `out`, or no pair has a pose; ImageError if an image cannot
+    be read any more; DgcPoseError if what was written is not whole.
     """
     options = options or ReconstructionOptions()
     require_model_folder(out / MODEL)
     out.mkdir(parents=True, exist_ok=True)
-    database = out / DATABASE
     with only_writer(out):
-        exported = export_batch(batch, database, options.export, progress=progress)
-        found = map_database(database, batch.plan.root, options.mapping)
+        shared, pairs = share(batch, options.export, progress)
+        exported = write_shared(batch, shared, pairs, out / DATABASE)
+        reconstruction = map_database(out / DATABASE, batch.plan.root, options.mapping)
         with replaced_folder(out / MODEL) as folder:
-            found.write_binary(folder)
-            _require_model(found, folder, out / MODEL)
+            reconstruction.write_binary(folder)
+            _require_model(reconstruction, folder, out / MODEL)
         with replaced(out / POINTS) as temporary:
-            found.export_PLY(temporary)
-            _require_points(found, temporary, out / POINTS)
-    return as_model(found), exported
+            reconstruction.export_PLY(temporary)
+            size, least = temporary.stat().st_size, _POINT_BYTES * reconstruction.num_points3D()
+            if size < least:
+                raise DgcPoseError(f"{out / POINTS}: {size} of {least} bytes were written")
+    return sparse_model(reconstruction), exported
 
 
-def _require_model(model: pycolmap.Reconstruction, folder: Path, path: Path) -> None:
+def _require_model(expected: pycolmap.Reconstruction, folder: Path, path: Path) -> None:
     """Raise DgcPoseError, with `path`, unless the folder holds the model: pycolmap says nothing of
     a disk that is full."""
-    from dgc_pose.system.colmap_library import pycolmap
-
     try:
         written = pycolmap.Reconstruction(folder)
     except (RuntimeError, ValueError) as error:
         raise DgcPoseError(f"{path}: what was written cannot be read: {reason(error)}") from error
-    for what in ("num_images", "num_points3D"):
-        count, expected = getattr(written, what)(), getattr(model, what)()
-        if count != expected:
-            raise DgcPoseError(f"{path}: {what} is {count} in what was written, not {expected}")
-
-
-def _require_points(model: pycolmap.Reconstruction, file: Path, path: Path) -> None:
-    """The same of a file of points."""
-    size, least = file.stat().st_size, _POINT_BYTES * model.num_points3D()
-    if size < least:
-        raise DgcPoseError(f"{path}: {size} bytes were written, and the points take {least}")
+    for count in ("num_images", "num_points3D"):
+        counts = getattr(written, count)(), getattr(expected, count)()
+        if counts[0] != counts[1]:
+            raise DgcPoseError(
+                f"{path}: {count} is {counts[0]} in what was written, not {counts[1]}"
+            )
 
 
 def require_model_folder(folder: Path) -> None:
@@ -107,28 +101,28 @@ def require_model_folder(folder: Path) -> None:
         raise InputError(f"{folder}: holds other files than those of a model, and is kept")
 
 
-def as_model(found: pycolmap.Reconstruction) -> Model:
-    """What COLMAP found, as arrays."""
-    points = list(found.points3D.values())
-    return Model(
+def sparse_model(reconstruction: pycolmap.Reconstruction) -> SparseModel:
+    """COLMAP's model as arrays."""
+    points = list(reconstruction.points3D.values())
+    return SparseModel(
         poses={
             image.name: np.array(image.cam_from_world().matrix())
-            for image in found.images.values()
+            for image in reconstruction.images.values()
             if image.has_pose
         },
         points=np.array([point.xyz for point in points]).reshape(-1, 3),
         colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
-        mean_track_length=float(found.compute_mean_track_length()),
-        reprojection_error_px=float(found.compute_mean_reprojection_error()),
+        mean_track_length=float(reconstruction.compute_mean_track_length()),
+        reprojection_error_px=float(reconstruction.compute_mean_reprojection_error()),
     )
 
 
-def summary_data(
-    batch: Batch, model: Model, exported: Exported, seconds: Mapping[str, float]
+def write_summary(
+    out: Path, batch: Batch, model: SparseModel, exported: Exported, seconds: Mapping[str, float]
 ) -> dict[str, Any]:
-    """A reconstruction for JSON. seconds: by stage."""
+    """Write `summary.json`. seconds: by stage. Returns its data."""
     names = batch.plan.names
-    return {
+    data = {
         "images": len(names),
         "registered": len(model.poses),
         "not_registered": [name for name in names if name not in model.poses],
@@ -144,8 +138,5 @@ def summary_data(
         "guessed_focal": batch.summary["guessed_focal"],
         "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
     }
-
-
-def write_summary(out: Path, data: Mapping[str, Any]) -> None:
-    """Write `summary.json`."""
     write_json(out / SUMMARY, data)
+    return data

@@ -6,7 +6,7 @@ that are seen in three views and more, so the pairs of an image must share key p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,23 +44,18 @@ class SharedMatches:
 
     def track_lengths(self) -> np.ndarray:
         """The number of images (T,) of each track: of key points connected by matches."""
-        start, total = {}, 0
-        for name, points in self.key_points.items():
-            start[name] = total
-            total += len(points)
-        if total == 0 or not self.pairs:
-            return np.zeros(0, dtype=np.int64)
-        ends = np.concatenate(
-            [
-                index.astype(np.int64) + (start[first], start[second])
-                for (first, second), index in self.pairs.items()
-            ]
-        )
-        graph = coo_matrix((np.ones(len(ends), np.int8), ends.T), (total, total))
-        count, label = connected_components(graph, directed=False)
-        sizes = np.concatenate([np.full(len(p), i) for i, p in enumerate(self.key_points.values())])
-        seen = np.unique(np.column_stack([label, sizes]), axis=0)[:, 0]
-        lengths: np.ndarray = np.bincount(seen, minlength=count)
+        counts = [len(points) for points in self.key_points.values()]
+        image = np.repeat(np.arange(len(counts)), counts)  # of each key point
+        first = dict(zip(self.key_points, np.cumsum([0, *counts]).tolist(), strict=False))
+        edges = [
+            index.astype(np.int64) + (first[name1], first[name2])
+            for (name1, name2), index in self.pairs.items()
+        ]
+        ends = np.concatenate([np.zeros((0, 2), np.int64), *edges])
+        graph = coo_matrix((np.ones(len(ends), np.int8), ends.T), (len(image), len(image)))
+        _, track = connected_components(graph, directed=False)
+        images_of_tracks = np.unique(np.column_stack([track, image]), axis=0)
+        lengths = np.bincount(images_of_tracks[:, 0])
         return lengths[lengths > 1]
 
 
@@ -93,30 +88,24 @@ def epipolar_error_px(
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-def neighbours_of(pairs: Iterable[PairGeometry]) -> dict[str, list[PairGeometry]]:
+def pairs_by_image(pairs: Iterable[PairGeometry]) -> dict[str, list[PairGeometry]]:
     """The pairs of each image, in their order."""
-    found: dict[str, list[PairGeometry]] = {}
+    pairs_of: dict[str, list[PairGeometry]] = {}
     for pair in pairs:
         for name in pair.names:
-            found.setdefault(name, []).append(pair)
-    return found
+            pairs_of.setdefault(name, []).append(pair)
+    return pairs_of
 
 
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """Of matches (M, 2) those in which no key point occurs twice: the best scored ones are kept,
-    in their order."""
-    kept = np.ones(len(index), dtype=bool)
+    """Of matches (M, 2) those in which no key point occurs twice: the best scored ones, in their
+    order."""
+    best = np.ones(len(index), dtype=bool)
     order = np.argsort(-scores, kind="stable")
     for side in (0, 1):
-        order = order[kept[order]]
+        order = order[best[order]]
         _, first = np.unique(index[order, side], return_index=True)
         chosen = np.zeros(len(index), dtype=bool)
         chosen[order[first]] = True
-        kept &= chosen
-    return index[kept]
-
-
-def count_by_length(lengths: Sequence[int] | np.ndarray) -> dict[int, int]:
-    """How many tracks have each number of views."""
-    values, counts = np.unique(np.asarray(lengths, dtype=np.int64), return_counts=True)
-    return {int(value): int(count) for value, count in zip(values, counts, strict=True)}
+        best &= chosen
+    return index[best]

@@ -1,4 +1,4 @@
-"""COLMAP's own pipeline up to the matches: SIFT, exhaustive matching, verification, by pycolmap."""
+"""COLMAP's pipeline up to the matches: SIFT, exhaustive matching, verification, by pycolmap."""
 
 from __future__ import annotations
 
@@ -7,21 +7,17 @@ from pathlib import Path
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import colmap_camera
-from dgc_pose.errors import InputError
+from dgc_pose.system.colmap_library import pycolmap
 
 
 def sift_database(
     database: Path, images: Path, cameras: Mapping[str, Camera], threads: int = -1
 ) -> None:
-    """Write a database of SIFT key points and all verified pairs, with pycolmap's defaults.
+    """Write a new database of SIFT key points and all verified pairs, with pycolmap's defaults.
 
     cameras: by image name, with their sizes; the focal lengths count as known. Raises InputError if
-    the file is there already, or COLMAP cannot hold a camera.
+    COLMAP cannot hold a camera.
     """
-    from dgc_pose.system.colmap_library import pycolmap
-
-    if database.exists():
-        raise InputError(f"{database} is there already")
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads = threads
     extraction.use_gpu = False

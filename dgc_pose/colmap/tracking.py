@@ -8,6 +8,7 @@ merged, so no match is moved.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -22,8 +23,8 @@ from dgc_pose.colmap.shared import (
     PairGeometry,
     SharedMatches,
     fits_pose,
-    neighbours_of,
     one_to_one,
+    pairs_by_image,
 )
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
@@ -54,7 +55,7 @@ class TrackOptions:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Corners of one image, and where they were found in one other image."""
+    """Corners of one image, and where they lie in one other image."""
 
     name: str  # of the other image
     corner: np.ndarray  # (M,) int, which corners
@@ -72,15 +73,14 @@ def track_corners(
     """Key points and matches of all images of the pairs.
 
     load: an image by its name; it is called for neighbouring images again and again, and should
-    keep the latest ones.
+    cache the latest ones.
     """
     options = options or TrackOptions()
     builder = _Builder(pairs, cameras, options.max_error_px)
-    own = neighbours_of(pairs)
-    for number, (name, its_pairs) in enumerate(own.items()):
-        corners, tracks = _tracks_of(name, its_pairs, cameras, load, options)
-        builder.add(name, corners, tracks)
-        progress(number + 1, len(own))
+    pairs_of = pairs_by_image(pairs)
+    for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
+        builder.add(name, *_tracks_of(name, its_pairs, cameras, load, options))
+        progress(number, len(pairs_of))
     return builder.result()
 
 
@@ -94,75 +94,77 @@ def _tracks_of(
     """The corners (N, 2) of an image, and where each pair has them."""
     image = load(name)
     grey = _grey(image)
-    local = [_towards(pair, name) for pair in pairs]
-    corners = _choose(grey, image.size, local, options.per_image)
+    matches_of_pairs = [_towards(pair, name) for pair in pairs]
+    corners = _choose(grey, image.size, matches_of_pairs, options.per_image)
     tracks = []
-    for pair, found in zip(pairs, local, strict=True):
+    for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other = pair.row.name2 if pair.row.name1 == name else pair.row.name1
-        start = _predicted(corners, found, options.reach * max(image.size))
+        start = _predicted(corners, matches, options.reach * max(image.size))
         if len(start.index) == 0:
             continue
-        theirs = _grey(load(other))
         scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
         aligned = locate(
-            _smoothed(theirs, scale),
+            _smoothed(_grey(load(other)), scale),
             _smoothed(grey, 1 / scale),
             start,
             radius=options.patch_radius,
             max_shift=options.max_shift_px * max(1.0, scale),
         )
         good = aligned.converged & (aligned.zncc >= options.min_zncc)
-        ours, others = corners[aligned.index], aligned.points1
-        first, second = (ours, others) if pair.row.name1 == name else (others, ours)
+        points1, points2 = aligned.points1, corners[aligned.index]
+        if pair.row.name1 == name:
+            points1, points2 = points2, points1
         tolerance = options.max_error_px * max(1.0, scale)
-        good &= fits_pose(pair.row, cameras, first, second, tolerance)
-        tracks.append(Track(other, aligned.index[good], others[good], aligned.zncc[good]))
+        good &= fits_pose(pair.row, cameras, points1, points2, tolerance)
+        index, zncc = aligned.index[good], aligned.zncc[good]
+        tracks.append(Track(other, index, aligned.points1[good], zncc))
     return corners, tracks
 
 
 def _towards(pair: PairGeometry, name: str) -> LocalMatches:
     """The consistent matches of a pair, with the image `name` as image 2."""
-    ours, theirs = pair.points1, pair.points2
-    if pair.row.name2 == name:
-        ours, theirs = theirs, ours
+    points1, points2 = pair.points1, pair.points2
+    if pair.row.name1 == name:
+        points1, points2 = points2, points1
     error = pair.row.error_px or 1.0
-    return consistent(Matches(theirs, ours, pair.scores, error), _NEIGHBOURS)
+    return consistent(Matches(points1, points2, pair.scores, error), _NEIGHBOURS)
 
 
 def _choose(
-    grey: np.ndarray, size: tuple[int, int], local: Sequence[LocalMatches], most: int
+    grey: np.ndarray,
+    size: tuple[int, int],
+    matches_of_pairs: Sequence[LocalMatches],
+    most: int,
 ) -> np.ndarray:
     """At most so many corners (N, 2), evenly spread: of each block the one near matches of the most
     pairs, then the strongest."""
-    support: dict[tuple[float, float], int] = {}
-    strengths: dict[tuple[float, float], float] = {}
-    for found in local:
-        corners, strength = nearby_corners(grey, found.points2)
+    parts = []
+    for matches in matches_of_pairs:
+        corners, strengths = nearby_corners(grey, matches.points2)
         unique, first = np.unique(corners, axis=0, return_index=True)
-        for corner, value in zip(map(tuple, unique.tolist()), strength[first], strict=True):
-            support[corner] = support.get(corner, 0) + 1
-            strengths[corner] = float(value)
-    if not support:
+        parts.append(np.column_stack([unique, strengths[first]]))
+    rows = np.concatenate(parts)
+    if len(rows) == 0:
         return np.zeros((0, 2))
-    points = np.array(list(support), dtype=np.float64)
-    strength = np.array(list(strengths.values()))
+    _, first, corner = np.unique(rows[:, :2], axis=0, return_index=True, return_inverse=True)
+    corner = np.argsort(np.argsort(first))[corner.ravel()]  # numbered as they come first
+    support, strength = np.bincount(corner), np.zeros(len(first))
+    strength[corner] = rows[:, 2]
+    points = rows[np.sort(first), :2]
     rank = np.argsort(np.argsort(strength)) / len(strength)  # below 1: support decides first
-    chosen = spread(points, np.array(list(support.values())) + rank, size, most)
-    return points[chosen]
+    return points[spread(points, support + rank, size, most)]
 
 
-def _predicted(corners: np.ndarray, found: LocalMatches, reach: float) -> LocalMatches:
+def _predicted(corners: np.ndarray, matches: LocalMatches, reach: float) -> LocalMatches:
     """Where corners of image 2 are expected in image 1, of those with a match within `reach`;
     `index` is that of the corners."""
-    if len(found.index) == 0 or len(corners) == 0:
+    if len(matches.index) == 0 or len(corners) == 0:
         return LocalMatches(corners[:0], corners[:0], np.zeros((0, 2, 2)), np.zeros(0, np.int64))
-    distance, nearest = cKDTree(found.points2).query(corners)
+    distance, nearest = cKDTree(matches.points2).query(corners)
     index = np.flatnonzero(distance <= reach)
-    nearest = nearest[index]
-    affinity = found.affinity[nearest]
-    offset = corners[index] - found.points2[nearest]
-    start = found.points1[nearest] + np.einsum("nij,nj->ni", affinity, offset)
-    return LocalMatches(start, corners[index], affinity, index)
+    near = matches.subset(nearest[index])
+    start = near.points1 + np.einsum("nij,nj->ni", near.affinity, corners[index] - near.points2)
+    return LocalMatches(start, corners[index], near.affinity, index)
 
 
 def _grey(image: Image) -> np.ndarray:
@@ -184,63 +186,62 @@ class _Builder:
         self, pairs: Sequence[PairGeometry], cameras: Mapping[str, Camera], max_error_px: float
     ) -> None:
         self._rows = {pair.names: pair.row for pair in pairs}
-        self._cameras = cameras
-        self._max_error_px = max_error_px
-        self._count: dict[str, int] = {}
-        self._points: dict[str, list[np.ndarray]] = {}
-        self._matches: dict[Names, list[np.ndarray]] = {pair.names: [] for pair in pairs}
-        self._scores: dict[Names, list[np.ndarray]] = {pair.names: [] for pair in pairs}
+        self._cameras, self._max_error_px = cameras, max_error_px
+        self._points: defaultdict[str, list[np.ndarray]] = defaultdict(list)
+        # By pair: indices of key points and scores.
+        self._matches: dict[Names, list[tuple[np.ndarray, np.ndarray]]] = {
+            names: [] for names in self._rows
+        }
 
     def add(self, name: str, corners: np.ndarray, tracks: Sequence[Track]) -> None:
-        """The corners of an image: key points of its own, and of each image they were found in."""
+        """The corners of an image: key points of it, and of each image that has them."""
         seen = np.zeros(len(corners), dtype=bool)
         for track in tracks:
             seen[track.corner] = True
-        own = np.full(len(corners), -1)
-        own[seen] = self._add_points(name, corners[seen])
-        placed = [(track, self._add_points(track.name, track.points)) for track in tracks]
-        for track, index in placed:
-            self._add_matches(name, own[track.corner], track.name, index, track.zncc)
+        key_point = np.full(len(corners), -1)
+        key_point[seen] = self._add_points(name, corners[seen])
+        indices = [self._add_points(track.name, track.points) for track in tracks]
+        for track, index in zip(tracks, indices, strict=True):
+            self._add_matches((name, track.name), key_point[track.corner], index, track.zncc)
         # Two images that share a corner of a third are matched there too, if they are a pair.
-        for (one, index1), (other, index2) in combinations(placed, 2):
-            self._add_common(one, index1, other, index2)
+        for (track1, index1), (track2, index2) in combinations(
+            zip(tracks, indices, strict=True), 2
+        ):
+            if (track1.name, track2.name) in self._rows:
+                self._add_common(track1, index1, track2, index2)
+            elif (track2.name, track1.name) in self._rows:
+                self._add_common(track2, index2, track1, index1)
 
     def result(self) -> SharedMatches:
-        points = {name: np.concatenate(parts) for name, parts in self._points.items()}
         pairs = {}
         for names, parts in self._matches.items():
-            if sum(map(len, parts)):
-                index, scores = np.concatenate(parts), np.concatenate(self._scores[names])
+            if any(len(index) for index, _ in parts):
+                index, scores = map(np.concatenate, zip(*parts, strict=True))
                 pairs[names] = one_to_one(index.astype(np.uint32), scores)
-        return SharedMatches(points, pairs)
+        return SharedMatches({k: np.concatenate(v) for k, v in self._points.items()}, pairs)
 
     def _add_points(self, name: str, points: np.ndarray) -> np.ndarray:
         """The indices (N,) of new key points."""
-        first = self._count.get(name, 0)
-        self._count[name] = first + len(points)
-        self._points.setdefault(name, []).append(points)
+        first = sum(map(len, self._points[name]))
+        self._points[name].append(points)
         return np.arange(first, first + len(points))
 
     def _add_matches(
-        self, name1: str, index1: np.ndarray, name2: str, index2: np.ndarray, scores: np.ndarray
+        self, names: Names, index1: np.ndarray, index2: np.ndarray, scores: np.ndarray
     ) -> None:
-        if (name1, name2) not in self._matches:
-            name1, index1, name2, index2 = name2, index2, name1, index1
-        self._matches[name1, name2].append(np.column_stack([index1, index2]))
-        self._scores[name1, name2].append(scores)
-
-    def _add_common(self, one: Track, index1: np.ndarray, other: Track, index2: np.ndarray) -> None:
-        names = (one.name, other.name)
         if names not in self._matches:
-            if names[::-1] not in self._matches:
-                return
-            one, index1, other, index2 = other, index2, one, index1
+            names, index1, index2 = names[::-1], index2, index1
+        self._matches[names].append((np.column_stack([index1, index2]), scores))
+
+    def _add_common(
+        self, track1: Track, index1: np.ndarray, track2: Track, index2: np.ndarray
+    ) -> None:
+        names = (track1.name, track2.name)
         _, in1, in2 = np.intersect1d(
-            one.corner, other.corner, assume_unique=True, return_indices=True
+            track1.corner, track2.corner, assume_unique=True, return_indices=True
         )
-        row = self._rows[one.name, other.name]
-        points = one.points[in1], other.points[in2]
-        fits = fits_pose(row, self._cameras, *points, self._max_error_px)
+        points = track1.points[in1], track2.points[in2]
+        fits = fits_pose(self._rows[names], self._cameras, *points, self._max_error_px)
         in1, in2 = in1[fits], in2[fits]
-        scores = np.minimum(one.zncc[in1], other.zncc[in2])
-        self._add_matches(one.name, index1[in1], other.name, index2[in2], scores)
+        scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
+        self._add_matches(names, index1[in1], index2[in2], scores)

@@ -19,7 +19,7 @@ from dgc_pose.benchmarks.reconstructions import score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
 from dgc_pose.cli.main import main
-from dgc_pose.colmap.reconstruction import Model
+from dgc_pose.colmap.reconstruction import SparseModel
 from dgc_pose.errors import InputError
 
 
@@ -87,7 +87,7 @@ def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:
         views_of_dtu(calibration, calibration)
 
 
-def _model(views: PosedViews, error: float) -> Model:
+def _model(views: PosedViews, error: float) -> SparseModel:
     """The true model in other axes and units, with one camera moved by `error` true units."""
     turn = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
     poses = {}
@@ -95,7 +95,7 @@ def _model(views: PosedViews, error: float) -> Model:
         centre = 0.2 * turn @ (views.centre(name) + np.array([0, error if i == 1 else 0, 0])) + 5
         R = pose[:, :3] @ turn.T
         poses[name] = np.column_stack([R, -R @ centre])
-    return Model(poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8), 4.0, 0.5)
+    return SparseModel(poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8), 4.0, 0.5)
 
 
 def test_scores_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[View]]) -> None:

@@ -21,7 +21,7 @@ from dgc_pose.batch.run import Batch, read_batch
 from dgc_pose.cli.main import main
 from dgc_pose.colmap.export import ExportOptions, Sharing
 from dgc_pose.colmap.mapping import MapperName, MappingError, MappingOptions
-from dgc_pose.colmap.reconstruction import Model, ReconstructionOptions, reconstruct
+from dgc_pose.colmap.reconstruction import ReconstructionOptions, SparseModel, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.metrics.pose import rotation_error_deg
 
@@ -41,7 +41,7 @@ def batch(views: tuple[Path, list[View]]) -> Batch:
     return run_sift(views[0], views[0].parent / "batch")
 
 
-def _assert_true(model: Model, views: list[View], max_deg: float, max_share: float) -> None:
+def _assert_true(model: SparseModel, views: list[View], max_deg: float, max_share: float) -> None:
     """All cameras, after a similarity, are where they were rendered; max_share of the extent."""
     names = sorted(model.poses)
     assert names == [f"view{i}.png" for i in range(COUNT)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 from colmap_scene import camera, cloud_pairs, true_row
@@ -10,7 +12,6 @@ from multi_view import render_views
 from dgc_pose.colmap.cells import CellOptions, merge_by_cells
 from dgc_pose.colmap.shared import (
     SharedMatches,
-    count_by_length,
     epipolar_error_px,
     fits_pose,
     one_to_one,
@@ -19,7 +20,7 @@ from dgc_pose.errors import InputError
 
 
 def _tracks(shared: SharedMatches) -> dict[int, int]:
-    return count_by_length(shared.track_lengths())
+    return Counter(shared.track_lengths().tolist())
 
 
 def test_track_lengths_count_images() -> None:
