@@ -1,6 +1,6 @@
 """The loop of every pose benchmark: match the pairs of a data set, estimate, compare.
 
-Pairs are matched in this process, batch by batch; poses are estimated here or in a pool.
+Pairs are matched in this process, batch by batch; poses are estimated here or in other processes.
 """
 
 from __future__ import annotations
@@ -11,121 +11,119 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any, Generic
 
 from dgc_pose.benchmarks.methods import Engine, Engines, Method
-from dgc_pose.benchmarks.pool import pose_pool
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
-from dgc_pose.benchmarks.scoring import Job, Scored, map_errors
+from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, score
 from dgc_pose.matching import MatchResult
 from dgc_pose.system.options import check_options, option
+from dgc_pose.system.processes import process_pools
 
 
 @dataclass(frozen=True)
-class RunOptions:
-    """How a data set is worked through. Raises InputError, naming the field, below 1."""
+class Evaluation(Generic[Score]):
+    """Methods on a data set. Raises InputError, naming the field, for a number below 1."""
 
+    pairs: PairSet[Score]
+    methods: Sequence[Method]
+    engines: Engines
     workers: int = option(1, min=1)  # processes that estimate poses; one is this process
     batch: int = option(1, min=1)  # pairs that a network matches together
 
     def __post_init__(self) -> None:
         check_options(self)
 
-
-@dataclass(frozen=True)
-class Evaluation(Generic[Score]):
-    """Methods on a data set."""
-
-    pairs: PairSet[Score]
-    methods: Sequence[Method]
-    engines: Engines
-    options: RunOptions = RunOptions()
-
     def run(self, first: int = 0) -> Iterator[list[Scored[Score]]]:
         """For each pair from number `first` on, in order, a record a method.
 
         The same whatever `first` and `workers`: batches begin at the same pairs, and the seed of a
-        pair is its own.
+        pair depends on nothing else.
 
-        Raises what reading a pair raises, and DgcPoseError if a process of the pool ended.
+        Raises what reading a pair raises, and DgcPoseError if a process ends before its work.
         """
-        batch, workers = self.options.batch, self.options.workers
-        number = first - first % batch
+        number = first - first % self.batch
         pairs = self.pairs.read(number)
         waiting: deque[list[Future[Scored[Score]]]] = deque()
-        with pose_pool(self.pairs.kind, workers) as submit:
-            while some := list(islice(pairs, batch)):
-                for jobs in self.match(some):
+        pools = nullcontext(_at_once) if self.workers == 1 else process_pools([self.workers])
+        with pools as submit:
+            while posed := list(islice(pairs, self.batch)):
+                for by_method in self._match(posed):
                     if number >= first:
-                        waiting.append([submit(job) for job in jobs])
+                        waiting.append([submit(0, score, matched) for matched in by_method])
                     number += 1
-                while waiting and (len(waiting) > 2 * workers or _all_done(waiting[0])):
+                while waiting and (
+                    len(waiting) > 2 * self.workers or all(future.done() for future in waiting[0])
+                ):
                     yield [future.result() for future in waiting.popleft()]
             while waiting:
                 yield [future.result() for future in waiting.popleft()]
 
-    def match(self, batch: Sequence[PosedPair]) -> list[list[Job[Score]]]:
-        """Match pairs together: for each a job a method."""
-        found: dict[int, list[_Matched]] = {}
-        for method in self.methods:
-            engine = self.engines.of(method)
-            if id(engine) not in found:
-                found[id(engine)] = _match(engine, batch)
+    def settings(self, device: str) -> dict[str, Any]:
+        """All that the records depend on, for `RunStore`; the number of workers does not count."""
+        ids = json.dumps([dict(pair_ids) for pair_ids in self.pairs.ids])
+        return {
+            "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
+            "methods": [asdict(method) for method in self.methods],
+            "weights": self.engines.fingerprints,
+            "batch": self.batch,
+            "device": device,
+        }
+
+    def _match(self, batch: Sequence[PosedPair]) -> list[list[MatchedPair[Score]]]:
+        """The pairs of a batch, each by every method; methods of one engine share its pass."""
+        engines = {id(engine): engine for engine in map(self.engines.of, self.methods)}
+        passes = {key: _matching_pass(engine, batch) for key, engine in engines.items()}
         return [
             [
-                self._job(method, pair, found[id(self.engines.of(method))][number])
+                self._selected(method, pair, passes[id(self.engines.of(method))][number])
                 for method in self.methods
             ]
             for number, pair in enumerate(batch)
         ]
 
-    def settings(self, device: str) -> dict[str, Any]:
-        """All that the records depend on, for `RunStore`; the number of workers does not count."""
-        ids = json.dumps([dict(one) for one in self.pairs.ids])
-        return {
-            "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
-            "methods": [asdict(method) for method in self.methods],
-            "weights": self.engines.fingerprints,
-            "batch": self.options.batch,
-            "device": device,
-        }
-
-    def _job(self, method: Method, pair: PosedPair, matched: _Matched) -> Job[Score]:
+    def _selected(self, method: Method, pair: PosedPair, result: _Result) -> MatchedPair[Score]:
         start = time.perf_counter()
         engine = self.engines.of(method)
-        matches = engine.matches(method, pair.image1, pair.image2, matched.found)
+        matches = engine.matches(method, pair.image1, pair.image2, result.matched)
         selected = time.perf_counter() - start
-        return Job(
+        return MatchedPair(
             kind=self.pairs.kind,
             method=method.name,
             truth=pair.truth,
             matches=matches,
-            map_matches=None if method.everywhere else matched.found.map_matches,
-            everywhere_px=matched.everywhere_px,
+            map_matches=None if method.everywhere else result.matched.map_matches,
+            image_warnings=(*pair.image1.warnings, *pair.image2.warnings),
+            everywhere_px=result.everywhere_px,
             options=method.options.estimation,
-            match_seconds=matched.seconds + selected,
+            match_seconds=result.seconds + selected,
         )
 
 
 @dataclass(frozen=True)
-class _Matched:
-    found: MatchResult
+class _Result:
+    """Of one pair and one engine."""
+
+    matched: MatchResult
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels, NaN without a map
-    seconds: float  # of this pair; the mean over its batch
+    seconds: float  # the mean over the batch
 
 
-def _match(engine: Engine, batch: Sequence[PosedPair]) -> list[_Matched]:
+def _matching_pass(engine: Engine, batch: Sequence[PosedPair]) -> list[_Result]:
     start = time.perf_counter()
-    results = engine.matcher.match_batch([(one.image1, one.image2) for one in batch])
+    results = engine.matcher.match_batch([(pair.image1, pair.image2) for pair in batch])
     seconds = (time.perf_counter() - start) / len(batch)
     return [
-        _Matched(found, map_errors(pair.truth, found.correspondence_map), seconds)
-        for found, pair in zip(results, batch, strict=True)
+        _Result(matched, map_errors(pair.truth, matched.correspondence_map), seconds)
+        for matched, pair in zip(results, batch, strict=True)
     ]
 
 
-def _all_done(futures: Sequence[Future[Scored[Score]]]) -> bool:
-    return all(future.done() for future in futures)
+def _at_once(pool: int, work: Any, *items: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(work(*items))
+    return future

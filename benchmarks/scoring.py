@@ -12,23 +12,25 @@ import numpy as np
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, draw_sample
 from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
-from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg
 from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
+from dgc_pose.pose import pose_of_matches
 
 
 @dataclass(frozen=True)
-class Job(Generic[Score]):
-    """All that a record is made from."""
+class MatchedPair(Generic[Score]):
+    """A pair matched by one method: all that a record is made from."""
 
     kind: type[Score]
     method: str
     truth: Truth
     matches: Matches
     map_matches: Matches | None  # see `estimate_pose`
+    image_warnings: tuple[str, ...]
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
     options: EstimationOptions
     match_seconds: float
@@ -42,21 +44,26 @@ class Scored(Generic[Score]):
     sample: MatchSample
 
 
-def score(job: Job[Score]) -> Scored[Score]:
+def score(pair: MatchedPair[Score]) -> Scored[Score]:
     """Estimate the pose of a pair and compare it with the true one."""
-    truth, matches, options = job.truth, job.matches, job.options
+    truth, matches, options = pair.truth, pair.matches, pair.options
     if truth.seed:
         options = replace(options, seed=pair_seed(options.seed, *truth.seed))
     start = time.process_time()
-    pose = estimate_pose(
-        matches, truth.camera1, truth.camera2, options, map_matches=job.map_matches
+    pose = pose_of_matches(
+        matches,
+        truth.camera1,
+        truth.camera2,
+        options,
+        map_matches=pair.map_matches,
+        image_warnings=pair.image_warnings,
     )
     seconds = time.process_time() - start
     rotation, translation = pose_errors(pose, truth.R, truth.t)
     confident = epipolar_errors(truth, matches.points1, matches.points2)
     values = {
         **truth.ids,
-        "method": job.method,
+        "method": pair.method,
         "true_rotation_deg": _rotation(truth),
         "true_baseline_mm": np.nan if truth.t is None else float(np.linalg.norm(truth.t)),
         "status": pose.status,
@@ -70,22 +77,22 @@ def score(job: Job[Score]) -> Scored[Score]:
         "rotation_90_deg": _number(pose.rotation_error_90_deg),
         "translation_90_deg": _number(pose.translation_error_90_deg),
         "evidence_json": evidence_text(pose.evidence),
-        "epipolar_all_px": job.everywhere_px[0],
+        "epipolar_all_px": pair.everywhere_px[0],
         "epipolar_confident_px": confident[0],
-        "epipolar_all_mean_px": job.everywhere_px[1],
+        "epipolar_all_mean_px": pair.everywhere_px[1],
         "epipolar_confident_mean_px": confident[1],
-        "match_seconds": job.match_seconds,
+        "match_seconds": pair.match_seconds,
         "estimate_seconds": seconds,
     }
     sample = draw_sample(matches, pose.inliers, options.seed)
-    return Scored(make_score(job.kind, values), sample)
+    return Scored(make_score(pair.kind, values), sample)
 
 
-def map_errors(truth: Truth, found: CorrespondenceMap | None) -> tuple[float, float]:
+def map_errors(truth: Truth, dense: CorrespondenceMap | None) -> tuple[float, float]:
     """Median and mean D_e over all pixels of image 2, NaN without a dense map."""
-    if found is None:
+    if dense is None:
         return np.nan, np.nan
-    return epipolar_errors(truth, found.map, found.grid)
+    return epipolar_errors(truth, dense.map, dense.grid)
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:

@@ -131,7 +131,7 @@ def bench_dtu(
         stem=stem,
         keep_features=True,
     )
-    evaluation = Evaluation(pairs, chosen, engines, run.options)
+    evaluation = Evaluation(pairs, chosen, engines, run.workers, run.pairs_together)
     for line in _opening(dataset, experiment.pairs, len(views)):
         click.echo(line)
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}

@@ -132,7 +132,7 @@ def bench_pairs(
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(json_path, inputs=images) as stage:
         engines = load_engines(chosen, device=run.device, runtime=run.runtime)
-        evaluation = Evaluation(pairs, chosen, engines, run.options)
+        evaluation = Evaluation(pairs, chosen, engines, run.workers, run.pairs_together)
         store = open_store(evaluation, out, run)
         work(evaluation, store)
         results = by_method(store.scores)

@@ -10,7 +10,7 @@ from typing import Any
 import click
 from tqdm import tqdm
 
-from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
+from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.scores import RESULTS, Score
@@ -66,10 +66,9 @@ class RunChoice:
         return device_type(self.device)
 
     @property
-    def options(self) -> RunOptions:
-        """Without --batch it is that of the device."""
-        gpu = self.device_type == "cuda"
-        return RunOptions(self.workers, self.batch or (GPU_BATCH if gpu else 1))
+    def pairs_together(self) -> int:
+        """--batch, by default that of the device."""
+        return self.batch or (GPU_BATCH if self.device_type == "cuda" else 1)
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,8 @@ def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunCho
     groups = choice.groups()
     count = sum(len(group.names) for group in groups)
     hard = misleading(choice.photos, choice.misleading, choice.seed)
-    evaluation = Evaluation(VerdictPairs([*groups, *hard]), methods, engines, run.options)
+    pairs = VerdictPairs([*groups, *hard])
+    evaluation = Evaluation(pairs, methods, engines, run.workers, run.pairs_together)
     store = open_store(evaluation, out, run)
     work(evaluation, store)
     # Gates are not chosen on what misleads.

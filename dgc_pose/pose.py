@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -97,15 +98,36 @@ def match_and_estimate(
     check_type(options, EstimationOptions, "options")
     check_type(matcher, Matcher, "matcher")
     start = time.perf_counter()
-    found = matcher.match(image1, image2)
+    result = matcher.match(image1, image2)
     matched = time.perf_counter()
-    pose = estimate_pose(found.matches, camera1, camera2, options, map_matches=found.map_matches)
+    pose = pose_of_matches(
+        result.matches,
+        camera1,
+        camera2,
+        options,
+        map_matches=result.map_matches,
+        image_warnings=(*image1.warnings, *image2.warnings),
+    )
     seconds = {
         "load": load_seconds,
         "match": matched - start,
         "estimate": time.perf_counter() - matched,
     }
-    sources = (image1, image2, camera1, camera2, pose)
-    warnings = tuple(dict.fromkeys(text for source in sources for text in source.warnings))
-    pose = replace(pose, warnings=warnings, seconds=seconds)
-    return Trace(image1, image2, camera1, camera2, found.correspondence_map, found.matches, pose)
+    pose = replace(pose, seconds=seconds)
+    return Trace(image1, image2, camera1, camera2, result.correspondence_map, result.matches, pose)
+
+
+def pose_of_matches(
+    matches: Matches,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions,
+    *,
+    map_matches: Matches | None,
+    image_warnings: Sequence[str],
+) -> RelativePose:
+    """`estimate_pose` of what a matcher made of two images; the pose carries all warnings, those of
+    the images, of the cameras and its own."""
+    pose = estimate_pose(matches, camera1, camera2, options, map_matches=map_matches)
+    warnings = (*image_warnings, *camera1.warnings, *camera2.warnings, *pose.warnings)
+    return replace(pose, warnings=tuple(dict.fromkeys(warnings)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol, protocol_options
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.benchmarks.evaluate import Evaluation, RunOptions
+from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions, parse_methods
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
@@ -78,10 +78,10 @@ def engines(net: Matcher | None = None, **refiners: object) -> Engines:
 def evaluation(
     pairs: DtuPairs,
     methods: list[Method] | None = None,
-    options: RunOptions | None = None,
     found: Engines | None = None,
+    **numbers: int,
 ) -> Evaluation:
     """`METHODS` on pairs; in the paper's protocol with its options."""
     if methods is None:
         methods = parse_methods(NAMES, protocol_options(pairs.protocol, OPTIONS))
-    return Evaluation(pairs, methods, found or engines(), options or RunOptions())
+    return Evaluation(pairs, methods, found or engines(), **numbers)

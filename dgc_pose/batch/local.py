@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
-from multiprocessing.process import BaseProcess
 from typing import Protocol
 
 import cv2
 
 from dgc_pose.batch.schedule import Spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
-from dgc_pose.errors import DgcPoseError
-from dgc_pose.system.processes import end_with_parent, process_ends
+from dgc_pose.system.processes import process_pools
 
 # Worked through in any order; the same outcomes whatever the workers.
 RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
@@ -36,61 +30,40 @@ class Workers(Protocol):
 def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     """Workers on this machine; a single one works in this process.
 
-    Raises what `load_matcher` raises, before a process starts. `run` raises DgcPoseError if a
-    process ends; `--resume` goes on after that.
+    Raises what `load_matcher` raises, before a process starts, and DgcPoseError if a process ends;
+    `--resume` goes on after that.
     """
     if workers == 1:
-        own = Worker(job)
-        yield lambda tasks: (own.do(task) for task in tasks)
+        worker = Worker(job)
+        yield lambda tasks: map(worker.do, tasks)
         return
     job.matcher.load()
-    # Not forked: torch's threads do not survive that. One pool a worker, since neighbouring blocks
-    # share images and belong to one worker.
-    context = multiprocessing.get_context("spawn")
-    others = set(multiprocessing.active_children())
-    with ExitStack() as stack:
-        pools = []
-        for _ in range(workers):
-            pool = ProcessPoolExecutor(1, context, _start, (job,))
-            stack.callback(pool.shutdown, cancel_futures=True)
-            pools.append(pool)
-        try:
-            yield lambda tasks: _run(pools, tasks, others)
-        except BaseException:
-            # A block takes long, and within a library's call no signal is handled.
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
+    # One pool a worker, since neighbouring blocks share images and belong to one worker.
+    with process_pools([1] * workers, _start, job) as submit:
+        yield lambda tasks: in_spans(tasks, workers, lambda pool, task: submit(pool, _do, task))
 
 
-def _run(
-    pools: Sequence[ProcessPoolExecutor], tasks: Sequence[Task], others: set[BaseProcess]
+def in_spans(
+    tasks: Sequence[Task], workers: int, submit: Callable[[int, Task], Future[Outcome]]
 ) -> Iterator[Outcome]:
-    """others: children of this process that are not of the pools."""
-    spans = Spans(len(tasks), len(pools))
+    """The outcomes of tasks as they come, each worker having one task at a time.
+
+    submit: gives a task to the worker of that number. Raises what the futures raise.
+    """
+    spans = Spans(len(tasks), workers)
     running: dict[Future[Outcome], int] = {}
 
-    def submit(number: int) -> None:
-        index = spans.take(number)
+    def give(worker: int) -> None:
+        index = spans.take(worker)
         if index is not None:
-            running[pools[number].submit(_do, tasks[index])] = number
+            running[submit(worker, tasks[index])] = worker
 
-    for number in range(len(pools)):
-        submit(number)
-    processes = set(multiprocessing.active_children()) - others
+    for worker in range(workers):
+        give(worker)
     while running:
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for future in done:
-            number = running.pop(future)
-            try:
-                outcome = future.result()
-            except BrokenProcessPool:
-                pools[number].shutdown()  # its process has an exit code then
-                raise DgcPoseError(
-                    f"a worker process ended ({process_ends(processes)}): --resume goes on from "
-                    "the pairs that were done"
-                ) from None
-            submit(number)
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            outcome = future.result()
+            give(running.pop(future))
             yield outcome
 
 
@@ -98,9 +71,6 @@ _worker: list[CoreWorker] = []  # of this process, once it has been started
 
 
 def _start(job: Job) -> None:
-    # A terminal sends an interrupt to all processes: the owner of the pools answers it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=end_with_parent, daemon=True).start()
     _worker[:] = [CoreWorker(job)]
 
 
@@ -118,6 +88,7 @@ class CoreWorker:
         self._job = job
 
     def do(self, task: Task) -> Outcome:
+        """As `Worker.do`."""
         return self._worker.do(task)
 
     @cached_property

@@ -133,23 +133,25 @@ def run_batch(
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
             plan = continued(before, plan, out)
-        with ExitStack() as stack:
-            run = _lazy_workers(start_workers, plan, matcher, estimation, options, stack)
-            if before is None:
-                if choice is not None and choice.way == "auto":
-                    plan = _with_similar(plan, choice.number, run, progress)
-                write_plan(out, plan)
-            store = PartStore(out, plan, before)
-            if store.finished:
-                store.close()
-                return read_batch(out)
-            try:
+        store = None
+        try:
+            with ExitStack() as stack:
+                run = _lazy_workers(start_workers, plan, matcher, estimation, options, stack)
+                if before is None:
+                    if choice is not None and choice.way == "auto":
+                        plan = _with_similar(plan, choice.number, run, progress)
+                    write_plan(out, plan)
+                store = PartStore(out, plan, before)
+                if store.finished:
+                    store.close()
+                    return read_batch(out)
                 worked = _work(store, plan, run, options, progress)
-            except DgcPoseError:
-                if before is None and len(store.left) == len(plan.pairs) > 0:  # bad weights, say
+        except DgcPoseError:
+            if before is None and store is not None:
+                if len(store.left) == len(plan.pairs) > 0:  # bad weights, say
                     store.close()
                     (out / PLAN).unlink()
-                raise
+            raise
         bad = store.assemble()
         if before is not None:
             write_plan(out, plan)  # with the photographs as they are now

@@ -106,7 +106,3 @@ class Spans:
             return self._left[worker].pop(0)
         longest = max(self._left, key=len)
         return longest.pop() if longest else None
-
-    def put_back(self, worker: int, block: int) -> None:
-        """Return a block that a worker took and did not finish."""
-        self._left[worker].insert(0, block)

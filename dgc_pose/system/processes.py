@@ -1,12 +1,81 @@
-"""Worker processes: how they end, told by what the system says of them."""
+"""Worker processes: pools that end at once, and how a process ended, told by the system's words."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterable
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
+from typing import Any
+
+import cv2
+
+from dgc_pose.errors import DgcPoseError
+
+Submit = Callable[..., Future[Any]]  # takes the number of a pool, a function and its arguments
+
+
+@contextmanager
+def process_pools(
+    sizes: Sequence[int], start: Callable[..., None] | None = None, *arguments: Any
+) -> Iterator[Submit]:
+    """Pools of so many processes each, which use one core each. Any error within the context ends
+    the processes at once.
+
+    start: is called with the arguments first in each process, and must not raise.
+
+    Raises DgcPoseError if a process ends before its work.
+    """
+    # Not forked: torch's threads do not survive that.
+    context = multiprocessing.get_context("spawn")
+    pools = [ProcessPoolExecutor(size, context, _start, (start, arguments)) for size in sizes]
+    others = set(multiprocessing.active_children())
+    started: set[BaseProcess] = set()
+
+    def submit(pool: int, work: Callable[..., Any], *items: Any) -> Future[Any]:
+        future = pools[pool].submit(work, *items)
+        started.update(set(multiprocessing.active_children()) - others)
+        return future
+
+    try:
+        yield submit
+    except BaseException as error:
+        # Work inside a library's call handles no signal; an interrupt must not wait for it.
+        for process in started:
+            process.terminate()
+        for pool in pools:
+            pool.shutdown(cancel_futures=True)  # the processes have exit codes then
+        if isinstance(error, BrokenProcessPool):
+            raise DgcPoseError(
+                f"a worker process ended ({process_ends(started)}): --resume goes on from the "
+                "pairs that were done"
+            ) from None
+        raise
+    for pool in pools:
+        pool.shutdown()
+
+
+def _start(start: Callable[..., None] | None, arguments: Sequence[Any]) -> None:
+    # A terminal sends an interrupt to all processes: the owner of the pools answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+    if start is not None:
+        start(*arguments)
+
+
+def _end_with_parent() -> None:
+    """Wait for the owner of the pools, and end with it: if that is killed, nobody else ends this
+    process."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def process_end(code: int | None) -> str:
@@ -23,12 +92,3 @@ def process_ends(processes: Iterable[BaseProcess]) -> str:
     """
     codes = {process.exitcode for process in processes} - {None}
     return "; ".join(sorted(map(process_end, codes - {-signal.SIGTERM} or codes)))
-
-
-def end_with_parent() -> None:
-    """Wait for the owner of a pool, and end with it: if that is killed, nobody else ends this
-    process. For a thread."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

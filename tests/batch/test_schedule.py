@@ -78,8 +78,6 @@ def test_a_worker_takes_neighbours_then_from_the_longest_run() -> None:
     assert [spans.take(0) for _ in range(5)] == [0, 1, 2, 3, 4]
     assert spans.take(0) == 9
     assert spans.take(1) == 5
-    spans.put_back(0, 9)
-    assert spans.take(0) == 9
 
 
 def test_blocks() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from evaluation_pairs import METHODS, NAMES, OPTIONS, Net, evaluation, posed_pairs, view_of
 
-from dgc_pose.benchmarks.evaluate import RunOptions
 from dgc_pose.benchmarks.methods import Engine, Engines, parse_methods
 from dgc_pose.benchmarks.scoring import Scored, pair_seed
 from dgc_pose.errors import ImageError, InputError
@@ -20,8 +19,8 @@ from dgc_pose.matching.texture import texture
 from dgc_pose.refinement import RefinementOptions
 
 
-def _rows(pairs, options=None, first=0, methods=None) -> list[list[Scored]]:
-    return list(evaluation(pairs, methods, options).run(first))
+def _rows(pairs, first=0, methods=None, **numbers) -> list[list[Scored]]:
+    return list(evaluation(pairs, methods, **numbers).run(first))
 
 
 def _results(rows) -> list[dict[str, object]]:
@@ -75,20 +74,19 @@ def test_all_takes_what_the_mask_leaves_out(tmp_path) -> None:
     assert 40 < some <= 60  # points, those with structure
 
 
-@pytest.mark.parametrize("options", [RunOptions(batch=2), RunOptions(workers=2, batch=4)])
-def test_the_records_are_independent_of_workers_and_batches(tmp_path, options: RunOptions) -> None:
+@pytest.mark.parametrize("numbers", [{"batch": 2}, {"workers": 2, "batch": 4}])
+def test_the_records_are_independent_of_workers_and_batches(tmp_path, numbers) -> None:
     pairs = posed_pairs(tmp_path, 5)
     expected = _results(_rows(pairs))
-    np.testing.assert_equal(_results(_rows(pairs, options)), expected)
+    np.testing.assert_equal(_results(_rows(pairs, **numbers)), expected)
 
 
 @pytest.mark.parametrize("batch", [1, 3])
 def test_a_run_that_goes_on_gives_the_remaining_rows(tmp_path, batch: int) -> None:
     pairs = posed_pairs(tmp_path, 5)
-    options = RunOptions(batch=batch)
-    whole = _rows(pairs, options)
+    whole = _rows(pairs, batch=batch)
     for first in range(6):
-        rest = _rows(pairs, options, first)
+        rest = _rows(pairs, first, batch=batch)
         np.testing.assert_equal(_results(rest), _results(whole[first:]))
 
 
@@ -103,7 +101,7 @@ def test_a_batch_begins_where_it_would_have_begun(tmp_path) -> None:
 
     found = evaluation_pairs.engines(Remembering())
     pairs = posed_pairs(tmp_path, 5)
-    list(evaluation(pairs, METHODS[:1], RunOptions(batch=2), found).run(first=3))
+    list(evaluation(pairs, METHODS[:1], found, batch=2).run(first=3))
     assert seen == [[4, 5], [6]]
 
 
@@ -168,7 +166,7 @@ def test_what_cannot_be_used_is_refused(tmp_path) -> None:
         _rows(posed_pairs(tmp_path, 1), methods=parse_methods(["some/all"]))
     (tmp_path / "two_2.png").write_bytes(b"no image")
     with pytest.raises(ImageError, match="two_2.png"):
-        _rows(pairs, RunOptions(workers=2))
+        _rows(pairs, workers=2)
     for name in ("workers", "batch"):
         with pytest.raises(InputError, match=name):
-            RunOptions(**{name: 0})
+            evaluation(pairs, **{name: 0})

@@ -244,7 +244,7 @@ def test_the_command_names_what_it_cannot_use_before_it_starts(tmp_path, monkeyp
     def matched_too_early(*arguments):
         raise AssertionError
 
-    monkeypatch.setattr(Evaluation, "match", matched_too_early)
+    monkeypatch.setattr(Evaluation, "run", matched_too_early)
     write_photos(tmp_path / "few", 1)
     write_photos(tmp_path / "photos", 60)
     for photos, more, word in (

@@ -1,4 +1,4 @@
-"""How processes ended, in words."""
+"""Pools of processes, and how processes ended, in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import os
 import signal
 import time
 
-from dgc_pose.system.processes import process_end, process_ends
+import pytest
+
+from dgc_pose.errors import DgcPoseError
+from dgc_pose.system.processes import process_end, process_ends, process_pools
 
 
 def _killed(number: int) -> multiprocessing.process.BaseProcess:
@@ -29,3 +32,12 @@ def test_a_sigterm_beside_another_end_is_left_out() -> None:
     assert process_ends([killed, stopped]) == process_end(-signal.SIGKILL)
     assert process_ends([stopped]) == process_end(-signal.SIGTERM)
     assert process_ends([]) == ""
+
+
+def test_how_the_process_of_a_pool_ended_is_told() -> None:
+    with (
+        pytest.raises(DgcPoseError, match=r"^a worker process ended \(signal 6, Abort"),
+        process_pools([1, 1]) as submit,
+    ):
+        submit(1, time.sleep, 600)
+        submit(0, os.abort).result()
