@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Largest error of a point that is undistorted and distorted again, in focal lengths: a hundredth of
 # a pixel at a focal length of 1000.
 _MAX_ROUND_TRIP = 1e-5
-_READ = ("JPEG", "PNG", "TIFF", "BMP", "PPM", "HDR", "PFM")  # formats that pycolmap reads
+_READ = ("JPEG", "PNG", "TIFF", "BMP", "PPM")  # formats that pycolmap reads
 _EXIF = b"Exif\0\0"  # the start of an EXIF block in JPEG
 
 

