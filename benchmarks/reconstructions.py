@@ -18,9 +18,9 @@ from dgc_pose.batch.work import MatcherSettings
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.colmap.mapping import MappingError, map_database
+from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
     DATABASE,
-    ReconstructionOptions,
     SparseModel,
     reconstruct,
     sparse_model,
@@ -73,7 +73,7 @@ def run_method(method: str, views: PosedViews, out: Path, setting: Setting) -> R
         if method == COLMAP_SIFT:
             database, mapping = out / DATABASE, setting.reconstruction.mapping
             database.unlink(missing_ok=True)
-            sift_database(database, views.root, views.cameras, mapping.threads)
+            sift_database(database, views.root, views.cameras, mapping.mapper_threads)
             model = sparse_model(map_database(database, views.root, mapping))
             pairs = poses = len(views.poses) * (len(views.poses) - 1) // 2
         else:

@@ -17,12 +17,9 @@ from dgc_pose.benchmarks.reconstructions import (
 )
 from dgc_pose.cli.batch import WorkChoice, batch_options
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.export_colmap import SharingChoice
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
-from dgc_pose.cli.reconstruct import MapperChoice
-from dgc_pose.colmap.mapping import MappingOptions
-from dgc_pose.colmap.reconstruction import ReconstructionOptions
+from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import finite_or_none, write_json
@@ -60,8 +57,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
     help="Resize the images by this; 0.5 leaves a quarter of the pixels.",
 )
 @click.option("--every", type=click.IntRange(min=1), default=1, help="Only every N-th image.")
-@dataclass_options(SharingChoice, "sharing")
-@dataclass_options(MapperChoice, "mapping")
+@dataclass_options(ReconstructionOptions, "reconstruction")
 @dataclass_options(WorkChoice, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(
@@ -72,8 +68,7 @@ def bench_reconstruct(
     pairs: str,
     scale: float,
     every: int,
-    sharing: SharingChoice,
-    mapping: MapperChoice,
+    reconstruction: ReconstructionOptions,
     work: WorkChoice,
     estimation: EstimationOptions,
 ) -> None:
@@ -89,13 +84,9 @@ def bench_reconstruct(
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
     options = batch_options(work)
-    mapper = MappingOptions(mapping.mapper, mapping.refine_intrinsics, threads=options.workers)
-    setting = Setting(
-        parse_pair_choice(pairs),
-        ReconstructionOptions(sharing.options, mapper),
-        estimation,
-        options,
-    )
+    mapping = dataclasses.replace(reconstruction.mapping, mapper_threads=options.workers)
+    reconstruction = dataclasses.replace(reconstruction, mapping=mapping)
+    setting = Setting(parse_pair_choice(pairs), reconstruction, estimation, options)
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     if scale != 1:

@@ -4,61 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile, OutputFolder
+from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
-from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
-    from dgc_pose.colmap.export import Exported, ExportOptions
+    from dgc_pose.colmap.export import Exported
 
 
 HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
-
-
-@dataclass(frozen=True)
-class SharingChoice:
-    """How key points are shared between the pairs of an image."""
-
-    sharing: Literal["tracks", "cells"] = option(
-        "tracks",
-        "Key points of an image: tracks, corners located anew in each of its pairs, which reads "
-        "the images again; or cells, matches merged as hloc does.",
-    )
-    per_image: int | None = option(
-        None, "Most corners (1000) or cells (8192) of an image.", metavar="N", min=1, max=10**7
-    )
-    cell: float = option(
-        1.0,
-        "Side of a cell and farthest move of a match, pixels; for cells.",
-        metavar="PX",
-        above=0,
-        max=10**4,
-    )
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-    @property
-    def options(self) -> ExportOptions:
-        from dgc_pose.colmap.cells import CellOptions
-        from dgc_pose.colmap.export import ExportOptions
-        from dgc_pose.colmap.tracking import TrackOptions
-
-        most = {} if self.per_image is None else {"per_image": self.per_image}
-        return ExportOptions(
-            self.sharing,
-            TrackOptions(**most),
-            CellOptions(cell_px=self.cell, max_error_px=self.cell, **most),
-        )
 
 
 def described(exported: Exported) -> str:
@@ -92,12 +54,12 @@ def images_bar() -> Iterator[Callable[[int, int], None]]:
     metavar="DIR",
     help="Write features.h5, matches.h5 and pairs.txt there, as hloc's reconstruction reads them.",
 )
-@dataclass_options(SharingChoice, "sharing")
+@dataclass_options(SharingOptions, "sharing")
 def export_colmap(
     folder: Path,
     database: str | None,
     hloc: Path | None,
-    sharing: SharingChoice,
+    sharing: SharingOptions,
 ) -> None:
     """Write the matches and poses of a batch as a COLMAP database.
 
@@ -116,7 +78,7 @@ def export_colmap(
     images = [batch.plan.root / name for name in batch.plan.names]
     require_no_input(written, [*folder.iterdir(), *images])
     with images_bar() as progress:
-        shared, pairs = share(batch, sharing.options, progress)
+        shared, pairs = share(batch, sharing, progress)
     if hloc is not None:
         hloc.mkdir(parents=True, exist_ok=True)
     if database is not None:

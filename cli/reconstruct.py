@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 
 from dgc_pose.cli.batch import SourceChoice, WorkChoice, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.export_colmap import SharingChoice, described, images_bar
+from dgc_pose.cli.export_colmap import described, images_bar
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import MatcherChoice
+from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.reconstruction import SparseModel
@@ -25,33 +25,11 @@ BATCH, PICTURE = "batch", "picture.png"
 EXHAUSTIVE_UP_TO = 20  # images
 
 
-@dataclass(frozen=True)
-class MapperChoice:
-    """How the model is made."""
-
-    mapper: Literal["incremental", "global"] = option("incremental", "Of pycolmap.")
-    refine_intrinsics: bool = option(
-        False,
-        "Let bundle adjustment change focal lengths and distortion; always with --guess-focal.",
-    )
-    mapper_threads: int = option(
-        1,
-        "Threads of the mapper; with more than one, models of the same photographs differ in "
-        "their last digits.",
-        min=1,
-        max=1024,
-    )
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-
 @click.command()
 @click.argument("source", metavar="FOLDER")
 @click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @dataclass_options(SourceChoice, "inputs")
-@dataclass_options(SharingChoice, "sharing")
-@dataclass_options(MapperChoice, "mapping")
+@dataclass_options(ReconstructionOptions, "options")
 @dataclass_options(WorkChoice, "work")
 @dataclass_options(MatcherChoice, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
@@ -59,8 +37,7 @@ def reconstruct(
     source: str,
     out: Path,
     inputs: SourceChoice,
-    sharing: SharingChoice,
-    mapping: MapperChoice,
+    options: ReconstructionOptions,
     work: WorkChoice,
     matcher: MatcherChoice,
     estimation: EstimationOptions,
@@ -75,7 +52,7 @@ def reconstruct(
     """
     from dgc_pose.batch.plan import PLAN
     from dgc_pose.colmap import reconstruction
-    from dgc_pose.colmap.mapping import LEAST_IMAGES, MappingOptions
+    from dgc_pose.colmap.mapping import LEAST_IMAGES
 
     known = [name for name in (*reconstruction.OUTPUTS, PICTURE) if (out / name).exists()]
     if known and not work.resume:
@@ -98,14 +75,8 @@ def reconstruct(
     )
     report(batch)
     matched = time.perf_counter()
-    options = reconstruction.ReconstructionOptions(
-        sharing.options,
-        MappingOptions(
-            mapping.mapper,
-            mapping.refine_intrinsics or bool(batch.plan.guessed),
-            threads=mapping.mapper_threads,
-        ),
-    )
+    if batch.plan.guessed:
+        options = replace(options, mapping=replace(options.mapping, refine_intrinsics=True))
     with images_bar() as progress:
         model, exported = reconstruction.reconstruct(batch, out, options, progress)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}

@@ -1,41 +1,30 @@
 """Shared key points by merging: the best match of each cell of an image becomes a key point.
 
 The matches of each pair are then re-assigned to the nearest key points. This needs no images, and
-moves each match by up to `max_error_px`, as hloc does with dense matchers.
+moves each match by up to the side of a cell, as hloc does with dense matchers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, one_to_one, pairs_by_image
-from dgc_pose.system.options import check_options, option
 
-
-@dataclass(frozen=True)
-class CellOptions:
-    """Raises InputError, naming the field, for a value out of range."""
-
-    cell_px: float = option(1.0, above=0)  # side of a cell, pixels of the originals
-    max_error_px: float = option(1.0, above=0)  # farthest key point that a match moves to
-    per_image: int = option(8192, min=1)  # key points of an image: those with the best scores
-
-    def __post_init__(self) -> None:
-        check_options(self)
+_PER_IMAGE = 8192  # key points of an image, unless the options say another number
 
 
 def merge_by_cells(
-    pairs: Sequence[PairGeometry], options: CellOptions | None = None
+    pairs: Sequence[PairGeometry], options: SharingOptions | None = None
 ) -> SharedMatches:
     """Key points in cells, and the matches of each pair re-assigned to them.
 
     A cell that more pairs have a match in is preferred to one of fewer, then the better score.
     """
-    options = options or CellOptions()
+    options = options or SharingOptions()
     key_points = {
         name: _best_of_cells(name, its_pairs, options)
         for name, its_pairs in pairs_by_image(pairs).items()
@@ -45,24 +34,24 @@ def merge_by_cells(
     for pair in pairs:
         distance1, nearest1 = trees[pair.row.name1].query(pair.points1)
         distance2, nearest2 = trees[pair.row.name2].query(pair.points2)
-        near = np.maximum(distance1, distance2) <= options.max_error_px
+        near = np.maximum(distance1, distance2) <= options.cell
         if near.any():
             index = np.column_stack([nearest1, nearest2])[near].astype(np.uint32)
             matches[pair.names] = one_to_one(index, pair.scores[near])
     return SharedMatches(key_points, matches)
 
 
-def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: CellOptions) -> np.ndarray:
+def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: SharingOptions) -> np.ndarray:
     """The key points (N, 2) of an image."""
     points = np.concatenate([p.points1 if p.row.name1 == name else p.points2 for p in pairs])
     scores = np.concatenate([p.scores for p in pairs])
     pair = np.repeat(np.arange(len(pairs)), [len(p.scores) for p in pairs])
-    cells = np.floor((points + 0.5) / options.cell_px).astype(np.int64)
+    cells = np.floor((points + 0.5) / options.cell).astype(np.int64)
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     cell = cell.ravel()
     pairs_of_cells = np.unique(np.column_stack([cell, pair]), axis=0)
     support = np.bincount(pairs_of_cells[:, 0])[cell]
     order = np.lexsort((np.arange(len(points)), -scores, -support))
     _, first = np.unique(cell[order], return_index=True)
-    best = order[np.sort(first)][: options.per_image]
+    best = order[np.sort(first)][: options.per_image or _PER_IMAGE]
     return points[best]

@@ -4,33 +4,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from dgc_pose.batch.run import Batch
-from dgc_pose.colmap.cells import CellOptions, merge_by_cells
+from dgc_pose.colmap.cells import merge_by_cells
 from dgc_pose.colmap.database import write_database
+from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
-from dgc_pose.colmap.tracking import TrackOptions, track_corners
+from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
 
 _IMAGE_BYTES = 2**29  # of images in memory
-Sharing = Literal["tracks", "cells"]
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """How key points are shared between the pairs of an image."""
-
-    sharing: Sharing = "tracks"
-    tracks: TrackOptions = field(default_factory=TrackOptions)
-    cells: CellOptions = field(default_factory=CellOptions)
 
 
 @dataclass(frozen=True)
@@ -46,7 +36,7 @@ class Exported:
 
 def share(
     batch: Batch,
-    options: ExportOptions,
+    options: SharingOptions,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[SharedMatches, list[PairGeometry]]:
     """The shared key points of a batch, and the pairs that they are of.
@@ -57,7 +47,7 @@ def share(
     if not pairs:
         raise InputError(f"{batch.folder}: no pair of this batch has a pose")
     if options.sharing == "cells":
-        return merge_by_cells(pairs, options.cells), pairs
+        return merge_by_cells(pairs, options), pairs
     images: BoundedCache[str, Image] = BoundedCache(
         lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
     )
@@ -65,7 +55,7 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: load_image(batch.plan.root / name))
 
-    shared = track_corners(pairs, batch.plan.cameras, load, options.tracks, progress)
+    shared = track_corners(pairs, batch.plan.cameras, load, options.per_image, progress)
     return shared, pairs
 
 

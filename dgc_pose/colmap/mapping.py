@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
+from dgc_pose.colmap.options import MappingOptions
 from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.system.colmap_library import pycolmap
 
-MapperName = Literal["incremental", "global"]
 LEAST_IMAGES = 3  # of a model
-
-
-@dataclass(frozen=True)
-class MappingOptions:
-    """How images are mapped."""
-
-    mapper: MapperName = "incremental"
-    refine_intrinsics: bool = False  # focal lengths and distortion, in bundle adjustment
-    seed: int = 0
-    threads: int = 1  # with more, models differ in their last digits; -1: all cores
+_SEED = 0
 
 
 class MappingError(DgcPoseError):
@@ -30,7 +19,7 @@ class MappingError(DgcPoseError):
 
 def map_database(database: Path, images: Path, options: MappingOptions) -> pycolmap.Reconstruction:
     """The model with the most images. Raises MappingError if there is none."""
-    pycolmap.set_random_seed(options.seed)
+    pycolmap.set_random_seed(_SEED)
     with scratch_folder() as folder:
         try:
             if options.mapper == "incremental":
@@ -52,8 +41,8 @@ def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions
     settings.min_model_size = LEAST_IMAGES
     settings.ba_refine_focal_length = options.refine_intrinsics
     settings.ba_refine_extra_params = options.refine_intrinsics
-    settings.num_threads = options.threads
-    settings.random_seed = settings.mapper.random_seed = options.seed
+    settings.num_threads = options.mapper_threads
+    settings.random_seed = settings.mapper.random_seed = _SEED
     settings.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
     settings.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
     return settings
@@ -62,8 +51,8 @@ def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions
 def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
     settings = pycolmap.GlobalPipelineOptions()
     settings.min_model_size = LEAST_IMAGES
-    settings.num_threads = options.threads
-    settings.random_seed = settings.mapper.random_seed = options.seed
+    settings.num_threads = options.mapper_threads
+    settings.random_seed = settings.mapper.random_seed = _SEED
     settings.mapper.bundle_adjustment.refine_focal_length = options.refine_intrinsics
     settings.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
     settings.mapper.bundle_adjustment.ceres.use_gpu = False

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dgc_pose.batch.run import Batch
-from dgc_pose.colmap.export import Exported, ExportOptions, share, write_shared
-from dgc_pose.colmap.mapping import MappingOptions, map_database
+from dgc_pose.colmap.export import Exported, share, write_shared
+from dgc_pose.colmap.mapping import map_database
+from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder
@@ -21,14 +22,6 @@ DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summa
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
 _POINT_BYTES = 15  # of points.ply: three floats and three colours
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
-
-
-@dataclass(frozen=True)
-class ReconstructionOptions:
-    """How a batch becomes a model."""
-
-    export: ExportOptions = field(default_factory=ExportOptions)
-    mapping: MappingOptions = field(default_factory=MappingOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +57,7 @@ def reconstruct(
     require_model_folder(out / MODEL)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
-        shared, pairs = share(batch, options.export, progress)
+        shared, pairs = share(batch, options.sharing, progress)
         exported = write_shared(batch, shared, pairs, out / DATABASE)
         reconstruction = map_database(out / DATABASE, batch.plan.root, options.mapping)
         with replaced_folder(out / MODEL) as folder:

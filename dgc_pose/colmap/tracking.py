@@ -30,27 +30,16 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import locate, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches, consistent
-from dgc_pose.system.options import check_options, option
 
+_PER_IMAGE = 1000  # corners of an image
 _NEIGHBOURS = 12  # matches that a local affinity is fitted to
+# Farthest match that tells where a corner lies in the other image, as a share of the longer side.
+_REACH = 0.015
 _SIMILAR = 1.5  # scale between images up to which neither is smoothed
-
-
-@dataclass(frozen=True)
-class TrackOptions:
-    """Raises InputError, naming the field, for a value out of range."""
-
-    per_image: int = option(1000, min=1)  # corners of an image, evenly spread
-    # Farthest match that tells where a corner lies in the other image, as a share of the longer
-    # side.
-    reach: float = option(0.015, above=0, max=1)
-    max_shift_px: float = option(3.0, above=0)  # by alignment, pixels of the other image
-    patch_radius: int = option(7, min=2)  # pixels
-    min_zncc: float = option(0.8, above=0, max=1)  # of aligned patches
-    max_error_px: float = option(1.0, above=0)  # Sampson distance to the pose of the pair
-
-    def __post_init__(self) -> None:
-        check_options(self)
+_MAX_SHIFT_PX = 3.0  # by alignment, pixels of the other image
+_PATCH_RADIUS = 7  # pixels
+_MIN_ZNCC = 0.8  # of aligned patches
+_MAX_ERROR_PX = 1.0  # Sampson distance to the pose of the pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,19 +56,18 @@ def track_corners(
     pairs: Sequence[PairGeometry],
     cameras: Mapping[str, Camera],
     load: Callable[[str], Image],
-    options: TrackOptions | None = None,
+    per_image: int | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> SharedMatches:
     """Key points and matches of all images of the pairs.
 
     load: an image by its name; it is called for neighbouring images again and again, and should
-    cache the latest ones.
+    cache the latest ones. per_image: most corners of an image, evenly spread; None for 1000.
     """
-    options = options or TrackOptions()
-    builder = _Builder(pairs, cameras, options.max_error_px)
+    builder = _Builder(pairs, cameras)
     pairs_of = pairs_by_image(pairs)
     for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
-        builder.add(name, *_tracks_of(name, its_pairs, cameras, load, options))
+        builder.add(name, *_tracks_of(name, its_pairs, cameras, load, per_image or _PER_IMAGE))
         progress(number, len(pairs_of))
     return builder.result()
 
@@ -89,17 +77,17 @@ def _tracks_of(
     pairs: Sequence[PairGeometry],
     cameras: Mapping[str, Camera],
     load: Callable[[str], Image],
-    options: TrackOptions,
+    per_image: int,
 ) -> tuple[np.ndarray, list[Track]]:
     """The corners (N, 2) of an image, and where each pair has them."""
     image = load(name)
     grey = _grey(image)
     matches_of_pairs = [_towards(pair, name) for pair in pairs]
-    corners = _choose(grey, image.size, matches_of_pairs, options.per_image)
+    corners = _choose(grey, image.size, matches_of_pairs, per_image)
     tracks = []
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other = pair.row.name2 if pair.row.name1 == name else pair.row.name1
-        start = _predicted(corners, matches, options.reach * max(image.size))
+        start = _predicted(corners, matches, _REACH * max(image.size))
         if len(start.index) == 0:
             continue
         scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
@@ -107,14 +95,14 @@ def _tracks_of(
             _smoothed(_grey(load(other)), scale),
             _smoothed(grey, 1 / scale),
             start,
-            radius=options.patch_radius,
-            max_shift=options.max_shift_px * max(1.0, scale),
+            radius=_PATCH_RADIUS,
+            max_shift=_MAX_SHIFT_PX * max(1.0, scale),
         )
-        good = aligned.converged & (aligned.zncc >= options.min_zncc)
+        good = aligned.converged & (aligned.zncc >= _MIN_ZNCC)
         points1, points2 = aligned.points1, corners[aligned.index]
         if pair.row.name1 == name:
             points1, points2 = points2, points1
-        tolerance = options.max_error_px * max(1.0, scale)
+        tolerance = _MAX_ERROR_PX * max(1.0, scale)
         good &= fits_pose(pair.row, cameras, points1, points2, tolerance)
         index, zncc = aligned.index[good], aligned.zncc[good]
         tracks.append(Track(other, index, aligned.points1[good], zncc))
@@ -182,11 +170,9 @@ def _smoothed(grey: np.ndarray, scale: float) -> np.ndarray:
 class _Builder:
     """Puts the tracks of all images together."""
 
-    def __init__(
-        self, pairs: Sequence[PairGeometry], cameras: Mapping[str, Camera], max_error_px: float
-    ) -> None:
+    def __init__(self, pairs: Sequence[PairGeometry], cameras: Mapping[str, Camera]) -> None:
         self._rows = {pair.names: pair.row for pair in pairs}
-        self._cameras, self._max_error_px = cameras, max_error_px
+        self._cameras = cameras
         self._points: defaultdict[str, list[np.ndarray]] = defaultdict(list)
         # By pair: indices of key points and scores.
         self._matches: dict[Names, list[tuple[np.ndarray, np.ndarray]]] = {
@@ -241,7 +227,7 @@ class _Builder:
             track1.corner, track2.corner, assume_unique=True, return_indices=True
         )
         points = track1.points[in1], track2.points[in2]
-        fits = fits_pose(self._rows[names], self._cameras, *points, self._max_error_px)
+        fits = fits_pose(self._rows[names], self._cameras, *points, _MAX_ERROR_PX)
         in1, in2 = in1[fits], in2[fits]
         scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
         self._add_matches(names, index1[in1], index2[in2], scores)

@@ -19,9 +19,15 @@ from multi_view import K_text, View
 
 from dgc_pose.batch.run import Batch, read_batch
 from dgc_pose.cli.main import main
-from dgc_pose.colmap.export import ExportOptions, Sharing
-from dgc_pose.colmap.mapping import MapperName, MappingError, MappingOptions
-from dgc_pose.colmap.reconstruction import ReconstructionOptions, SparseModel, reconstruct
+from dgc_pose.colmap.mapping import MappingError
+from dgc_pose.colmap.options import (
+    MapperName,
+    MappingOptions,
+    ReconstructionOptions,
+    Sharing,
+    SharingOptions,
+)
+from dgc_pose.colmap.reconstruction import SparseModel, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.metrics.pose import rotation_error_deg
 
@@ -63,13 +69,10 @@ def test_cameras_are_those_that_rendered_the_views(
     views: tuple[Path, list[View]],
     batch: Batch,
     tmp_path: Path,
-    sharing: str,
+    sharing: Sharing,
     mapper: MapperName,
 ) -> None:
-    options = ReconstructionOptions(
-        ExportOptions(sharing),  # type: ignore[arg-type]
-        MappingOptions(mapper, threads=1),
-    )
+    options = ReconstructionOptions(SharingOptions(sharing), MappingOptions(mapper))
     model, exported = reconstruct(batch, tmp_path, options)
     # Merging moves key points, which costs accuracy.
     _assert_true(model, views[1], *((0.05, 0.01) if sharing == "tracks" else (0.2, 0.03)))
@@ -197,7 +200,7 @@ def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(
     shutil.copytree(batch.folder, folder)
     with h5py.File(folder / "matches.h5", "r+") as file:
         file["view0.png/view4.png/inliers"][:] = False
-    options = ReconstructionOptions(ExportOptions(sharing), MappingOptions(threads=1))
+    options = ReconstructionOptions(SharingOptions(sharing))
     model, exported = reconstruct(read_batch(folder), tmp_path, options)
     assert len(model.poses) == COUNT
     # Corners of a third image are shared by both images of the pair, which thus keeps matches.

@@ -9,14 +9,14 @@ import pytest
 from colmap_scene import camera, cloud_pairs, true_row
 from multi_view import render_views
 
-from dgc_pose.colmap.cells import CellOptions, merge_by_cells
+from dgc_pose.colmap.cells import merge_by_cells
+from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.colmap.shared import (
     SharedMatches,
     epipolar_error_px,
     fits_pose,
     one_to_one,
 )
-from dgc_pose.errors import InputError
 
 
 def _tracks(shared: SharedMatches) -> dict[int, int]:
@@ -46,7 +46,7 @@ def test_merging_makes_tracks_of_matches_at_fresh_places(noise_px: float) -> Non
     """Unmerged matches are tracks of two views each; in cells most points are seen by all four."""
     views = render_views(4)
     pairs = cloud_pairs([(view.R, view.t) for view in views], count=150, noise_px=noise_px)
-    shared = merge_by_cells(pairs, CellOptions(cell_px=2, max_error_px=2))
+    shared = merge_by_cells(pairs, SharingOptions(cell=2.0))
     lengths = shared.track_lengths()
     assert (lengths == 4).sum() > 100
     cameras = {name: camera() for name in shared.key_points}
@@ -65,7 +65,7 @@ def test_merging_makes_tracks_of_matches_at_fresh_places(noise_px: float) -> Non
 
 def test_the_best_cells_are_kept() -> None:
     pairs = cloud_pairs([(v.R, v.t) for v in render_views(3)], count=80, noise_px=0.01)
-    shared = merge_by_cells(pairs, CellOptions(per_image=30))
+    shared = merge_by_cells(pairs, SharingOptions(per_image=30))
     assert {len(points) for points in shared.key_points.values()} == {30}
 
 
@@ -79,8 +79,3 @@ def test_matches_far_from_the_pose_do_not_fit() -> None:
     turned = true_row(pair.names, np.eye(3), np.zeros(3), "rotation_only")
     assert epipolar_error_px(turned, cameras, pair.points1, moved) is None
     assert fits_pose(turned, cameras, pair.points1, moved, 1.0).all()
-
-
-def test_options_out_of_range() -> None:
-    with pytest.raises(InputError, match="cell_px"):
-        CellOptions(cell_px=0)

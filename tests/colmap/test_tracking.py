@@ -8,7 +8,7 @@ from multi_view import render_views
 from scipy.spatial import cKDTree
 
 from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px
-from dgc_pose.colmap.tracking import TrackOptions, track_corners
+from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.images.image import Image
 
 
@@ -21,15 +21,15 @@ def _shared(noise_px: float, wrong: int = 0) -> tuple[SharedMatches, list]:
     rng = np.random.default_rng(3)
     made = []
     for pair in pairs:
-        one, two = (views[names.index(name)] for name in pair.names)
-        wall = np.column_stack([rng.uniform(-1.2, 1.5, 300), rng.uniform(-1.4, -0.5, 300)])
+        view1, view2 = (views[names.index(name)] for name in pair.names)
+        wall = rng.uniform((-1.2, -1.4), (1.5, -0.5), (300, 2))
         points = np.column_stack([wall, np.full(300, 6.0)])
-        first, second = project(points, one.R, one.t), project(points, two.R, two.t)
-        first = first + noise_px * rng.standard_normal(first.shape)
-        second[:wrong] += 30
-        made.append(type(pair)(pair.row, first, second, np.ones(300)))
+        points1, points2 = project(points, view1.R, view1.t), project(points, view2.R, view2.t)
+        points1 += noise_px * rng.standard_normal(points1.shape)
+        points2[:wrong] += 30
+        made.append(type(pair)(pair.row, points1, points2, np.ones(300)))
     cameras = {name: camera() for name in names}
-    return track_corners(made, cameras, images.__getitem__, TrackOptions(per_image=200)), made
+    return track_corners(made, cameras, images.__getitem__, per_image=200), made
 
 
 def test_corners_are_located_better_than_the_matches() -> None:
@@ -45,28 +45,24 @@ def test_corners_are_located_better_than_the_matches() -> None:
         error = epipolar_error_px(pair.row, cameras, *points)
         assert error is not None
         errors.append(np.median(error))
-    given = epipolar_error_px(pairs[0].row, cameras, pairs[0].points1, pairs[0].points2)
-    assert given is not None
-    assert np.mean(errors) < 0.05 < 0.2 * np.median(given) + 0.05
+    assert np.mean(errors) < 0.05
     assert (shared.track_lengths() == 4).sum() > 100
 
 
 def test_a_corner_of_one_image_is_the_same_key_point_in_all_its_pairs() -> None:
-    """The own corners of view0 are whole pixels; several pairs use each of them."""
+    """The corners chosen in view0 are whole pixels; several pairs use each of them."""
     shared, pairs = _shared(0.3)
-    used: dict[int, int] = {}
     points = shared.key_points["view0.png"]
-    own = {i for i, point in enumerate(points) if np.array_equal(point, np.rint(point))}
+    corners = (points == np.rint(points)).all(1)
+    uses = np.zeros(len(points), int)
     for pair in pairs:
         if pair.row.name1 == "view0.png":
-            for i in shared.pairs[pair.names][:, 0].tolist():
-                used[i] = used.get(i, 0) + 1
-    assert sum(used.get(i, 0) == 3 for i in own) > 0.5 * len(own) > 20
+            uses[shared.pairs[pair.names][:, 0]] += 1
+    assert (uses[corners] == 3).sum() > 0.5 * corners.sum() > 20
 
 
 def test_wrong_matches_give_no_key_points() -> None:
     """A third of the matches is moved by 30 px, and nothing near them is located there."""
-    clean, _ = _shared(0.2)
     shared, pairs = _shared(0.2, wrong=100)
     for pair in pairs:
         index = shared.pairs[pair.names]
@@ -74,7 +70,6 @@ def test_wrong_matches_give_no_key_points() -> None:
         right = cKDTree(pair.points1[100:]).query(first)[1] + 100
         far = np.linalg.norm(second - pair.points2[right], axis=1) > 15
         assert far.mean() < 0.02
-    assert len(clean.key_points["view0.png"]) > 100
 
 
 def test_nothing_to_share() -> None:

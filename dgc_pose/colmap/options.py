@@ -1,0 +1,67 @@
+"""How a batch becomes a model, also as options of the commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from dgc_pose.system.options import check_options, option
+
+Sharing = Literal["tracks", "cells"]
+MapperName = Literal["incremental", "global"]
+
+
+@dataclass(frozen=True)
+class SharingOptions:
+    """How key points are shared between the pairs of an image.
+
+    Raises InputError, naming the field, for a value out of range.
+    """
+
+    sharing: Sharing = option(
+        "tracks",
+        "Key points of an image: tracks, corners located anew in each of its pairs, which reads "
+        "the images again; or cells, matches merged as hloc does.",
+    )
+    per_image: int | None = option(
+        None, "Most corners (1000) or cells (8192) of an image.", metavar="N", min=1, max=10**7
+    )
+    cell: float = option(
+        1.0,
+        "Side of a cell and farthest move of a match, pixels; for cells.",
+        metavar="PX",
+        above=0,
+        max=10**4,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True)
+class MappingOptions:
+    """How images are mapped. Raises InputError, naming the field, for a value out of range."""
+
+    mapper: MapperName = option("incremental", "Of pycolmap.")
+    refine_intrinsics: bool = option(
+        False,
+        "Let bundle adjustment change focal lengths and distortion; always with --guess-focal.",
+    )
+    mapper_threads: int = option(
+        1,
+        "Threads of the mapper; with more than one, models of the same photographs differ in "
+        "their last digits.",
+        min=1,
+        max=1024,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True)
+class ReconstructionOptions:
+    """How a batch becomes a model."""
+
+    sharing: SharingOptions = field(default_factory=SharingOptions)
+    mapping: MappingOptions = field(default_factory=MappingOptions)
