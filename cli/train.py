@@ -13,7 +13,7 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.files.outputs import only_writer
 from dgc_pose.system.options import check_options, option
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 
 if TYPE_CHECKING:
     from dgc_pose.synthesis.depth_scenes import DepthScenes
@@ -64,8 +64,8 @@ class TrainFiles:
 
 @click.command()
 @dataclass_options(TrainFiles, "files")
-@dataclass_options(RunOptions, "options")
-def train(files: TrainFiles, options: RunOptions) -> None:
+@dataclass_options(TrainingOptions, "options")
+def train(files: TrainFiles, options: TrainingOptions) -> None:
     """Train a preset on photographs: encoder, then decoders, then polish (decoders end to end).
 
     The run's folder --out holds checkpoint.pt (written every minute; --resume continues from it
@@ -77,27 +77,19 @@ def train(files: TrainFiles, options: RunOptions) -> None:
 
     from dgc_pose.network.device import choose_device
     from dgc_pose.synthesis.photos import load_photos
+    from dgc_pose.training.log import ProgressLine
     from dgc_pose.training.processes import process_group, rank
-    from dgc_pose.training.progress import ProgressLine
     from dgc_pose.training.run import Trainer
 
     if files.threads is not None:
         torch.set_num_threads(files.threads)
     device = choose_device(files.device)
-    real_share = files.real_share
-    if real_share is None:
-        real_share = 0.25 if files.rgbd else 0.0
+    default_share = 0.25 if files.rgbd else 0.0
+    real_share = default_share if files.real_share is None else files.real_share
     options = replace(options, pairs=replace(options.pairs, real_share=real_share))
-    with process_group(device) as own_device:
-        photos = load_photos(files.photos, limit=files.limit)
-        trainer = Trainer(
-            photos,
-            files.out,
-            options,
-            real=files.load_real(),
-            device=own_device,
-            resume=files.resume,
-        )
+    with process_group(device) as device:
+        photos, real = load_photos(files.photos, limit=files.limit), files.load_real()
+        trainer = Trainer(photos, files.out, options, real, device, files.resume)
         with only_writer(files.out) if rank() == 0 else nullcontext():
             trainer.run(ProgressLine(options), files.stop_after)
         if rank() > 0:

@@ -15,7 +15,7 @@ from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render.procedural import procedural_textures
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import (
     join_batch_norms,
     joint_sum,
@@ -56,7 +56,7 @@ def joint_run(out: Path) -> dict[str, dict[str, object]]:
     """
     photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
     pairs = PairOptions(scene_share=0.0)
-    options = RunOptions(
+    options = TrainingOptions(
         "dgcm-lite0",
         1.0,
         schedule=_SCHEDULE,

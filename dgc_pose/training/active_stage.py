@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
+from torch.optim.swa_utils import AveragedModel
 
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.average import MovingAverage
 from dgc_pose.training.initialise import initialise_stage
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import join_batch_norms, process_count
 from dgc_pose.training.schedule import STAGES, StageName, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
@@ -29,7 +29,9 @@ class ActiveStage:
     trained weights. A pretrained backbone learns at a quarter of the rate.
     """
 
-    def __init__(self, name: StageName, net: DGCNet, options: RunOptions, images: Tensor) -> None:
+    def __init__(
+        self, name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor
+    ) -> None:
         self.name = name
         self._net = net
         self.module = _module(name, net, options, images)
@@ -47,13 +49,18 @@ class ActiveStage:
             lr=self._settings.learning_rate,
             weight_decay=self._settings.weight_decay,
         )
-        self.average = MovingAverage(self.module, options.average_decay)
+        self._average = moving_average(self.module, options.average_decay)
+
+    @property
+    def average(self) -> EncoderStage | CoarsestStage:
+        """The module by its averaged weights, in evaluation mode."""
+        return cast(EncoderStage | CoarsestStage, self._average.module)
 
     def set_rate(self, progress: float) -> float:
         """The learning rate at a progress of the stage, from 0 to 1; the next step uses it."""
         rate = self._rate * learning_rate(self._settings, progress)
         for group in self.optimizer.param_groups:
-            group["lr"] = rate * group.get("factor", 1.0)
+            group["lr"] = rate * group["factor"]
         return rate
 
     def step(self, loss: Tensor) -> Tensor:
@@ -63,34 +70,52 @@ class ActiveStage:
         (loss * process_count()).backward()
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, _LARGEST_GRADIENT)
         self.optimizer.step()
-        self.average.update(self.module)
+        self._average.update_parameters(self.module)
         return norm
 
     def averaged(self) -> DGCNet:
         """A copy of the network by the averaged weights."""
-        module = self.average.module
-        if isinstance(module, CoarsestStage):
-            return deepcopy(module.net)
+        if isinstance(self.average, CoarsestStage):
+            return deepcopy(self.average.net)
         net = deepcopy(self._net)
-        module.write(net)
+        self.average.write(net)
         return net
 
     def state_dict(self) -> dict[str, Any]:
         return {
             "module": self.module.state_dict(),
-            "average": self.average.state_dict(),
+            "average": self._average.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Raises RuntimeError or ValueError, as torch does, for the state of another network."""
         self.module.load_state_dict(state["module"])
-        self.average.load_state_dict(state["average"])
+        self._average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
 
 
+def moving_average(module: nn.Module, decay: float) -> AveragedModel:
+    """The exponential moving average of a module's weights and buffers, in evaluation mode.
+
+    The decay grows with the updates n as min(decay, n / (9 + n)), so that a run's random initial
+    weights soon lose their influence. Counters are copied.
+    """
+
+    def update(averages: Any, values: Any, _: Tensor | int) -> None:
+        count = int(average.n_averaged)  # on the CPU: no GPU is waited for
+        if averages[0].is_floating_point():
+            torch._foreach_lerp_(averages, values, 1 - min(decay, count / (9 + count)))
+        else:
+            torch._foreach_copy_(averages, values)
+
+    average = AveragedModel(module, multi_avg_fn=update, use_buffers=True)
+    average.n_averaged += 1  # the initial weights count
+    return average.eval().requires_grad_(False)
+
+
 def _module(
-    name: StageName, net: DGCNet, options: RunOptions, images: Tensor
+    name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor
 ) -> EncoderStage | CoarsestStage:
     if name == "encoder":
         stage = EncoderStage(net).to(images.device)

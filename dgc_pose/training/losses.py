@@ -15,6 +15,8 @@ from dgc_pose.network.consensus import consensus
 from dgc_pose.network.correlation import match_scores
 from dgc_pose.training.processes import joint_sum
 
+_ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm
+
 
 def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
     """This process's part of the mean of the `values` that are `inside`; 0 if there are none.
@@ -28,7 +30,7 @@ def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
 def contrastive_loss(
     logits: Tensor, truth: Tensor, valid: Tensor, stride: int, passes: int = 0
 ) -> tuple[Tensor, Tensor]:
-    """InfoNCE on true correspondences, in both directions, and the share found.
+    """InfoNCE on true correspondences, in both directions, and the share of right cells.
 
     logits: (B, h * w, Q), every source cell, column-major, against Q target cells; truth:
     (B, Q, 2), their true points in source pixels; valid: (B, Q). Each valid target cell is
@@ -50,8 +52,8 @@ def contrastive_loss(
         likely = likely + consensus(grid, passes).flatten(2)
     loss = -joint_mean((likely.gather(1, index) * weight).sum(1), valid)
     best = logits.detach().argmax(1)
-    found = torch.stack([torch.div(best, size, rounding_mode="floor"), best % size], -1)
-    near = (found - cells).norm(dim=-1) < 1.5
+    points = torch.stack([torch.div(best, size, rounding_mode="floor"), best % size], -1)
+    near = (points - cells).norm(dim=-1) < 1.5
     return loss, joint_mean(near.float(), valid)
 
 
@@ -68,16 +70,14 @@ def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
     return index, weight
 
 
-def map_loss(error_cells: Tensor, valid: Tensor, robust_cells: float | None) -> Tensor:
-    """Mean over valid cells of |dx| + |dy| (paper, equation 3), here in cells of the level.
+def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
+    """Mean over valid cells of c log(1 + e / c), e = |dx| + |dy| (paper, equation 3: of e itself).
 
-    error_cells: (B, H, W, 2). With `robust_cells` = c the sum e is taken as c log(1 + e / c): a
-    level cannot correct large errors of the level before it, which should not dominate.
+    error_cells: (B, H, W, 2), here in cells of the level. A level cannot correct large errors of
+    the level before it, which should not dominate.
     """
     error = error_cells.abs().sum(-1)
-    if robust_cells is not None:
-        error = robust_cells * torch.log1p(error / robust_cells)
-    return joint_mean(error, valid)
+    return joint_mean(_ROBUST_CELLS * torch.log1p(error / _ROBUST_CELLS), valid)
 
 
 def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:

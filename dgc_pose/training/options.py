@@ -16,12 +16,10 @@ Unfrozen = Literal["coarsest", "encoder"]
 
 
 @dataclass(frozen=True)
-class RunOptions:
+class TrainingOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
     preset: str = option("dgcm-lite0", "Network: dgc, dgcm or dgcm-lite0.")
-    # The schedule is complete after so many minutes of training, or after so many steps: then a
-    # run repeats exactly, whatever else the machine does. One of the two.
     minutes: float | None = option(
         None, "Length of the training schedule, minutes.", above=0, max=10**7
     )
@@ -44,9 +42,6 @@ class RunOptions:
         text="45,45,10",
     )
     pairs: PairOptions = field(default_factory=PairOptions)
-    curriculum: bool = option(
-        False, "Widen the ranges of the pairs over the first half of the run."
-    )
     init: str | None = option(None, "Weights to initialise from: a file, or a shipped name.")
     init_part: InitPart = option(
         "all", "Part of the --init weights to use; the rest is initialised at random."
@@ -68,10 +63,6 @@ class RunOptions:
     unfreeze: Unfrozen | None = option(
         None, "Train the encoder, or its coarsest levels, together with the decoders."
     )
-    teacher: str | None = option(
-        None, "Weights of a network with a mask to learn from besides the truth (distillation)."
-    )
-    teacher_weight: float = option(0.5, "Weight of the teacher's map in the loss.", min=0, max=1000)
     batch: int | None = option(
         None, "Pairs a step, over all processes; default: the stage's own.", min=1, max=2**16
     )
@@ -92,8 +83,6 @@ class RunOptions:
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
         if self.fit_decoders is not None and self.schedule.encoder + self.schedule.coarsest > 0:
             raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
-        if not 0 <= self.average_decay < 1:
-            raise InputError(f"average_decay must lie in [0, 1), not {self.average_decay}")
 
     @property
     def network(self) -> str:

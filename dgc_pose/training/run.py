@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -24,15 +23,13 @@ from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.active_stage import ActiveStage
-from dgc_pose.training.curriculum import Curriculum
 from dgc_pose.training.decoder_fit import fit_decoders
 from dgc_pose.training.initialise import initialise_backbone, initialise_from
 from dgc_pose.training.log import Meter, Row, append
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import from_first, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, StageName
-from dgc_pose.training.stages import CoarsestStage, DecoderStage
-from dgc_pose.training.teacher import Teacher
+from dgc_pose.training.stages import CoarsestStage, DecoderStage, Loss
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
@@ -44,14 +41,14 @@ Report = Callable[[Row], None]
 
 
 class Trainer:
-    """Trains one network by `RunOptions`, in the folder `out`.
+    """Trains one network by `TrainingOptions`, in the folder `out`.
 
     `out` then holds checkpoint.pt (everything a resumed run needs), for each stage the logs
     `<stage>_steps_log.csv` and `<stage>_validation_log.csv` and, at the end,
     `<network>.safetensors`; with weights to initialise from, `initial_validation_log.csv` has the
     figures before the first step. Raises InputError if `out` already holds a run and `resume` is
     False, or the processes cannot share a batch evenly; WeightsError if a checkpoint belongs to
-    another network, or weights to initialise from or to learn from are unusable.
+    another network, or weights to initialise from are unusable.
 
     If torchrun started several processes, each trains on its part of every batch; only the first
     writes and reports.
@@ -61,8 +58,7 @@ class Trainer:
         self,
         photos: tuple[Photos, Photos],
         out: str | Path,
-        options: RunOptions,
-        *,
+        options: TrainingOptions,
         real: DepthScenes | None = None,
         device: torch.device | str = "cpu",
         resume: bool = False,
@@ -85,11 +81,6 @@ class Trainer:
         if options.init is not None:
             initialise_from(options.init, self.net, options.init_part)
         self.net.to(self.device).half_precision = options.half_precision
-        self._teacher = None
-        if options.teacher is not None:
-            self._teacher = Teacher.load(
-                options.teacher, options.teacher_weight, self.device, options.half_precision
-            )
         self.photos, held_back = (p.to(self.device) for p in photos)
         self.real = None if real is None else real.to(self.device)
         self._validation = validation_pairs(
@@ -179,7 +170,7 @@ class Trainer:
             self._stage = self._enter(name)
         self._learning_rate = self._stage.set_rate(within)
         began = self._meter.mark()
-        pairs = self._make_pairs(progress)
+        pairs = self._make_pairs()
         made = self._meter.mark()
         # On a GPU cuDNN tries its algorithms, as shapes stay the same from step to step. TF32 for
         # convolutions only: coordinates come from matrix products and need all their digits.
@@ -193,7 +184,7 @@ class Trainer:
 
     def validate(self) -> dict[str, float]:
         """Figures of the averaged weights on the held-back photographs, each named `val_...`."""
-        module = self._stage.average.module
+        module = self._stage.average
         if isinstance(module, CoarsestStage):
             return {f"val_{k}": v for k, v in validate(module.net, self._validation).items()}
         draw = self._draw("validation")
@@ -258,15 +249,12 @@ class Trainer:
         own = settings.gpu_batch if self.device.type == "cuda" else settings.batch
         return self.options.batch or own
 
-    def _make_pairs(self, progress: float) -> MapPairs:
+    def _make_pairs(self) -> MapPairs:
         """This process's pairs of the step."""
-        options = self.options.pairs
-        if self.options.curriculum:
-            options = Curriculum().at(progress, options)
         batch = self._batch(self._stage.name) // process_count()
         generator = seeded(self.options.seed, self.step, "pairs", rank())
         size = STAGES[self._stage.name].size
-        return make_pairs(self.photos, batch, size, generator, options, self.real)
+        return make_pairs(self.photos, batch, size, generator, self.options.pairs, self.real)
 
     def _fitting_pairs(self) -> Iterator[MapPairs]:
         for batch in range(_FITTING_BATCHES):
@@ -276,18 +264,16 @@ class Trainer:
     def _draw(self, *words: object) -> Draw:
         return Draw(seeded(*words), self.device, share=(rank(), process_count()))
 
-    def _loss(self, pairs: MapPairs, within: float) -> tuple[Tensor, dict[str, Tensor]]:
+    def _loss(self, pairs: MapPairs, within: float) -> Loss:
         draw = self._draw(self.options.seed, self.step, "stage")
-        further: tuple[Any, ...] = ()
+        result: Loss
         if isinstance(self._stage.module, DecoderStage):
             noise_share = max(0.1, 0.6 * (1 - 2 * within))
             if self._stage.name == "polish":
                 noise_share = 0.0
-            target = None
-            if self._teacher is not None:
-                pairs, target = self._teacher.target(pairs)
-            further = (noise_share, target)
-        result: tuple[Tensor, dict[str, Tensor]] = self._stage.shared(pairs, draw, *further)
+            result = self._stage.shared(pairs, draw, noise_share)
+        else:
+            result = self._stage.shared(pairs, draw)
         return result
 
     def _report_initial(self, report: Report) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -31,15 +30,6 @@ _SIZE = (INPUT_SIZE, INPUT_SIZE)
 
 Window = tuple[slice, slice]  # rows and columns of a level
 Loss = tuple[Tensor, dict[str, Tensor]]  # with figures: this process's parts of joint means
-
-
-@dataclass(frozen=True)
-class TeacherTarget:
-    """A teacher's map of a batch of pairs, as a further target."""
-
-    map: Tensor  # (B, 240, 240, 2) pixels
-    confident: Tensor  # (B, 240, 240) bool, pixels that count
-    weight: float  # of the loss, beside that of the truth
 
 
 class EncoderStage(nn.Module):
@@ -179,7 +169,6 @@ class DecoderStage(CoarsestStage):
         self,
         net: DGCNet,
         end_to_end: bool = False,
-        robust_cells: float | None = 4.0,
         unfrozen: Unfrozen | None = None,
     ) -> None:
         super().__init__(net, unfrozen)
@@ -187,14 +176,12 @@ class DecoderStage(CoarsestStage):
             if name != "pyramid":
                 module.requires_grad_(True)
         self.end_to_end = end_to_end
-        self.robust_cells = robust_cells
 
     def forward(
         self,
         pairs: MapPairs,
         draw: Draw,
         noise_share: float = 0.0,
-        teacher: TeacherTarget | None = None,
     ) -> Loss:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
         source, target = self._features(pairs)
@@ -207,7 +194,7 @@ class DecoderStage(CoarsestStage):
         noisy = draw.chance(len(pairs.map), share=noise_share)
         offset = draw.common_integers(2, LEVEL_SIZES[1] // 2 + 1)
         state = self.net.start(correlation.detached(), source[COARSEST], target[COARSEST])
-        part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset), teacher)
+        part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset))
         total = total + part
         figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error
         for level in range(COARSEST - 1, -1, -1):
@@ -221,7 +208,7 @@ class DecoderStage(CoarsestStage):
             warped = self.net.warp(source[level], previous)
             seen = target[level][:, :, window[0], window[1]]
             state = self.net.refine(level, warped, seen, previous, window)
-            part, error = self._level_loss(level, state, pairs, window, teacher)
+            part, error = self._level_loss(level, state, pairs, window)
             total = total + part
             figures[f"epe{LEVEL_SIZES[level]}"] = error
         if self.net.config.matchability == "network":
@@ -236,20 +223,19 @@ class DecoderStage(CoarsestStage):
         state: Tensor,
         pairs: MapPairs,
         window: Window,
-        teacher: TeacherTarget | None,
     ) -> tuple[Tensor, Tensor]:
         """The loss of a level's state, and its mean error in pixels."""
         config = self.net.config
         stride = INPUT_SIZE // LEVEL_SIZES[level]
-        found = to_pixels(state[:, :2].movedim(1, -1), _SIZE, config.align_corners)
-        error, valid = _error(level, found, pairs.map, pairs.valid, window)
-        total = map_loss(error / stride, valid, self.robust_cells)
-        if teacher is not None:
-            off, counts = _error(level, found, teacher.map, teacher.confident, window)
-            total = total + teacher.weight * map_loss(off / stride, counts, self.robust_cells)
+        points = to_pixels(state[:, :2].movedim(1, -1), _SIZE, config.align_corners)
+        truth, valid = level_truth(pairs.map, pairs.valid, LEVEL_SIZES[level])
+        truth, valid = truth[:, window[0], window[1]], valid[:, window[0], window[1]]
+        # 0 elsewhere, so that undefined values of the truth reach no gradient.
+        error = torch.where(valid[..., None], points - truth, 0)
+        total = map_loss(error / stride, valid)
         distance = error.detach().norm(dim=-1)
         if config.matchability == "decoder":
-            # Matchable: visible, and found to within what the next level (or, at the finest, an
+            # Matchable: visible, with an error that the next level (or, at the finest, an
             # estimator) can use.
             good = valid & (distance < max(4.0, 1.5 * stride))
             known = level_known(pairs.known, LEVEL_SIZES[level])[:, window[0], window[1]]
@@ -278,8 +264,8 @@ class DecoderStage(CoarsestStage):
         cells = LEVEL_SIZES[level]
         truth = level_truth(pairs.map, pairs.valid, cells)[0][:, rows, columns]
         known = level_known(pairs.known, cells)[:, rows, columns, None]
-        found = to_pixels(previous.detach()[:, :2].movedim(1, -1), _SIZE, config.align_corners)
-        bounded = (torch.where(known, truth, found) + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
+        points = to_pixels(previous.detach()[:, :2].movedim(1, -1), _SIZE, config.align_corners)
+        bounded = (torch.where(known, truth, points) + noise).clamp(-2 * INPUT_SIZE, 3 * INPUT_SIZE)
         noised = to_normalised(bounded, _SIZE, config.align_corners)
         return torch.cat([noised.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
@@ -310,18 +296,6 @@ def _level_contrast(
         valid = valid.gather(1, chosen)
     logits = torch.bmm(columns.transpose(1, 2), target) * scale
     return contrastive_loss(logits, truth, valid, 2**level)
-
-
-def _error(
-    level: int, found: Tensor, truth: Tensor, valid: Tensor, window: Window
-) -> tuple[Tensor, Tensor]:
-    """Errors of a level's map (B, H, W, 2) in pixels, and the cells (B, H, W) that count.
-
-    The error is 0 elsewhere, so that undefined values of `truth` reach no gradient.
-    """
-    truth, valid = level_truth(truth, valid, LEVEL_SIZES[level])
-    truth, valid = truth[:, window[0], window[1]], valid[:, window[0], window[1]]
-    return torch.where(valid[..., None], found - truth, 0), valid
 
 
 def _window(level: int, offset: list[int]) -> Window:

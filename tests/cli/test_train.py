@@ -38,7 +38,7 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
     words = ["train", "--photos", str(photos), "--out", str(out), "--minutes", "0.1"]
     words += ["--batch", "1", "--scene-share", "0", "--validation-pairs", "1", "--split", "0,100,0"]
     words += ["--ablation", "no-dilation", "--ablation", "no-l2"]
-    words += ["--warps", "paper", "--curriculum"]
+    words += ["--warps", "paper"]
     stopped = CliRunner().invoke(main, [*words, "--stop-after", "0.0001"])
     assert stopped.exit_code == 0, stopped.stderr
     assert "of 0.1 minutes" in stopped.output and not list(out.glob("*.safetensors"))
@@ -56,7 +56,6 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
         (["--real-share", "0.2"], "needs --rgbd"),
         (["--rgbd", "nowhere"], "nowhere"),
         (["--init", "nowhere.pth"], "nowhere.pth"),
-        (["--teacher", "nowhere.pth"], "nowhere.pth"),
         (["--validation-pairs", "1", "--preset", "dgc", "--backbone", "x"], "has no EfficientNet"),
         (["--validation-pairs", "1", "--backbone", "no.pth"], "no.pth"),
         (["--rate", "0"], "rate must be positive"),

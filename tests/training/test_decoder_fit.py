@@ -13,7 +13,7 @@ from dgc_pose.network.statistics import normalise
 from dgc_pose.synthesis.draw import seeded
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.training.decoder_fit import fit_decoders
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.schedule import Schedule
 
 
@@ -79,5 +79,5 @@ def test_decoders_of_other_widths_are_refused(trained: DGCNet) -> None:
 
 def test_a_run_with_an_encoder_stage_is_refused() -> None:
     with pytest.raises(InputError, match="leaves the encoder as it is"):
-        RunOptions(steps=1, fit_decoders="dgcm-lite0")
-    RunOptions(steps=1, fit_decoders="dgcm-lite0", schedule=Schedule(0, 0.9, 0.1))
+        TrainingOptions(steps=1, fit_decoders="dgcm-lite0")
+    TrainingOptions(steps=1, fit_decoders="dgcm-lite0", schedule=Schedule(0, 0.9, 0.1))

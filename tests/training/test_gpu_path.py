@@ -19,7 +19,7 @@ from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
 from dgc_pose.synthesis.random_pairs import make_pairs
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import Schedule
 
@@ -76,10 +76,10 @@ def test_light_is_changed_there(photos: Photos) -> None:
 
 
 def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path: Path) -> None:
-    """All stages, with weights to initialise from and a teacher."""
+    """All stages, with weights to initialise from."""
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite0")), tmp_path / "w.safetensors")
-    options = RunOptions(
+    options = TrainingOptions(
         "dgcm-lite0",
         steps=4,
         batch=2,
@@ -87,7 +87,6 @@ def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path
         pairs=_STILL,
         validation_count=1,
         init=str(tmp_path / "w.safetensors"),
-        teacher=str(tmp_path / "w.safetensors"),
     )
 
     seen: Counter[str] = Counter()  # of the steps alone

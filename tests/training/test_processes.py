@@ -15,7 +15,7 @@ from photo_folder import drawn_photos
 from torch import nn
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.options import RunOptions
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import join_batch_norms
 from dgc_pose.training.run import Trainer
 
@@ -86,7 +86,7 @@ def test_a_batch_that_does_not_divide_is_refused(
 ) -> None:
     monkeypatch.setattr("dgc_pose.training.run.process_count", lambda: 2)
     photos = drawn_photos(4, 64)
-    options = RunOptions("dgcm-lite0", 1.0, validation_count=1, batch=3)
+    options = TrainingOptions("dgcm-lite0", 1.0, validation_count=1, batch=3)
     with pytest.raises(InputError, match="3 pairs do not divide into 2 parts"):
         Trainer((photos, photos), tmp_path / "run", options)
     assert not (tmp_path / "run").exists()

@@ -24,8 +24,8 @@ from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos, load_photos
 from dgc_pose.synthesis.random_pairs import make_pairs
-from dgc_pose.training.options import RunOptions, Unfrozen
-from dgc_pose.training.progress import ProgressLine
+from dgc_pose.training.log import ProgressLine
+from dgc_pose.training.options import TrainingOptions, Unfrozen
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
 from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
@@ -39,8 +39,8 @@ def photos() -> Photos:
     return drawn_photos(6, 96)
 
 
-def _options(**changes: object) -> RunOptions:
-    base = RunOptions(
+def _options(**changes: object) -> TrainingOptions:
+    base = TrainingOptions(
         "dgcm-lite0", 1.0, pairs=_WARPS_ONLY, validation_count=1, batch=1, save_minutes=1e-9
     )
     return replace(base, **changes)  # type: ignore[arg-type]
@@ -245,7 +245,7 @@ def test_a_run_begins_with_the_weights_it_is_given(photos: Photos, tmp_path: Pat
     given = load_network(path)
     for encoder_share in (0.5, 0.0):
         schedule = Schedule(encoder_share, 1 - encoder_share, 0.0)
-        options = _options(init=path, rate=1e-6, schedule=schedule, teacher=path)
+        options = _options(init=path, rate=1e-6, schedule=schedule)
         trainer = Trainer((photos, photos), tmp_path / str(encoder_share), options)
         net = trainer.averaged().eval()
         images = normalise(trainer._validation[0].image1)  # what the norms were set by
@@ -255,7 +255,7 @@ def test_a_run_begins_with_the_weights_it_is_given(photos: Photos, tmp_path: Pat
         for level in range(5):
             for key, value in given.get_submodule(f"reg_{level}").state_dict().items():
                 assert torch.equal(net.get_submodule(f"reg_{level}").state_dict()[key], value)
-        trainer.train_step(0.9)  # with a teacher
+        trainer.train_step(0.9)
         for key, value in given.named_parameters():
             torch.testing.assert_close(
                 dict(trainer.averaged().named_parameters())[key], value, rtol=0.05, atol=2e-3
