@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.utils.flop_counter import FlopCounterMode
 
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.network.config import INPUT_SIZE
@@ -37,31 +36,17 @@ def multiply_adds(net: DGCNet) -> tuple[int, int]:
 
     Correlations are left out: they are hardly a hundredth.
     """
-    parameter = next(net.parameters())
-    image = torch.zeros(1, 3, INPUT_SIZE, INPUT_SIZE, device=parameter.device)
+    image = torch.zeros(1, 3, INPUT_SIZE, INPUT_SIZE, device=next(net.parameters()).device)
     with torch.inference_mode():
-        with _counted(net) as encoder:
+        with FlopCounterMode(display=False) as encoder:
             features = net.features(image)
-        with _counted(net) as decoders:
+        with FlopCounterMode(display=False) as decoders:
             net.decode(features, features)
-    return 2 * sum(encoder), sum(decoders)
-
-
-@contextmanager
-def _counted(net: DGCNet) -> Iterator[list[int]]:
-    """Multiply-adds of each convolution that runs inside the block."""
-    found: list[int] = []
-
-    def count(layer: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
-        assert isinstance(layer, nn.Conv2d)
-        found.append(output.numel() * layer.in_channels * math.prod(layer.kernel_size))
-
-    hooks = [m.register_forward_hook(count) for m in net.modules() if isinstance(m, nn.Conv2d)]
-    try:
-        yield found
-    finally:
-        for hook in hooks:
-            hook.remove()
+    counts = [
+        int(counter.get_flop_counts()["Global"][torch.ops.aten.convolution]) // 2
+        for counter in (encoder, decoders)
+    ]
+    return 2 * counts[0], counts[1]
 
 
 def matrix_rate() -> float:
@@ -78,23 +63,20 @@ def time_forwards(
     """The ways to run a network on two images (1, 3, 240, 240), the eager one first."""
     half = for_inference(net)
     half.half_precision = True
-    ways: dict[str, DGCNet] = {
-        "torch, eager": net,
-        "batch norm folded": for_inference(net),
-        "bfloat16": half,
-    }
+    eager = "torch, eager"
+    ways: dict[str, DGCNet] = {eager: net, "batch norm folded": for_inference(net)}
+    ways["bfloat16"] = half
     total = sum(multiply_adds(net))
     seconds: dict[str, list[float]] = {way: [] for way in ways}
     rates = []
     with torch.inference_mode():
-        maps = {way: one(*images).maps[-1] for way, one in ways.items()}
+        maps = {way: variant(*images).maps[-1] for way, variant in ways.items()}
         for _ in range(repetitions):
-            for way, one in ways.items():
+            for way, variant in ways.items():
                 start = time.perf_counter()
-                one(*images)
+                variant(*images)
                 seconds[way].append(time.perf_counter() - start)
             rates.append(rate())
-    eager, *_ = ways
     floor = total / float(np.median(rates))
     return [
         Forward(
@@ -109,12 +91,12 @@ def time_forwards(
     ]
 
 
-def forwards_text(found: Sequence[Forward]) -> str:
+def forwards_text(forwards: Sequence[Forward]) -> str:
     """The ways to run the networks as a table with aligned columns."""
     rows = [("network", "way", "ms", "times faster", "over floor", "apart px")]
-    for one in found:
-        ratios = f"{one.times_faster:.2f}", f"{one.over_floor:.2f}", f"{one.apart_px:.1e}"
-        rows.append((one.network, one.way, milliseconds(one.seconds), *ratios))
+    for run in forwards:
+        ratios = f"{run.times_faster:.2f}", f"{run.over_floor:.2f}", f"{run.apart_px:.1e}"
+        rows.append((run.network, run.way, milliseconds(run.seconds), *ratios))
     return aligned(rows)
 
 

@@ -71,18 +71,14 @@ def find_homography_pairs(root: str | Path) -> HomographySet:
     if not root.is_dir():
         raise InputError(f"{root}: no such folder")
     folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
-    named = [
-        pair
-        for folder in folders
-        for pair in (*_hpatches(folder), *_vgg(folder), *_annotated(folder))
-    ]
-    found = tuple(pair for pair in named if isinstance(pair, HomographyPair))
-    if not found:
+    named = [pair for folder in folders for pair in _pairs_in(folder)]
+    pairs = tuple(pair for pair in named if isinstance(pair, HomographyPair))
+    if not pairs:
         raise InputError(
             f"{root}: no pairs; expected HPatches (v_*/1.ppm, v_*/H_1_2), VGG's sets (img1.ppm, "
             f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
         )
-    return HomographySet(found, tuple(pair for pair in named if isinstance(pair, str)))
+    return HomographySet(pairs, tuple(pair for pair in named if isinstance(pair, str)))
 
 
 def load_pair(pair: HomographyPair) -> MapPairs:
@@ -98,16 +94,12 @@ def load_pair(pair: HomographyPair) -> MapPairs:
             f"for {pair.size1[0]}x{pair.size1[1]}"
         )
     truth, valid = true_map(pair.H, image1.size, image2.size)
-    images = []
-    for image in (image1, image2):
-        square = resize(image.pixels, (INPUT_SIZE, INPUT_SIZE))
-        images.append(torch.from_numpy(square).permute(2, 0, 1)[None].float() / 255)
-    return MapPairs(
-        images[0],
-        images[1],
-        torch.from_numpy(truth.astype(np.float32))[None],
-        torch.from_numpy(valid)[None],
+    squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
+    source, target = (
+        torch.from_numpy(square).permute(2, 0, 1)[None].float() / 255 for square in squares
     )
+    truth32 = truth.astype(np.float32)
+    return MapPairs(source, target, torch.from_numpy(truth32)[None], torch.from_numpy(valid)[None])
 
 
 def true_map(
@@ -135,12 +127,10 @@ def true_map(
 
 def read_matrix(path: Path) -> np.ndarray:
     """A homography from a text file. Raises InputError, with the path, if it is malformed."""
+    text = read_text(path, "a homography", _MATRIX_BYTES)
     try:
-        text = read_text(path, "a homography", _MATRIX_BYTES)
         rows = [line.split() for line in text.splitlines()]
         H = np.array([[float(field) for field in row] for row in rows if row])
-    except InputError:
-        raise
     except ValueError as error:
         raise InputError(f"{path}: not a matrix of numbers ({reason(error)})") from None
     return check_matrix(H, str(path))
@@ -161,35 +151,29 @@ def _squaring(size: tuple[int, int], cells: int) -> np.ndarray:
     return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
 
 
-def _hpatches(folder: Path) -> Iterator[HomographyPair | str]:
-    if not (folder.name.startswith("v_") and any(folder.glob("H_1_*"))):
-        return
-    for k, viewpoint in enumerate(VIEWPOINTS, start=2):
-        images = [_image(folder / stem) for stem in ("1", str(k))]
-        yield _pair(f"{folder.name} 1-{k}", viewpoint, images, folder / f"H_1_{k}")
-
-
-def _vgg(folder: Path) -> Iterator[HomographyPair | str]:
-    if not any(folder.glob("H1to[0-9]*p")):
-        return
-    for k in range(2, 2 + len(VIEWPOINTS)):
-        images = [_image(folder / stem) for stem in ("img1", f"img{k}")]
-        yield _pair(f"{folder.resolve().name} 1-{k}", "", images, folder / f"H1to{k}p")
-
-
-def _annotated(folder: Path) -> Iterator[HomographyPair | str]:
+def _pairs_in(folder: Path) -> Iterator[HomographyPair | str]:
+    """The pairs right in a folder, in each of the layouts; of those that lack a file the names."""
+    viewpoints = [*enumerate(VIEWPOINTS, start=2)]
+    if folder.name.startswith("v_") and any(folder.glob("H_1_*")):
+        for k, viewpoint in viewpoints:
+            stems = (folder / "1", folder / f"{k}")
+            yield _pair(f"{folder.name} 1-{k}", viewpoint, stems, folder / f"H_1_{k}")
+    if any(folder.glob("H1to[0-9]*p")):
+        for k, _ in viewpoints:
+            stems = (folder / "img1", folder / f"img{k}")
+            yield _pair(f"{folder.resolve().name} 1-{k}", "", stems, folder / f"H1to{k}p")
     for matrix in sorted(folder.glob("*_H.txt")):
         name = matrix.name.removesuffix("_H.txt")
-        images = [_image(folder / f"{name}_{letter}") for letter in "AB"]
-        yield _pair(f"{folder.resolve().name}/{name}", "", images, matrix)
+        stems = (folder / f"{name}_A", folder / f"{name}_B")
+        yield _pair(f"{folder.resolve().name}/{name}", "", stems, matrix)
 
 
-def _pair(name: str, group: str, images: list[Path | None], matrix: Path) -> HomographyPair | str:
+def _pair(name: str, group: str, stems: tuple[Path, Path], matrix: Path) -> HomographyPair | str:
     """The pair, or its name if a file is missing."""
-    first, second = images
-    if first is None or second is None or not matrix.is_file():
+    path1, path2 = map(_image, stems)
+    if path1 is None or path2 is None or not matrix.is_file():
         return name
-    return HomographyPair(name, group, first, second, read_matrix(matrix))
+    return HomographyPair(name, group, path1, path2, read_matrix(matrix))
 
 
 def _image(stem: Path) -> Path | None:

@@ -64,12 +64,6 @@ def _parse(row: dict[str, str], where: str, root: Path, viewpoint: str) -> Homog
         size1 = (int(float(row["Wim"])), int(float(row["Him"])))
     except (ValueError, OverflowError) as error:
         raise InputError(f"{where}: {error}") from None
-    folder, first, second = root / row["obj"], row["im1"], row["im2"]
-    return HomographyPair(
-        name=f"{row['obj']} {first}-{second}",
-        group=viewpoint,
-        path1=folder / f"{first}.ppm",
-        path2=folder / f"{second}.ppm",
-        H=check_matrix(H, where),
-        size1=size1,
-    )
+    path1, path2 = (root / row["obj"] / f"{row[name]}.ppm" for name in ("im1", "im2"))
+    name = f"{row['obj']} {row['im1']}-{row['im2']}"
+    return HomographyPair(name, viewpoint, path1, path2, check_matrix(H, where), size1)

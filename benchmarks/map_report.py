@@ -6,9 +6,7 @@ import csv
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
-import numpy as np
-
-from dgc_pose.benchmarks.table import aligned
+from dgc_pose.benchmarks.table import aligned, decimals
 from dgc_pose.evaluation.map_scores import (
     FOUND_PX,
     PCK_THRESHOLDS,
@@ -18,7 +16,7 @@ from dgc_pose.evaluation.map_scores import (
     PairScores,
     summarise_maps,
 )
-from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.files.json_files import finite_data
 from dgc_pose.metrics import Reliability
 from dgc_pose.network.config import LEVEL_SIZES
 
@@ -32,23 +30,19 @@ HEADING = (
     "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
     "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "
-    "which dgcm-lite0's mask is trained for"
+    "which dgcm-lite's mask is trained for"
 )
 
 
 def groups_of(scores: Scores) -> list[str]:
     """The groups of the pairs, in their first order; pairs without a group have none."""
     first = next(iter(scores.values()))
-    return list(dict.fromkeys(own.group for own in first if own.group))
+    return list(dict.fromkeys(pair.group for pair in first if pair.group))
 
 
 def summaries(scores: Scores, group: str | None = None) -> list[MapSummary]:
     """A summary a method, of one group or of all pairs."""
-    chosen = {
-        method: [one for one in own if group is None or one.group == group]
-        for method, own in scores.items()
-    }
-    return [summarise_maps(own, ALL if group is None else group) for own in chosen.values()]
+    return [_summary(pairs, group) for pairs in scores.values()]
 
 
 def figures_table(rows: Sequence[MapSummary], first: str = "method") -> str:
@@ -56,22 +50,30 @@ def figures_table(rows: Sequence[MapSummary], first: str = "method") -> str:
     header = [first, "pairs", "AEPE"]
     header += [f"AEPE@{cells}" for cells in _LEVELS]
     header += [f"PCK@{limit:g}" for limit in WITHIN]
-    return aligned([[*header, "Jaccard", "J found"], *(_cells(row) for row in rows)])
+    cells = (
+        (
+            *(row.method, str(row.pairs), decimals(row.aepe, 2)),
+            *(decimals(value, 2) for value in row.level_aepe),
+            *(decimals(100 * value, 1) for value in row.within),
+            *(decimals(row.jaccard, 3), decimals(row.jaccard_found, 3)),
+        )
+        for row in rows
+    )
+    return aligned([[*header, "Jaccard", "J found"], *cells])
 
 
 def groups_table(
     scores: Scores, figure: str, digits: int, published: Mapping[str, Sequence[float]]
 ) -> str:
-    """One figure, "aepe" or "jaccard", of each method by group, and published rows below."""
+    """A figure, "aepe" or "jaccard", of each method by group, and published rows below."""
     groups = groups_of(scores)
     lines = [["method", *groups, ALL]]
-    for method, own in scores.items():
-        parts = [[one for one in own if one.group == group] for group in groups]
-        parts.append([one for one in own if one.group])
-        cells = [getattr(summarise_maps(part), figure) for part in parts]
-        lines.append([method, *(_number(value, digits) for value in cells)])
+    for method, pairs in scores.items():
+        grouped = summarise_maps([pair for pair in pairs if pair.group])
+        parts = [*(_summary(pairs, group) for group in groups), grouped]
+        lines.append([method, *(decimals(getattr(part, figure), digits) for part in parts)])
     for name, values in published.items():
-        lines.append([name, *(_number(value, digits) for value in values), "-"])
+        lines.append([name, *(decimals(value, digits) for value in values), "-"])
     return aligned(lines)
 
 
@@ -79,83 +81,74 @@ def pairs_table(scores: Scores) -> str:
     """The AEPE of every pair without a group, a line each, a column a method; and the share of
     its pixels of known correspondence."""
     lines = [["pair", "valid", *scores]]
-    for own in zip(*scores.values(), strict=True):
-        if own[0].group:
-            continue
-        valid = f"{100 * own[0].valid / _LEVELS[-1] ** 2:.0f} %"
-        lines.append([own[0].name, valid, *(_number(one.aepe, 2) for one in own)])
+    for results in zip(*scores.values(), strict=True):
+        pair = results[0]
+        if not pair.group:
+            valid = f"{100 * pair.valid / _LEVELS[-1] ** 2:.0f} %"
+            lines.append([pair.name, valid, *(decimals(result.aepe, 2) for result in results)])
     return aligned(lines)
 
 
-def reliability_line(method: str, reliability: Reliability) -> str:
-    """The share of right matches by matchability, on one line."""
-    shares = " ".join(_number(100 * value, 0) for value in reliability.share_correct)
-    return (
-        f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {shares}; "
-        f"expected calibration error {_number(100 * reliability.calibration_error, 1)} %"
-    )
-
-
 def reliability_lines(scores: Scores) -> list[str]:
-    """A line for each method that has a mask."""
-    return [
-        reliability_line(summary.method, summary.reliability)
-        for summary in summaries(scores)
-        if summary.reliability is not None
-    ]
+    """For each method that has a mask, the share of right matches by matchability, on one line."""
+    lines = []
+    for summary in summaries(scores):
+        if summary.reliability is None:
+            continue
+        shares = " ".join(decimals(100 * v, 0) for v in summary.reliability.share_correct)
+        lines.append(
+            f"{summary.method}: percent within {RIGHT_PX:g} px by tenths of matchability: "
+            f"{shares}; expected calibration error "
+            f"{decimals(100 * summary.reliability.calibration_error, 1)} %"
+        )
+    return lines
 
 
 def report_data(scores: Scores) -> dict[str, Any]:
     """All figures for JSON; null for a figure that does not exist."""
     methods = []
-    for method, own in scores.items():
-        groups = [
-            summarise_maps([one for one in own if one.group == group])
-            for group in groups_of(scores)
-        ]
-        total = summarise_maps(own, ALL)
+    for method, pairs in scores.items():
+        total = _summary(pairs, None)
         reliability = total.reliability
         methods.append(
             {
                 "method": method,
                 "all": _summary_data(total),
-                "groups": [_summary_data(group) for group in groups],
+                "groups": [_summary_data(_summary(pairs, group)) for group in groups_of(scores)],
                 "reliability": None if reliability is None else _reliability_data(reliability),
-                "pairs": [_pair_data(one) for one in own],
+                "pairs": [_pair_data(pair) for pair in pairs],
             }
         )
-    return {"pck_thresholds_px": PCK_THRESHOLDS.tolist(), "methods": methods}
+    return {"pck_thresholds_px": PCK_THRESHOLDS.tolist(), "methods": finite_data(methods)}
 
 
 def write_pairs(stream: TextIO, scores: Scores) -> None:
     """A CSV row for each method and pair."""
-    rows = [{"method": m, **_pair_data(one)} for m, own in scores.items() for one in own]
+    rows = [
+        {"method": method, **finite_data(_pair_data(pair))}
+        for method, pairs in scores.items()
+        for pair in pairs
+    ]
     writer = csv.DictWriter(stream, list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
 
 
-def _cells(summary: MapSummary) -> list[str]:
-    return [
-        summary.method,
-        str(summary.pairs),
-        _number(summary.aepe, 2),
-        *(_number(value, 2) for value in summary.level_aepe),
-        *(_number(100 * value, 1) for value in summary.within),
-        _number(summary.jaccard, 3),
-        _number(summary.jaccard_found, 3),
-    ]
+def _summary(pairs: Sequence[PairScores], group: str | None) -> MapSummary:
+    if group is None:
+        return summarise_maps(pairs, ALL)
+    return summarise_maps([pair for pair in pairs if pair.group == group])
 
 
 def _summary_data(summary: MapSummary) -> dict[str, Any]:
     return {
         "group": summary.group,
         "pairs": summary.pairs,
-        **_figures(summary.aepe, summary.level_aepe),
-        **{f"pck{w:g}": finite_or_none(v) for w, v in zip(WITHIN, summary.within, strict=True)},
-        "jaccard": finite_or_none(summary.jaccard),
-        "jaccard_found": finite_or_none(summary.jaccard_found),
-        "pck": _finite_list(summary.pck),
+        **_errors(summary),
+        **{f"pck{limit:g}": v for limit, v in zip(WITHIN, summary.within, strict=True)},
+        "jaccard": summary.jaccard,
+        "jaccard_found": summary.jaccard_found,
+        "pck": summary.pck.tolist(),
     }
 
 
@@ -164,15 +157,15 @@ def _pair_data(scores: PairScores) -> dict[str, Any]:
         "group": scores.group,
         "pair": scores.name,
         "valid_pixels": scores.valid,
-        **_figures(scores.aepe, scores.level_aepe),
-        "jaccard": finite_or_none(scores.jaccard),
-        "jaccard_found": finite_or_none(scores.jaccard_found),
+        **_errors(scores),
+        "jaccard": scores.jaccard,
+        "jaccard_found": scores.jaccard_found,
     }
 
 
-def _figures(aepe: float, levels: Sequence[float]) -> dict[str, float | None]:
-    named = {f"aepe{cells}": finite_or_none(v) for cells, v in zip(_LEVELS, levels, strict=True)}
-    return {"aepe": finite_or_none(aepe), **named}
+def _errors(figures: PairScores | MapSummary) -> dict[str, float]:
+    levels = zip(_LEVELS, figures.level_aepe, strict=True)
+    return {"aepe": figures.aepe, **{f"aepe{cells}": aepe for cells, aepe in levels}}
 
 
 def _reliability_data(reliability: Reliability) -> dict[str, Any]:
@@ -180,15 +173,7 @@ def _reliability_data(reliability: Reliability) -> dict[str, Any]:
         "right_within_px": RIGHT_PX,
         "edges": reliability.edges.tolist(),
         "counts": reliability.counts.tolist(),
-        "share_correct": _finite_list(reliability.share_correct),
-        "mean_confidence": _finite_list(reliability.mean_confidence),
-        "expected_calibration_error": finite_or_none(reliability.calibration_error),
+        "share_correct": reliability.share_correct.tolist(),
+        "mean_confidence": reliability.mean_confidence.tolist(),
+        "expected_calibration_error": reliability.calibration_error,
     }
-
-
-def _finite_list(values: np.ndarray) -> list[float | None]:
-    return [finite_or_none(value) for value in values]
-
-
-def _number(value: float, digits: int) -> str:
-    return "-" if finite_or_none(value) is None else f"{value:.{digits}f}"

@@ -65,36 +65,13 @@ def map_outcomes(
 ) -> Iterator[MapOutcome]:
     """Yield the outcome of each pair by each network, case by case, as soon as it is known."""
     for case in cases:
-        images1, images2 = _pictures(case.pairs)
+        images1, images2 = (
+            (255 * images.permute(0, 2, 3, 1)).round().byte().cpu().numpy()
+            for images in (case.pairs.image1, case.pairs.image2)
+        )
         for method, net in nets.items():
             device = next(net.parameters()).device
             comparisons = compare(net, case.pairs.to(device))
             for index, (name, comparison) in enumerate(zip(case.names, comparisons, strict=True)):
                 scores = score_map(method, case.group, name, comparison, per_axis)
                 yield MapOutcome(scores, comparison, images1[index], images2[index])
-
-
-class WorstPairs:
-    """The outcomes of largest AEPE, `count` a method."""
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-        self._kept: dict[str, list[MapOutcome]] = {}
-
-    def add(self, outcome: MapOutcome) -> None:
-        if not outcome.scores.valid:
-            return  # no pixel of known truth
-        kept = self._kept.setdefault(outcome.scores.method, [])
-        kept.append(outcome)
-        kept.sort(key=lambda own: -np.nan_to_num(own.scores.aepe, nan=np.inf))
-        del kept[self._count :]
-
-    def of(self, method: str) -> list[MapOutcome]:
-        """The worst first."""
-        return self._kept.get(method, [])
-
-
-def _pictures(pairs: MapPairs) -> list[np.ndarray]:
-    """Both images of each pair: (B, 240, 240, 3) uint8."""
-    images = (pairs.image1, pairs.image2)
-    return [(255 * each.permute(0, 2, 3, 1)).round().byte().cpu().numpy() for each in images]

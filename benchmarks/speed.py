@@ -63,23 +63,20 @@ class Stage:
     floor_seconds: float | None  # median; None if there is no floor
 
 
-class Stopwatch:
-    """Wall-clock seconds by name, added up if a name comes again."""
-
-    def __init__(self) -> None:
-        self.seconds: Seconds = {}
-
-    def __call__(self, name: str, work: Callable[[], Value]) -> Value:
-        start = time.perf_counter()
-        result = work()
-        passed = time.perf_counter() - start
-        self.seconds[name] = self.seconds.get(name, 0.0) + passed
-        return result
-
-
 def time_stages(setup: Setup) -> Seconds:
     """Seconds of every stage of a pair, once; with those of SIFT and of PoseLib alone."""
-    watch, dense, refiner = Stopwatch(), setup.dense, setup.refiner
+    seconds: Seconds = {}
+
+    def watch(name: str, work: Callable[[], Value]) -> Value:
+        start = time.perf_counter()
+        result = work()
+        seconds[name] = time.perf_counter() - start
+        return result
+
+    def pose(matches: Matches) -> object:
+        return estimate_pose(matches, setup.camera1, setup.camera2, setup.estimation)
+
+    dense, refiner = setup.dense, setup.refiner
     paths = (setup.path1, setup.path2)
     first, second = images = watch("read", lambda: [load_image(path) for path in paths])
     engine = dense.engine
@@ -87,16 +84,15 @@ def time_stages(setup: Setup) -> Seconds:
     watch("decoders", lambda: engine.decode([source], [target], dense.options.finest))
     upright = DenseMatcher(engine, replace(dense.options, search_below=0.0))
     watch(_UPRIGHT, lambda: upright.correspondence_maps([(first, second)]))
-    (found,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
-    selected = watch("selection", lambda: select_matches(found, dense.options))
-    given = MatchResult(selected, found)
-    matches = watch("refinement", lambda: refiner.refine(first, second, given)).matches
-    _time_pose(watch, "pose", setup, matches)
+    (dense_map,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
+    selected = watch("selection", lambda: select_matches(dense_map, dense.options))
+    result = MatchResult(selected, dense_map)
+    matches = watch("refinement", lambda: refiner.refine(first, second, result)).matches
+    watch("pose", lambda: pose(matches))
     watch("poselib alone", _poselib_alone(setup, matches))
 
     sift = watch("sift, matching", lambda: SiftMatcher().match(first, second)).matches
-    _time_pose(watch, "sift, pose", setup, sift)
-    seconds = watch.seconds
+    watch("sift, pose", lambda: pose(sift))
     network = seconds["encoder"] + seconds["decoders"]
     parts = seconds["the map"] + seconds["selection"] + seconds["refinement"] + seconds["pose"]
     return seconds | {
@@ -153,9 +149,7 @@ def bundled_setup(folder: Path) -> tuple[Path, Path, Camera, Camera]:
     return paths[0], paths[1], cameras[0], cameras[1]
 
 
-def given_setup(
-    path1: Path, path2: Path | None, k: str | None
-) -> tuple[Path, Path, Camera, Camera]:
+def user_setup(path1: Path, path2: Path | None, k: str | None) -> tuple[Path, Path, Camera, Camera]:
     """The user's pair. Raises ImageError if an image is unusable, InputError if K is, or if an
     argument is missing."""
     if path2 is None or k is None:
@@ -166,20 +160,16 @@ def given_setup(
     return path1, path2, camera, camera
 
 
-def stages_text(found: Sequence[Stage]) -> str:
+def stages_text(timed: Sequence[Stage]) -> str:
     """The stages as a table with aligned columns."""
     rows = [("stage", "ms", "share", "floor ms", "over floor")]
-    for stage in found:
+    for stage in timed:
         floor = stage.floor_seconds
         beside = ("", "")
         if floor is not None:
             beside = (milliseconds(floor), f"{stage.seconds / floor:.2f}")
         rows.append((stage.name, milliseconds(stage.seconds), f"{stage.share:.0%}", *beside))
     return aligned(rows)
-
-
-def _time_pose(watch: Stopwatch, name: str, setup: Setup, matches: Matches) -> None:
-    watch(name, lambda: estimate_pose(matches, setup.camera1, setup.camera2, setup.estimation))
 
 
 def _poselib_alone(setup: Setup, matches: Matches) -> Callable[[], None]:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.benchmarks.scores import MapScore, PoseScore, Score
-from dgc_pose.benchmarks.table import aligned
+from dgc_pose.benchmarks.table import aligned, decimals
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.files.json_files import finite_data
 from dgc_pose.metrics import pose_auc
 
 COLUMNS = (
     *("method", "pairs", "failures", "R med", "t med", "t folded"),
     *("AUC@5", "AUC@10", "AUC@20", "s/pair"),
 )
-MAP_COLUMNS = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
+EPIPOLAR_COLUMNS = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,22 @@ class MethodSummary:
     auc20: float
     seconds_per_pair: float  # mean time to match and estimate, without reading the images
 
+    def cells(self) -> tuple[str, ...]:
+        """A row of `COLUMNS`."""
+        return (
+            self.method,
+            str(self.pairs),
+            f"{self.failures} ({100 * self.failures / self.pairs:.1f} %)",
+            f"{self.median_rotation_deg:.2f}",
+            f"{self.median_translation_deg:.2f}",
+            f"{self.median_translation_folded_deg:.2f}",
+            *(f"{auc:.1f}" for auc in (self.auc5, self.auc10, self.auc20)),
+            f"{self.seconds_per_pair:.2f}",
+        )
+
 
 @dataclass(frozen=True)
-class MapSummary(MethodSummary):
+class EpipolarSummary(MethodSummary):
     """With D_e; the fields are the keys of bench-dtu's summary.json."""
 
     # Medians over the pairs of the pairs' median D_e, pixels of the images that the methods saw
@@ -49,68 +62,79 @@ class MapSummary(MethodSummary):
     match_seconds_per_pair: float  # mean
     pose_seconds_per_pair: float  # mean
 
+    def cells(self) -> tuple[str, ...]:
+        """A row of `EPIPOLAR_COLUMNS`."""
+        return (
+            *super().cells(),
+            decimals(self.median_epipolar_px, 2),
+            f"{self.median_epipolar_confident_px:.2f}",
+            f"{self.matches_per_pair:.0f}",
+            f"{self.pose_seconds_per_pair:.3f}",
+        )
+
 
 def by_method(scores: Iterable[Score]) -> dict[str, list[Score]]:
     """The records of each method, in the order in which they come. Raises InputError for none."""
-    found: dict[str, list[Score]] = {}
+    methods: dict[str, list[Score]] = {}
     for score in scores:
-        found.setdefault(score.method, []).append(score)
-    if not found:
+        methods.setdefault(score.method, []).append(score)
+    if not methods:
         raise InputError("no results")
-    return found
+    return methods
 
 
 def columns(scores: Iterable[PoseScore]) -> dict[str, dict[str, np.ndarray]]:
     """The numbers of the records as arrays, by method and field."""
     return {
         method: {
-            name: np.array([getattr(one, name) for one in own], dtype=np.float64)
-            for name, value in vars(own[0]).items()
-            if isinstance(value, float)
+            name: np.array([getattr(row, name) for row in rows], dtype=np.float64)
+            for name, value in vars(rows[0]).items()
+            if isinstance(value, int | float)
         }
-        for method, own in by_method(scores).items()
+        for method, rows in by_method(scores).items()
     }
 
 
 def summarise(scores: Sequence[PoseScore]) -> MethodSummary:
     """The figures of one method from its records. Raises InputError for none, or if they are of
     several methods."""
-    (method, *others) = by_method(scores)
-    if others:
-        raise InputError(f"results of one method are needed, not of {1 + len(others)}")
-    translation = _column(scores, "translation_folded_deg")
-    rotation = _column(scores, "rotation_error_deg")
+    methods = columns(scores)
+    if len(methods) > 1:
+        raise InputError(f"results of one method are needed, not of {len(methods)}")
+    ((method, column),) = methods.items()
+    rotation, translation = column["rotation_error_deg"], column["translation_folded_deg"]
     auc5, auc10, auc20 = pose_auc(np.maximum(rotation, translation), (5, 10, 20))
-    seconds = [score.match_seconds + score.estimate_seconds for score in scores]
     return MethodSummary(
         method=method,
         pairs=len(scores),
         failures=sum(not score.success for score in scores),
         median_rotation_deg=float(np.median(rotation)),
-        median_translation_deg=float(np.median(_column(scores, "translation_error_deg"))),
+        median_translation_deg=float(np.median(column["translation_error_deg"])),
         median_translation_folded_deg=float(np.median(translation)),
         auc5=auc5,
         auc10=auc10,
         auc20=auc20,
-        seconds_per_pair=float(np.mean(seconds)),
+        seconds_per_pair=float(np.mean(column["match_seconds"] + column["estimate_seconds"])),
     )
 
 
-def summarise_maps(scores: Sequence[MapScore]) -> MapSummary:
+def summarise_epipolar(scores: Sequence[MapScore]) -> EpipolarSummary:
     """As `summarise`, with D_e and the parts of the time."""
-    return MapSummary(
-        **asdict(summarise(scores)),
-        median_epipolar_px=float(np.median(_column(scores, "epipolar_all_px"))),
-        median_epipolar_confident_px=float(np.median(_column(scores, "epipolar_confident_px"))),
-        matches_per_pair=float(np.mean(_column(scores, "num_matches"))),
-        match_seconds_per_pair=float(np.mean(_column(scores, "match_seconds"))),
-        pose_seconds_per_pair=float(np.mean(_column(scores, "estimate_seconds"))),
+    summary = summarise(scores)
+    column = columns(scores)[summary.method]
+    return EpipolarSummary(
+        **asdict(summary),
+        median_epipolar_px=float(np.median(column["epipolar_all_px"])),
+        median_epipolar_confident_px=float(np.median(column["epipolar_confident_px"])),
+        matches_per_pair=float(np.mean(column["num_matches"])),
+        match_seconds_per_pair=float(np.mean(column["match_seconds"])),
+        pose_seconds_per_pair=float(np.mean(column["estimate_seconds"])),
     )
 
 
 def summary_data(summaries: Sequence[MethodSummary]) -> dict[str, Any]:
     """The summary for JSON, with null for a figure that is infinite or NaN."""
-    return {"methods": [_json_values(summary) for summary in summaries]}
+    return {"methods": [finite_data(asdict(summary)) for summary in summaries]}
 
 
 def heading(options: EstimationOptions) -> str:
@@ -128,46 +152,6 @@ def heading(options: EstimationOptions) -> str:
 
 
 def summary_table(summaries: Sequence[MethodSummary]) -> str:
-    """The summary as a table; angles in degrees, AUC in percent."""
-    return aligned([COLUMNS, *(_cells(summary) for summary in summaries)])
-
-
-def map_table(summaries: Sequence[MapSummary]) -> str:
-    """As `summary_table`, with D_e, the number of matches and the pose stage's time."""
-    rows = [
-        (
-            *_cells(one),
-            "-" if np.isnan(one.median_epipolar_px) else f"{one.median_epipolar_px:.2f}",
-            f"{one.median_epipolar_confident_px:.2f}",
-            f"{one.matches_per_pair:.0f}",
-            f"{one.pose_seconds_per_pair:.3f}",
-        )
-        for one in summaries
-    ]
-    return aligned([MAP_COLUMNS, *rows])
-
-
-def _cells(summary: MethodSummary) -> tuple[str, ...]:
-    share = 100 * summary.failures / summary.pairs
-    angles = (
-        summary.median_rotation_deg,
-        summary.median_translation_deg,
-        summary.median_translation_folded_deg,
-    )
-    return (
-        summary.method,
-        str(summary.pairs),
-        f"{summary.failures} ({share:.1f} %)",
-        *(f"{angle:.2f}" for angle in angles),
-        *(f"{auc:.1f}" for auc in (summary.auc5, summary.auc10, summary.auc20)),
-        f"{summary.seconds_per_pair:.2f}",
-    )
-
-
-def _json_values(summary: MethodSummary) -> dict[str, Any]:
-    values = asdict(summary).items()
-    return {k: finite_or_none(v) if isinstance(v, float) else v for k, v in values}
-
-
-def _column(scores: Sequence[PoseScore], field: str) -> np.ndarray:
-    return np.array([getattr(score, field) for score in scores])
+    """The summaries, all of one class, as a table; angles in degrees, AUC in percent."""
+    epipolar = isinstance(summaries[0], EpipolarSummary)
+    return aligned([EPIPOLAR_COLUMNS if epipolar else COLUMNS, *(s.cells() for s in summaries)])

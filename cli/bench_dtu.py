@@ -25,9 +25,9 @@ from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import (
     by_method,
     heading,
-    map_table,
-    summarise_maps,
+    summarise_epipolar,
     summary_data,
+    summary_table,
 )
 from dgc_pose.cli.bench_run import RUN_FOLDER, MethodChoice, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -165,8 +165,8 @@ def _write_results(
     out: Path, pairs: DtuPairs, scores: Sequence[DtuScore], facts: Mapping[str, str]
 ) -> str:
     """Write summary.json, the figures and the report; returns the table."""
-    summaries = [summarise_maps(own) for own in by_method(scores).values()]
-    table = map_table(summaries)
+    summaries = [summarise_epipolar(own) for own in by_method(scores).values()]
+    table = summary_table(summaries)
     data = {"protocol": pairs.protocol, "run": facts, **summary_data(summaries)}
     write_json(out / "summary.json", data)
     write_report(out, pairs, scores, facts=facts, table=table)

@@ -41,12 +41,12 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
     NAME_H.txt). Image 1 is the source. Networks run by themselves, without the matcher's search
     over rotations.
     """
-    found = find_homography_pairs(root) if lists is None else read_lists(lists, root)
+    data = find_homography_pairs(root) if lists is None else read_lists(lists, root)
     facts = {
         "root": root,
         "lists": lists,
-        "sequences": len(found.sequences),
-        "missing": list(found.missing),
+        "sequences": len(data.sequences),
+        "missing": list(data.missing),
         "published_aepe": HPATCHES_AEPE,
         "published_jaccard": HPATCHES_JACCARD,
     }
@@ -55,15 +55,15 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
         yield HEADING
         if groups_of(scores):
             yield (
-                f"AEPE by viewpoint, {len(found.sequences)} of HPatches' {SEQUENCES} sequences\n"
+                f"AEPE by viewpoint, {len(data.sequences)} of HPatches' {SEQUENCES} sequences\n"
                 + groups_table(scores, "aepe", 2, HPATCHES_AEPE)
             )
             yield "Jaccard by viewpoint\n" + groups_table(scores, "jaccard", 3, HPATCHES_JACCARD)
-        if not all(pair.group for pair in found.pairs):
+        if not all(pair.group for pair in data.pairs):
             yield "AEPE of each pair\n" + pairs_table(scores)
         yield figures_table(summaries(scores))
         yield from reliability_lines(scores)
 
-    run_map_bench(bench, homography_set(found.pairs, facts), report)
-    if found.missing:
-        click.echo(f"{len(found.missing)} pairs missing: {', '.join(found.missing)}", err=True)
+    run_map_bench(bench, homography_set(data.pairs, facts), report)
+    if data.missing:
+        click.echo(f"{len(data.missing)} pairs missing: {', '.join(data.missing)}", err=True)

@@ -14,30 +14,24 @@ import numpy as np
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_engines, parse_methods
-from dgc_pose.benchmarks.posed_pairs import PairSet, RenderedPosedPairs
+from dgc_pose.benchmarks.posed_pairs import (
+    ListedPairs,
+    PairSet,
+    RenderedPosedPairs,
+    require_images,
+)
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.summary import (
-    MethodSummary,
     by_method,
     heading,
-    map_table,
     summarise,
-    summarise_maps,
+    summarise_epipolar,
     summary_data,
     summary_table,
 )
-from dgc_pose.cli.bench_run import (
-    RUN_FOLDER,
-    MethodChoice,
-    RunChoice,
-    limit_option,
-    listed_pairs,
-    open_store,
-    pair_list_argument,
-    root_option,
-    work,
-)
-from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cameras.pair_list import read_pairs
+from dgc_pose.cli.bench_run import RUN_FOLDER, MethodChoice, RunChoice, open_store, work
+from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
@@ -49,9 +43,13 @@ from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
 @dataclass(frozen=True)
-class SceneChoice:
-    """Rendered pairs, instead of a list."""
+class PairOptions:
+    """Which pairs, and where the results go."""
 
+    root: str | None = option(
+        None, "Folder of the image paths; by default the list's own.", type=NamedPath()
+    )
+    limit: int | None = option(None, "Only the first N pairs.", metavar="N", min=1, max=10**9)
     rendered: int | None = option(
         None,
         "Instead of LIST: N pairs of rendered scenes, textured with --photos.",
@@ -64,15 +62,36 @@ class SceneChoice:
         "Folder of photographs, as for training; those that training holds back are used.",
     )
     scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
+    out: str | None = option(
+        None,
+        "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
+        metavar="DIR",
+        type=RUN_FOLDER,
+    )
+    json_path: str | None = option(
+        None, "Write the summary as JSON.", flag="--json", metavar="PATH", type=OutputFile()
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
 
+    def pair_set(self, pair_list: str | None, change: ImageChange) -> PairSet[Any]:
+        """The data set. Raises InputError or ImageError if it cannot be made."""
+        changed = change != ImageChange()
+        if pair_list is not None and self.rendered is None and self.photos is None:
+            pairs = read_pairs(pair_list, self.root)[: self.limit]
+            require_images(pairs)
+            return ChangedPairs(pairs, change) if changed else ListedPairs(pairs)
+        if changed:
+            raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
+        if pair_list is not None or self.rendered is None or self.photos is None:
+            raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
+        return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed)
+
 
 @click.command()
-@pair_list_argument
-@root_option
-@dataclass_options(SceneChoice, "scenes")
+@click.argument("pair_list", metavar="[LIST]", required=False)
+@dataclass_options(PairOptions, "options")
 @dataclass_options(ImageChange, "change")
 @click.option(
     "--methods",
@@ -82,31 +101,13 @@ class SceneChoice:
     "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
     "image 1.",
 )
-@limit_option
-@click.option(
-    "--out",
-    type=RUN_FOLDER,
-    metavar="DIR",
-    help="Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
-)
-@click.option(
-    "--json",
-    "json_path",
-    type=OutputFile(),
-    metavar="PATH",
-    help="Write the summary as JSON.",
-)
 @dataclass_options(RunChoice, "run")
 @dataclass_options(MethodChoice, "defaults")
 def bench_pairs(
     pair_list: str | None,
-    root: str | None,
-    scenes: SceneChoice,
+    options: PairOptions,
     change: ImageChange,
     methods: str,
-    limit: int | None,
-    out: str | None,
-    json_path: str | None,
     run: RunChoice,
     defaults: MethodChoice,
 ) -> None:
@@ -116,39 +117,26 @@ def bench_pairs(
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
     """
-    if out is not None:
+    if options.out is not None:
         import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
-    changed = change != ImageChange()
-    if pair_list is not None and scenes.rendered is None and scenes.photos is None:
-        listed = listed_pairs(pair_list, root, limit)
-        pairs: PairSet[Any] = ChangedPairs(listed.pairs, change) if changed else listed
-    elif changed:
-        raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
-    elif pair_list is None and scenes.rendered is not None and scenes.photos is not None:
-        pairs = RenderedPosedPairs(scenes.photos, scenes.rendered, scenes.scene_seed)
-    else:
-        raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
+    pairs = options.pair_set(pair_list, change)
     chosen = parse_methods(split_names(methods), defaults.options)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
-    with staged(json_path, inputs=images) as stage:
+    with staged(options.json_path, inputs=images) as stage:
         engines = load_engines(chosen, device=run.device, runtime=run.runtime)
         evaluation = Evaluation(pairs, chosen, engines, run.workers, run.pairs_together)
-        store = open_store(evaluation, out, run)
+        store = open_store(evaluation, options.out, run)
         work(evaluation, store)
         results = by_method(store.scores)
-        if scenes.rendered is None:
-            summaries: Sequence[MethodSummary] = [summarise(own) for own in results.values()]
-            table = summary_table(summaries)
-        else:
-            summaries = with_maps = [summarise_maps(own) for own in results.values()]
-            table = map_table(with_maps)
+        summarised = summarise if options.rendered is None else summarise_epipolar
+        summaries = [summarised(rows) for rows in results.values()]
         data = json_text(summary_data(summaries))
-        if json_path is not None:
-            save_text(stage(json_path), data)
-    if out is not None:
-        _write_summary(out, data, results)
+        if options.json_path is not None:
+            save_text(stage(options.json_path), data)
+    if options.out is not None:
+        _write_summary(options.out, data, results)
     click.echo(heading(defaults.estimation))
-    click.echo(table)
+    click.echo(summary_table(summaries))
 
 
 def _write_summary(out: str, data: str, results: Mapping[str, Sequence[PairScore]]) -> None:
@@ -156,7 +144,7 @@ def _write_summary(out: str, data: str, results: Mapping[str, Sequence[PairScore
     from dgc_pose.viz import plot_errors, save_figure
 
     rotation, translation = (
-        {method: np.array([getattr(one, name) for one in own]) for method, own in results.items()}
+        {method: np.array([getattr(row, name) for row in rows]) for method, rows in results.items()}
         for name in ("rotation_error_deg", "translation_folded_deg")
     )
     summary, errors = str(Path(out, "summary.json")), str(Path(out, "errors.png"))

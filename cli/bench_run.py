@@ -1,4 +1,4 @@
-"""What the pose benchmarks share: lists of pairs, --workers, --batch and --resume, and the run."""
+"""What the pose benchmarks share: --workers, --batch and --resume, and the run."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import MethodOptions
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
-from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.cli.dataclass_options import NamedPath
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.cli.options import RUNTIME_HELP, DeviceName, RefineChoice
 from dgc_pose.errors import InputError
@@ -27,14 +24,6 @@ from dgc_pose.system.options import check_options, option
 
 GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
-
-pair_list_argument = click.argument("pair_list", metavar="[LIST]", required=False)
-root_option = click.option(
-    "--root", type=NamedPath(), help="Folder of the image paths; by default the list's own."
-)
-limit_option = click.option(
-    "--limit", type=click.IntRange(1, 10**9), metavar="N", help="Only the first N pairs."
-)
 
 
 @dataclass(frozen=True)
@@ -82,13 +71,6 @@ class MethodChoice:
     @property
     def options(self) -> MethodOptions:
         return MethodOptions(self.matching, self.refine.options(self.matching), self.estimation)
-
-
-def listed_pairs(pair_list: str, root: str | None, limit: int | None) -> ListedPairs:
-    """The first pairs of a list. Raises InputError if it is malformed or images are missing."""
-    pairs = read_pairs(pair_list, root)[:limit]
-    require_images(pairs)
-    return ListedPairs(pairs)
 
 
 def open_store(

@@ -66,13 +66,11 @@ def bench_synthetic(made: SyntheticOptions, bench: MapBenchOptions) -> None:
     else:
         names = split_names(made.sets)
         data = synthetic_set(made.photos, names, made.pairs, made.seed, changed=made.changed)
-        about = f"{data.facts['photographs']} photographs that training holds back, "
-        about += f"seed {made.seed}, "
-        about += (
-            "with changes of light and occluders"
-            if made.changed
-            else "light as it is, no occluders"
-        )
+        light = "light as it is, no occluders"
+        if made.changed:
+            light = "with changes of light and occluders"
+        photographs = data.facts["photographs"]
+        about = f"{photographs} photographs that training holds back, seed {made.seed}, {light}"
 
     def report(scores: Scores) -> Iterator[str]:
         yield f"{about}\n{HEADING}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+import numpy as np
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.map_report import (
@@ -17,7 +18,7 @@ from dgc_pose.benchmarks.map_report import (
     summaries,
     write_pairs,
 )
-from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, WorstPairs, load_networks, map_outcomes
+from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, load_networks, map_outcomes
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.options import DeviceName, split_names
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
@@ -75,18 +76,20 @@ def run_map_bench(
     """
     names = ",".join(shipped()) if bench.methods is None else bench.methods
     nets = load_networks(split_names(names), device=bench.device)
-    pictures = [f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(nets, start=1)]
+    pictures = {name: f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(nets, start=1)}
     paths = {}
     if bench.out is not None:
         Path(bench.out).mkdir(parents=True, exist_ok=True)
-        paths = {name: str(Path(bench.out, name)) for name in (*_TABLES, *pictures)}
+        paths = {name: str(Path(bench.out, name)) for name in (*_TABLES, *pictures.values())}
     with staged(bench.json_path, *paths.values()) as stage:
         scores: dict[str, list[PairScores]] = {name: [] for name in nets}
-        worst = WorstPairs(bench.worst if bench.out is not None else 0)
+        worst: dict[str, list[MapOutcome]] = {name: [] for name in nets}
         outcomes = map_outcomes(data.cases, nets, bench.per_axis)
         for outcome in tqdm(outcomes, total=data.total * len(nets), unit="pair", disable=None):
-            scores[outcome.scores.method].append(outcome.scores)
-            worst.add(outcome)
+            method = outcome.scores.method
+            scores[method].append(outcome.scores)
+            if bench.out is not None and outcome.scores.valid:  # pixels of known truth
+                worst[method] = sorted([*worst[method], outcome], key=_goodness)[: bench.worst]
         distance = "max of |dx|, |dy|" if bench.per_axis else "Euclidean"
         text = json_text({**data.facts, "pck_distance": distance, **report_data(scores)})
         if bench.json_path is not None:
@@ -95,9 +98,9 @@ def run_map_bench(
             files = {name: stage(path) for name, path in paths.items()}
             save_text(files["summary.json"], text)
             _write_figures(files, scores, distance)
-            for name, method in zip(pictures, nets, strict=True):
-                if worst.of(method):
-                    save_figure(plot_maps([_picture(one) for one in worst.of(method)]), files[name])
+            for method, drawn in worst.items():
+                if drawn:
+                    save_figure(plot_maps([*map(_picture, drawn)]), files[pictures[method]])
     click.echo("\n\n".join(report(scores)))
 
 
@@ -108,14 +111,21 @@ def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> 
         write_pairs(stream, scores)
     groups: list[str | None] = [*groups_of(scores)] or [None]
     curves = {
-        group or ALL: {one.method: one.pck for one in summaries(scores, group)} for group in groups
+        group or ALL: {summary.method: summary.pck for summary in summaries(scores, group)}
+        for group in groups
     }
     save_figure(plot_pck(curves, PCK_ALPHAS, distance=distance), files["pck.png"])
     masked = {
-        one.method: one.reliability for one in summaries(scores) if one.reliability is not None
+        summary.method: summary.reliability
+        for summary in summaries(scores)
+        if summary.reliability is not None
     }
     diagram = plot_reliability(masked, right=f"within {RIGHT_PX:g} px")
     save_figure(diagram, files["reliability.png"])
+
+
+def _goodness(outcome: MapOutcome) -> float:
+    return -float(np.nan_to_num(outcome.scores.aepe, nan=np.inf))
 
 
 def _picture(outcome: MapOutcome) -> MapPicture:

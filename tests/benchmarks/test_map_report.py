@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from dgc_pose.benchmarks.map_report import (
     groups_of,
     groups_table,
     pairs_table,
-    reliability_line,
+    reliability_lines,
     report_data,
     summaries,
     write_pairs,
@@ -105,9 +106,10 @@ def test_a_csv_row_a_method_and_pair(scores) -> None:
     assert rows[0]["jaccard"] == "0.75" and rows[4]["jaccard"] == ""
 
 
-def test_the_reliability_on_one_line() -> None:
-    own = Reliability.of(np.array([0.05, 0.05, 0.95]), np.array([False, True, True]))
-    assert reliability_line("a", own) == (
+def test_the_reliability_on_a_line_for_each_method_with_a_mask(scores) -> None:
+    reliability = Reliability.of(np.array([0.05, 0.05, 0.95]), np.array([False, True, True]))
+    masked = [replace(scores["a"][0], reliability=reliability)]
+    assert reliability_lines({"a": masked, "b": scores["b"]}) == [
         "a: percent within 3 px by tenths of matchability: 50 - - - - - - - - 100; "
         "expected calibration error 31.7 %"
-    )
+    ]
