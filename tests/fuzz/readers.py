@@ -99,6 +99,7 @@ def _read_image(folder: Path, path: Path) -> None:
 
 def _make_cameras(folder: Path) -> None:
     (folder / "K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
+    (folder / "line.txt").write_text("\ufeff300 0 159.5 0 300 119.5 0 0 1", encoding="utf-8")
     np.save(folder / "K.npy", dense_scene.K)
     (folder / "pinhole.arg").write_text(dense_scene.K_TEXT)
     (folder / "opencv.arg").write_text("OPENCV,320,240,300,300,160,120,0.1,0.01,0,0")

@@ -17,7 +17,7 @@ import numpy as np
 import pycolmap
 import pytest
 from click.testing import CliRunner, Result
-from fuzz.commands import png_claiming
+from fuzz.bad_values import png_claiming
 from fuzz.readers import make_batch
 from fuzz.test_commands import hashes
 

@@ -15,7 +15,7 @@ import PIL.Image
 import pytest
 import torch
 import verdict_folder
-from fuzz.commands import png_claiming
+from fuzz.bad_values import png_claiming
 from safetensors.torch import save_file
 
 from dgc_pose import estimate_relative_pose, load_image, load_matcher
