@@ -1,14 +1,14 @@
-"""SIGTERM and SIGHUP as exceptions, so that a command that is stopped clears up behind itself."""
+"""SIGTERM and SIGHUP as exceptions, so that a command that is stopped removes its partial files."""
 
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_STOPPING = ("SIGTERM", "SIGHUP")  # SIGINT is a KeyboardInterrupt anyway
+# SIGINT is a KeyboardInterrupt anyway. Windows has no SIGHUP.
+_STOPPING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class Stopped(BaseException):
@@ -26,20 +26,16 @@ class Stopped(BaseException):
 @contextmanager
 def stopped_by_signals() -> Iterator[None]:
     """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup)."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set handlers
-        return
-    before = {}
-    for number in (getattr(signal, name, None) for name in _STOPPING):
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            before[number] = signal.signal(number, _stop)
+    handled = [number for number in _STOPPING if signal.getsignal(number) is signal.SIG_DFL]
+    for number in handled:
+        signal.signal(number, _stop)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)  # a second one would interrupt the clearing up
+    signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the removal
     raise Stopped(number)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,10 +44,10 @@ def read_array(path: str | Path) -> np.ndarray:
     objects, or is larger than `ARRAY_BYTES`; OSError if it cannot be read."""
     data = read_bytes(path, ARRAY_BYTES + 2**16)
     with read_as("an .npy", path):
-        return _array(data)
+        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
-def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> Mapping[str, np.ndarray]:
+def read_arrays(path: str | Path, names: Collection[str] | None = None) -> Mapping[str, np.ndarray]:
     """The arrays of an .npz by name; with `names`, those of them that it has.
 
     Raises InputError, with the path, if it is damaged, holds Python objects, or is larger than
@@ -56,38 +56,15 @@ def read_arrays(path: str | Path, names: Iterable[str] | None = None) -> Mapping
     data = read_bytes(path, ARRAY_BYTES + 2**20)
     with read_as("an .npz", path), zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = {
-            info.filename.removesuffix(".npy"): info
+            name: info
             for info in archive.infolist()
-            if info.filename.endswith(".npy")
+            if (name := info.filename.removesuffix(".npy")) != info.filename
+            and (names is None or name in names)
         }
-        chosen = [name for name in (members if names is None else names) if name in members]
-        if sum(members[name].file_size for name in chosen) > ARRAY_BYTES:
+        if sum(info.file_size for info in members.values()) > ARRAY_BYTES:
             raise InputError(f"{path} is too large: at most {ARRAY_BYTES} bytes of arrays are read")
-        return {name: _array(_unpacked(archive, members[name])) for name in chosen}
-
-
-def _unpacked(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    with archive.open(info) as stream:
-        return stream.read(info.file_size)  # no more than it claims
-
-
-def _array(data: bytes) -> np.ndarray:
-    """An array from the bytes of an .npy, whose size is checked before memory is taken for it."""
-    stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
-    reader = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }.get(version)
-    if reader is None:
-        raise ValueError(f"version {version} of the format")
-    shape, by_columns, kind = reader(stream)
-    if kind.hasobject:
-        raise ValueError("it holds Python objects")
-    count = 1
-    for side in shape:
-        count *= side
-    if min(shape, default=0) < 0 or count * kind.itemsize != len(data) - stream.tell():
-        raise ValueError(f"{len(data) - stream.tell()} bytes are not those of {shape} {kind}")
-    flat = np.frombuffer(data, kind, count, stream.tell())
-    return flat.reshape(shape, order="F" if by_columns else "C").copy()
+        arrays = {}
+        for name, info in members.items():
+            with archive.open(info) as stream:
+                arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
+        return arrays

@@ -1,7 +1,7 @@
-"""The one door through which files are read: regular files of a bounded size, whatever they hold.
+"""Reading files: regular ones alone, of a bounded size.
 
-Files come from anywhere. A reader of numpy, Pillow or torch raises almost anything for a damaged
-one, so each kind of file is read within `read_as`, which names the file.
+For a damaged file a reader of NumPy, Pillow or torch raises almost anything, so a file is parsed
+within `read_as`, which names it.
 """
 
 from __future__ import annotations
@@ -41,67 +41,46 @@ def read_bytes(
     Raises `error`, with the path, for a pipe, a device, a folder, and for more than `limit` bytes;
     OSError, with the path, if it cannot be read.
     """
-    with _opened(path, error) as descriptor:
-        size = os.fstat(descriptor).st_size
-        if size > limit:
-            raise error(f"{path} is too large: {size} bytes, at most {limit} are read")
-        data = _read(descriptor, limit + 1, path)
-    if len(data) > limit:  # the kernel's files claim to be empty
-        raise error(f"{path} is too large: at most {limit} bytes are read")
-    return data
+    size = _regular_size(path, error)
+    if size > limit:
+        raise error(f"{path} is too large: {size} bytes, at most {limit} are read")
+    return read_start(path, size, error)
 
 
 def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputError) -> bytes:
     """The first `count` bytes of a regular file, or all of a smaller one. Raises as
     `read_bytes` does."""
-    with _opened(path, error) as descriptor:
-        return _read(descriptor, count, path)
+    with open_regular(path, error) as stream:
+        try:
+            return stream.read(count)
+        except OSError as failure:
+            raise OSError(failure.errno, failure.strerror, str(path)) from None
 
 
-@contextmanager
-def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> Iterator[BinaryIO]:
+def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
     """A regular file to read piece by piece. Raises as `read_bytes` does."""
-    with _opened(path, error) as descriptor, open(descriptor, "rb", closefd=False) as stream:
-        yield stream
-
-
-@contextmanager
-def _opened(path: str | Path, error: type[DgcPoseError]) -> Iterator[int]:
-    """The descriptor of a regular file."""
-    try:
-        # Without O_NONBLOCK the opening of a pipe waits for its writer, and the reading of some
-        # regular files of the kernel waits for their content.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-    except ValueError:  # a zero byte in the name
-        raise error(f"{str(path)!r} is no name of a file") from None
-    try:
-        _require_kind(os.fstat(descriptor).st_mode, path, error)
-        yield descriptor
-    finally:
-        os.close(descriptor)
-
-
-def _read(descriptor: int, count: int, path: str | Path) -> bytes:
-    parts = []
-    try:
-        while count and (part := os.read(descriptor, min(2**24, count))):
-            parts.append(part)
-            count -= len(part)
-    except OSError as failure:
-        raise OSError(failure.errno, failure.strerror, str(path)) from None
-    return b"".join(parts)
+    _regular_size(path, error)
+    return open(path, "rb")
 
 
 def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> None:
     """Raise `error`, with the path, unless this is a regular file that is not empty: for libraries
     that open files themselves. OSError if it is missing."""
+    if not _regular_size(path, error):
+        raise error(f"{path} is empty")
+
+
+def _regular_size(path: str | Path, error: type[DgcPoseError]) -> int:
+    """Bytes of a regular file. Before it is opened: the opening of a pipe waits for its writer."""
     try:
         status = os.stat(path)
-    except ValueError:
+    except ValueError:  # a zero byte
         raise error(f"{str(path)!r} is no name of a file") from None
-    _require_kind(status.st_mode, path, error)
-    if not status.st_size:
-        raise error(f"{path} is empty")
+    if stat.S_ISREG(status.st_mode):
+        return status.st_size
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+    kind = kinds.get(stat.S_IFMT(status.st_mode), "a device")
+    raise error(f"{path} is {kind}, and only regular files are read")
 
 
 @contextmanager
@@ -135,11 +114,3 @@ def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: {what} is text, and this is not") from None
-
-
-def _require_kind(mode: int, path: str | Path, error: type[DgcPoseError]) -> None:
-    if stat.S_ISREG(mode):
-        return
-    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-    kind = kinds.get(stat.S_IFMT(mode), "a device")
-    raise error(f"{path} is {kind}, and only regular files are read")

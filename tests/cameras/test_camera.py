@@ -282,7 +282,7 @@ def test_files_that_hold_no_matrix_are_refused(tmp_path: Path, name: str, conten
 def test_a_pickled_array_is_not_unpickled(tmp_path: Path) -> None:
     path = tmp_path / "K.npy"
     np.save(path, np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(InputError, match=r"^K: .*K\.npy .*Python objects"):
+    with pytest.raises(InputError, match=r"^K: .*K\.npy .*Object arrays cannot be loaded"):
         parse_camera(str(path))
 
 
@@ -311,9 +311,6 @@ def test_a_file_without_a_K_is_refused_with_what_it_is(
 def test_what_the_system_says_of_a_K_file_goes_through(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A fault that root meets too: its memory begins with a page that is not there."""
-    with pytest.raises(InputError, match="^K1: /proc/self/mem: Input/output error$"):
-        parse_camera("/proc/self/mem", "K1")
     with pytest.raises(InputError, match="is a folder, and only regular files are read"):
         parse_camera(str(tmp_path), "K1")
     loop = tmp_path / "loop"
@@ -326,10 +323,9 @@ def test_what_the_system_says_of_a_K_file_goes_through(
     def refuse(*_: object) -> int:
         raise PermissionError(13, "Permission denied", str(path))
 
-    for reached in ("open", "stat"):
+    for function in ("builtins.open", "os.stat"):
         with monkeypatch.context() as patch:
-            patch.setattr(f"dgc_pose.files.inputs.os.{reached}", refuse)
-            patch.setattr("dgc_pose.files.inputs.os.open", refuse)
+            patch.setattr(function, refuse)
             with pytest.raises(InputError, match=r"^K1: .*k\.txt: Permission denied$"):
                 parse_camera(str(path), "K1")
 

@@ -98,20 +98,20 @@ def test_unreadable_folders_and_files_are_said(
     """By a fault that root meets too."""
     for name in ("a.jpg", "locked.jpg", "sub/b/c.jpg", "sub/d/e.jpg"):
         _save(tmp_path / name)
-    listdir, opened = os.listdir, os.open
+    listdir, opened = os.listdir, open
 
     def list_some(path: Path) -> list[str]:
         if Path(path).parent.name == "sub":
             raise PermissionError(13, "Permission denied", str(path))
         return listdir(path)
 
-    def open_some(path: Path, *rest: int) -> int:
+    def open_some(path: Path, *rest: str) -> object:
         if Path(path).name == "locked.jpg":
             raise PermissionError(13, "Permission denied", str(path))
         return opened(path, *rest)
 
     monkeypatch.setattr("dgc_pose.images.folder.os.listdir", list_some)
-    monkeypatch.setattr("dgc_pose.files.inputs.os.open", open_some)
+    monkeypatch.setattr("builtins.open", open_some)
     found = search_images(tmp_path)
     assert found.names == ("a.jpg",)
     assert sorted(found.left_out) == [
