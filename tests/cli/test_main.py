@@ -109,7 +109,7 @@ def test_the_package_runs_as_a_module():
         (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
         (["estimate", "a.png", "b.png", "--device", "abacus"], "--device"),
         (["match", "a.png", "b.png"], "--out"),
-        (["bench-pairs", "a.txt", "--limit", "0"], "--limit"),
+        (["bench-pairs", "a.txt", "--limit", "0"], "limit must lie in"),
     ],
 )
 def test_misuse_is_one_line_and_exit_2(arguments, words):
