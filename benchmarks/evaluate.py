@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any, Generic
 
-from dgc_pose.benchmarks.methods import Engine, Engines, Method
+from dgc_pose.benchmarks.methods import MatchingPass, MatchingPasses, Method
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, score
@@ -31,7 +31,7 @@ class Evaluation(Generic[Score]):
 
     pairs: PairSet[Score]
     methods: Sequence[Method]
-    engines: Engines
+    passes: MatchingPasses
     workers: int = option(1, min=1)  # processes that estimate poses; one is this process
     batch: int = option(1, min=1)  # pairs that a network matches together
 
@@ -69,18 +69,18 @@ class Evaluation(Generic[Score]):
         return {
             "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
             "methods": [asdict(method) for method in self.methods],
-            "weights": self.engines.fingerprints,
+            "weights": self.passes.fingerprints,
             "batch": self.batch,
             "device": device,
         }
 
     def _match(self, batch: Sequence[PosedPair]) -> list[list[MatchedPair[Score]]]:
-        """The pairs of a batch, each by every method; methods of one engine share its pass."""
-        engines = {id(engine): engine for engine in map(self.engines.of, self.methods)}
-        passes = {key: _matching_pass(engine, batch) for key, engine in engines.items()}
+        """The pairs of a batch, each by every method."""
+        passes = {id(matching): matching for matching in map(self.passes.of, self.methods)}
+        results = {key: _results(matching, batch) for key, matching in passes.items()}
         return [
             [
-                self._selected(method, pair, passes[id(self.engines.of(method))][number])
+                self._selected(method, pair, results[id(self.passes.of(method))][number])
                 for method in self.methods
             ]
             for number, pair in enumerate(batch)
@@ -88,8 +88,7 @@ class Evaluation(Generic[Score]):
 
     def _selected(self, method: Method, pair: PosedPair, result: _Result) -> MatchedPair[Score]:
         start = time.perf_counter()
-        engine = self.engines.of(method)
-        matches = engine.matches(method, pair.image1, pair.image2, result.matched)
+        matches = self.passes.of(method).matches(method, pair.image1, pair.image2, result.matched)
         selected = time.perf_counter() - start
         return MatchedPair(
             kind=self.pairs.kind,
@@ -99,23 +98,23 @@ class Evaluation(Generic[Score]):
             map_matches=None if method.everywhere else result.matched.map_matches,
             image_warnings=(*pair.image1.warnings, *pair.image2.warnings),
             everywhere_px=result.everywhere_px,
-            options=method.options.estimation,
+            options=method.estimation,
             match_seconds=result.seconds + selected,
         )
 
 
 @dataclass(frozen=True)
 class _Result:
-    """Of one pair and one engine."""
+    """Of one pair and one matching pass."""
 
     matched: MatchResult
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels, NaN without a map
     seconds: float  # the mean over the batch
 
 
-def _matching_pass(engine: Engine, batch: Sequence[PosedPair]) -> list[_Result]:
+def _results(matching: MatchingPass, batch: Sequence[PosedPair]) -> list[_Result]:
     start = time.perf_counter()
-    results = engine.matcher.match_batch([(pair.image1, pair.image2) for pair in batch])
+    results = matching.matcher.match_batch([(pair.image1, pair.image2) for pair in batch])
     seconds = (time.perf_counter() - start) / len(batch)
     return [
         _Result(matched, map_errors(pair.truth, matched.correspondence_map), seconds)

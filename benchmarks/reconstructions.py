@@ -14,7 +14,6 @@ from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.run import BatchOptions, run_batch
 from dgc_pose.batch.source import Source
-from dgc_pose.batch.work import MatcherSettings
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.colmap.mapping import MappingError, map_database
@@ -27,6 +26,7 @@ from dgc_pose.colmap.reconstruction import (
 )
 from dgc_pose.colmap.sift import sift_database
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics.pose import rotation_error_deg
 
 COLMAP_SIFT = "colmap-sift"
@@ -82,7 +82,7 @@ def run_method(method: str, views: PosedViews, out: Path, setting: Setting) -> R
                 Calibration("the truth", views.cameras),
                 setting.pairs,
                 out / "batch",
-                matcher=MatcherSettings(method),
+                matcher=MatcherOptions(method),
                 estimation=setting.estimation,
                 options=setting.batch,
             )

@@ -13,9 +13,9 @@ from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import check_options, option
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def work_through(
     out: Path,
     inputs: SourceChoice,
     work: WorkChoice,
-    matcher: MatcherChoice,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
     default_pairs: Callable[[int], str] | None = None,
     least_images: int = 2,
@@ -100,7 +100,6 @@ def work_through(
     from dgc_pose.batch.rows import require_pyarrow
     from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import open_source
-    from dgc_pose.batch.work import MatcherSettings
 
     opened = open_source(Path(source), inputs.root)
     for line in opened.left_out:
@@ -118,21 +117,13 @@ def work_through(
         from dgc_pose.batch.ray_engine import ray_workers
 
         start_workers = ray_workers
-    refinement = matcher.refine.options(matcher.matching)
     with _bars() as progress:
         return run_batch(
             opened,
             read_calibration(inputs.k, inputs.guess_focal),
             choice,
             out,
-            matcher=MatcherSettings(
-                matcher.weights,
-                matcher.device,
-                matcher.matching,
-                refinement,
-                matcher.runtime,
-                matcher.half_precision,
-            ),
+            matcher=matcher,
             estimation=estimation,
             options=batch_options(work),
             start_workers=start_workers,
@@ -204,14 +195,14 @@ def _bars() -> Iterator[Progress]:
 @click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(WorkChoice, "work")
-@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 def batch(
     source: str,
     out: Path,
     inputs: SourceChoice,
     work: WorkChoice,
-    matcher: MatcherChoice,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:
     """Match many pairs of photographs and estimate their poses.

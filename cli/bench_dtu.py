@@ -19,7 +19,7 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import (
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_csv
 from dgc_pose.benchmarks.dtu.report_page import write_report
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import EVERYWHERE, MethodOptions, load_engines, parse_methods
+from dgc_pose.benchmarks.methods import EVERYWHERE, load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import (
@@ -29,13 +29,14 @@ from dgc_pose.benchmarks.summary import (
     summary_data,
     summary_table,
 )
-from dgc_pose.cli.bench_run import RUN_FOLDER, MethodChoice, RunChoice, open_store, work
+from dgc_pose.cli.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.dtu_pairs import FolderChoice
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
-from dgc_pose.matchers import CLASSICAL
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import option
@@ -75,9 +76,9 @@ class Experiment:
 @click.option(
     "--methods",
     default=lambda: ",".join(
-        [*(name + end for name in shipped() for end in ("", EVERYWHERE)), *CLASSICAL]
+        [*(name + end for name in shipped() for end in ("", EVERYWHERE)), "sift", "dis"]
     ),
-    show_default=f"all shipped weights with and without {EVERYWHERE}, {', '.join(CLASSICAL)}",
+    show_default=f"all shipped weights with and without {EVERYWHERE}, sift, dis",
     help="Comma-separated names or paths of weights, sift, dis, and names of --matches, "
     "each with options of its own, such as NAME:matchability=0.5:runs=1; "
     f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their matchability.",
@@ -90,14 +91,16 @@ class Experiment:
     "ending .flo, .npz, .npy or .png.",
 )
 @dataclass_options(RunChoice, "run")
-@dataclass_options(MethodChoice, "user")
+@dataclass_options(MatcherOptions, "matcher", only=METHOD_FIELDS)
+@dataclass_options(EstimationOptions, "estimation")
 def bench_dtu(
     experiment: Experiment,
     folder: FolderChoice,
     methods: str,
     matches: tuple[str, ...],
     run: RunChoice,
-    user: MethodChoice,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
 ) -> None:
     """Repeat the paper's experiment on relative camera pose over DTU.
 
@@ -108,12 +111,10 @@ def bench_dtu(
     """
     stored = _folders(matches)
     protocol, out = experiment.protocol, Path(experiment.out)
-    defaults = protocol_options(protocol, user.options)
-    chosen = parse_methods(split_names(methods), defaults, [*stored])
+    matcher, estimation = protocol_options(protocol, matcher, estimation)
+    chosen = parse_methods(split_names(methods), matcher, estimation, [*stored])
     dataset = folder.open(experiment.root, experiment.scenes)
-    views = choose_pairs(
-        dataset, experiment.pairs, seed=user.estimation.seed, scenes=experiment.scenes
-    )
+    views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
     pairs = dtu_pairs(dataset, views, protocol)
     require_images(pairs.pairs)
     stems = pairs.stems
@@ -123,7 +124,7 @@ def bench_dtu(
 
     for directory in stored.values():
         FileMatcher(directory, stem).require(stems)
-    engines = load_engines(
+    passes = load_passes(
         chosen,
         device=run.device,
         runtime=run.runtime,
@@ -131,7 +132,7 @@ def bench_dtu(
         stem=stem,
         keep_features=True,
     )
-    evaluation = Evaluation(pairs, chosen, engines, run.workers, run.pairs_together)
+    evaluation = Evaluation(pairs, chosen, passes, run.workers, run.pairs_together)
     for line in _opening(dataset, experiment.pairs, len(views)):
         click.echo(line)
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
@@ -140,9 +141,9 @@ def bench_dtu(
     work(evaluation, store)
     _print_savings(evaluation)
     data = f"DTU in the {dataset.layout} layout, light {folder.light}"
-    table = _write_results(out, pairs, store.scores, _facts(data, pairs, defaults))
+    table = _write_results(out, pairs, store.scores, _facts(data, pairs, matcher, estimation))
     click.echo(f"{protocol} protocol: {DESCRIPTIONS[protocol]}")
-    click.echo(heading(defaults.estimation))
+    click.echo(heading(estimation))
     click.echo(
         "D_e: median symmetric epipolar distance of a pair in pixels of the protocol's images, its "
         "median\nover pairs, over all pixels and over the pose's matches; pose s: estimating"
@@ -152,7 +153,7 @@ def bench_dtu(
 
 
 def _print_savings(evaluation: Evaluation[DtuScore]) -> None:
-    for name, caches in evaluation.engines.caches.items():
+    for name, caches in evaluation.passes.caches.items():
         kept = caches.features
         if kept.asked:
             click.echo(
@@ -189,16 +190,17 @@ def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
     return lines
 
 
-def _facts(data: str, pairs: DtuPairs, defaults: MethodOptions) -> dict[str, str]:
+def _facts(
+    data: str, pairs: DtuPairs, matcher: MatcherOptions, estimation: EstimationOptions
+) -> dict[str, str]:
     """The run, for people."""
-    estimation = defaults.estimation
     return {
         "protocol": f"{pairs.protocol}: {DESCRIPTIONS[pairs.protocol]}",
         "data": data,
         "scenes": ", ".join(map(str, sorted({scene for scene, _, _ in pairs.keys}))),
         "pairs": str(len(pairs.keys)),
         "estimator": heading(estimation).splitlines()[0].removeprefix("estimator "),
-        "matchability": f"{defaults.matching.matchability:g} at least",
+        "matchability": f"{matcher.matching.matchability:g} at least",
         "seed": str(estimation.seed),
     }
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import load_engines, parse_methods
+from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     PairSet,
@@ -30,14 +30,15 @@ from dgc_pose.benchmarks.summary import (
     summary_table,
 )
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.cli.bench_run import RUN_FOLDER, MethodChoice, RunChoice, open_store, work
+from dgc_pose.cli.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.matchers import SIFT
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
@@ -95,21 +96,23 @@ class PairOptions:
 @dataclass_options(ImageChange, "change")
 @click.option(
     "--methods",
-    default=lambda: ",".join([*shipped(), SIFT]),
+    default=lambda: ",".join([*shipped(), "sift"]),
     show_default="all shipped weights, and sift",
     help="Comma-separated names or paths of weights, sift, dis, each with options of "
     "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
     "image 1.",
 )
 @dataclass_options(RunChoice, "run")
-@dataclass_options(MethodChoice, "defaults")
+@dataclass_options(MatcherOptions, "matcher", only=METHOD_FIELDS)
+@dataclass_options(EstimationOptions, "estimation")
 def bench_pairs(
     pair_list: str | None,
     options: PairOptions,
     change: ImageChange,
     methods: str,
     run: RunChoice,
-    defaults: MethodChoice,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
 ) -> None:
     """Score methods on the pairs of LIST, in SuperGlue's format, or on rendered pairs.
 
@@ -120,11 +123,11 @@ def bench_pairs(
     if options.out is not None:
         import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
     pairs = options.pair_set(pair_list, change)
-    chosen = parse_methods(split_names(methods), defaults.options)
+    chosen = parse_methods(split_names(methods), matcher, estimation)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
-        engines = load_engines(chosen, device=run.device, runtime=run.runtime)
-        evaluation = Evaluation(pairs, chosen, engines, run.workers, run.pairs_together)
+        passes = load_passes(chosen, device=run.device, runtime=run.runtime)
+        evaluation = Evaluation(pairs, chosen, passes, run.workers, run.pairs_together)
         store = open_store(evaluation, options.out, run)
         work(evaluation, store)
         results = by_method(store.scores)
@@ -135,7 +138,7 @@ def bench_pairs(
             save_text(stage(options.json_path), data)
     if options.out is not None:
         _write_summary(options.out, data, results)
-    click.echo(heading(defaults.estimation))
+    click.echo(heading(estimation))
     click.echo(summary_table(summaries))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,20 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
 from dgc_pose.cli.guard import OutputFolder, overwrites
-from dgc_pose.cli.options import RUNTIME_HELP, DeviceName, RefineChoice
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matching import MatchingOptions
+from dgc_pose.matchers import RUNTIME_HELP, DeviceName
 from dgc_pose.runtime.load import RuntimeName, device_type
 from dgc_pose.system.options import check_options, option
 
 GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
+
+
+# The options of all methods that a specification leaves open.
+METHOD_FIELDS = ("matching", "refinement")  # of `MatcherOptions`
 
 
 @dataclass(frozen=True)
@@ -58,19 +59,6 @@ class RunChoice:
     def pairs_together(self) -> int:
         """--batch, by default that of the device."""
         return self.batch or (GPU_BATCH if self.device_type == "cuda" else 1)
-
-
-@dataclass(frozen=True)
-class MethodChoice:
-    """The options of all methods that a specification leaves open."""
-
-    matching: MatchingOptions = field(default_factory=MatchingOptions)
-    refine: RefineChoice = field(default_factory=RefineChoice)
-    estimation: EstimationOptions = field(default_factory=EstimationOptions)
-
-    @property
-    def options(self) -> MethodOptions:
-        return MethodOptions(self.matching, self.refine.options(self.matching), self.estimation)
 
 
 def open_store(

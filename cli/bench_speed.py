@@ -22,16 +22,15 @@ from dgc_pose.benchmarks.speed import (
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.options import RUNTIME_HELP, split_names
+from dgc_pose.cli.options import split_names
 from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import save_text, scratch_folder, staged
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import refined
+from dgc_pose.matchers import RUNTIME_HELP, MatcherOptions, refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import RefinementOptions
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.torch_engine import network_input
@@ -82,7 +81,7 @@ def bench_speed(
         for name, config in configs.items():
             torch.manual_seed(0)
             nets[name] = DGCNet(config).eval().requires_grad_(False)
-        setup = Setup(*pair, dense, refined(dense, RefinementOptions()))
+        setup = Setup(*pair, dense, refined(dense, MatcherOptions()))
         data = _measure(setup, nets, options.repetitions)
         if options.json_path is not None:
             save_text(stage(options.json_path), json_text(finite_data(data)))

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MethodOptions, load_engines, parse_methods
+from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.verdict_pairs import (
     Group,
     VerdictPairs,
@@ -22,7 +22,6 @@ from dgc_pose.benchmarks.verdicts import gates_table, groups_table
 from dgc_pose.cli.bench_run import RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.refinement import RefinementOptions
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
@@ -85,13 +84,13 @@ def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunCho
 
     Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
     """
-    methods = parse_methods([method], MethodOptions(refinement=RefinementOptions()))
-    engines = load_engines(methods, device=run.device, runtime=run.runtime)
+    methods = parse_methods([method])
+    passes = load_passes(methods, device=run.device, runtime=run.runtime)
     groups = choice.groups()
     count = sum(len(group.names) for group in groups)
     hard = misleading(choice.photos, choice.misleading, choice.seed)
     pairs = VerdictPairs([*groups, *hard])
-    evaluation = Evaluation(pairs, methods, engines, run.workers, run.pairs_together)
+    evaluation = Evaluation(pairs, methods, passes, run.workers, run.pairs_together)
     store = open_store(evaluation, out, run)
     work(evaluation, store)
     # Gates are not chosen on what misleads.

@@ -8,16 +8,16 @@ import numpy as np
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files.outputs import staged
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 
 @click.command()
-@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 @click.option(
     "--plot",
@@ -26,7 +26,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
     metavar="PATH.png",
     help="Draw what the pose was found from.",
 )
-def demo(matcher: MatcherChoice, estimation: EstimationOptions, plot_path: str | None) -> int:
+def demo(matcher: MatcherOptions, estimation: EstimationOptions, plot_path: str | None) -> int:
     """Estimate the pose of the bundled pair and print it beside the known one."""
     check_picture(plot_path)
     pair = bundled_pair()

@@ -8,12 +8,13 @@ import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
-from dgc_pose.cli.options import CameraChoice, MatcherChoice
+from dgc_pose.cli.options import CameraChoice
 from dgc_pose.cli.output import matches_arrays, pose_data, pose_text, write_npz
 from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 
@@ -45,14 +46,14 @@ class Outputs:
 @click.argument("image1", metavar="IMG1", type=click.Path())
 @click.argument("image2", metavar="IMG2", type=click.Path())
 @dataclass_options(CameraChoice, "cameras")
-@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 @dataclass_options(Outputs, "outputs")
 def estimate(
     image1: str,
     image2: str,
     cameras: CameraChoice,
-    matcher: MatcherChoice,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
     outputs: Outputs,
 ) -> int:

@@ -12,9 +12,10 @@ from tqdm import tqdm
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import DeviceName, split_names
+from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.matchers import DeviceName
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import check_options, option
 

@@ -20,10 +20,11 @@ from dgc_pose.benchmarks.map_report import (
 )
 from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, load_networks, map_outcomes
 from dgc_pose.cli.guard import OutputFile, OutputFolder
-from dgc_pose.cli.options import DeviceName, split_names
+from dgc_pose.cli.options import split_names
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
+from dgc_pose.matchers import DeviceName
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import check_options, option
 from dgc_pose.viz import save_figure

@@ -6,11 +6,11 @@ import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import matches_arrays, write_npz
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import staged
 from dgc_pose.images.image import load_image
+from dgc_pose.matchers import MatcherOptions
 
 
 @click.command()
@@ -23,8 +23,8 @@ from dgc_pose.images.image import load_image
     metavar="PATH.npz",
     help="Where to write the matches.",
 )
-@dataclass_options(MatcherChoice, "matcher")
-def match(image1: str, image2: str, out: str, matcher: MatcherChoice) -> None:
+@dataclass_options(MatcherOptions, "matcher")
+def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
     """Match two photographs and write the dense map and the matches selected from it.
 
     The file holds `map` (H, W, 2), for each cell of a grid over image 2 its point in image 1;

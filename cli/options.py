@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from dgc_pose.cameras.camera import Camera, camera_for, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
-from dgc_pose.matching import DEFAULT_WEIGHTS, MatchingOptions
-from dgc_pose.refinement import AlignmentOptions, RefinementOptions, SourceName
-from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
-    from dgc_pose.matching import Matcher
-
-DeviceName = Literal["auto", "cpu", "cuda"]
-RUNTIME_HELP = (
-    "What runs the network: ONNX Runtime, on the CPU, or torch; auto: ONNX Runtime for shipped "
-    "weights on the CPU, torch for all others."
-)
+    pass
 
 
 def split_names(text: str) -> list[str]:
@@ -60,54 +51,4 @@ class CameraChoice:
             return guess_camera(Path(image.name))
         raise InputError(
             f"image {number} has no K: give --K or --K{number}, or --guess-focal for a rough guess"
-        )
-
-
-@dataclass(frozen=True)
-class RefineChoice:
-    """The source of refinement, or none."""
-
-    source: Literal["none", SourceName] = option(
-        "auto",
-        "Which matches are aligned on the original photographs: those of the map, or those of the "
-        "encoder's features at native resolution; auto: the features', and the map's if those are "
-        "few.",
-        flag="--refine",
-    )
-
-    def options(self, matching: MatchingOptions) -> RefinementOptions | None:
-        """Refinement with the number of matches of the selection."""
-        if self.source == "none":
-            return None
-        alignment = AlignmentOptions(max_matches=matching.max_matches)
-        return RefinementOptions(source=self.source, alignment=alignment)
-
-
-@dataclass(frozen=True)
-class MatcherChoice:
-    """Which network to match with, and how."""
-
-    weights: str = option(
-        DEFAULT_WEIGHTS,
-        "Shipped weights by name, or a path to .safetensors or to an authors' .pth.",
-    )
-    device: DeviceName = option("auto", "Where the network runs.")
-    runtime: RuntimeName = option("auto", RUNTIME_HELP)
-    half_precision: bool = option(
-        False, "Convolutions in bfloat16, by torch: less exact, faster on a device that has it."
-    )
-    matching: MatchingOptions = field(default_factory=MatchingOptions)
-    refine: RefineChoice = field(default_factory=RefineChoice)
-
-    def load(self) -> Matcher:
-        """Raises WeightsError if weights cannot be loaded, InputError without such a device."""
-        from dgc_pose.matchers import load_matcher
-
-        return load_matcher(
-            self.weights,
-            device=self.device,
-            runtime=self.runtime,
-            half_precision=self.half_precision,
-            matching=self.matching,
-            refinement=self.refine.options(self.matching),
         )

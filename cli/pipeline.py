@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image, load_image
+from dgc_pose.matchers import MatcherOptions
 
 if TYPE_CHECKING:
     from dgc_pose.pose import Trace
@@ -22,7 +22,7 @@ def run_pipeline(
     path1: str | Path,
     path2: str | Path,
     resolve: Callable[[Image, Image], tuple[Camera, Camera]],
-    matcher: MatcherChoice,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> Trace:
     """Read both images, find their cameras by `resolve`, load the matcher, estimate the pose.

@@ -13,10 +13,10 @@ from dgc_pose.cli.batch import SourceChoice, WorkChoice, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described, images_bar
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.reconstruction import SparseModel
@@ -31,7 +31,7 @@ EXHAUSTIVE_UP_TO = 20  # images
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(ReconstructionOptions, "options")
 @dataclass_options(WorkChoice, "work")
-@dataclass_options(MatcherChoice, "matcher")
+@dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 def reconstruct(
     source: str,
@@ -39,7 +39,7 @@ def reconstruct(
     inputs: SourceChoice,
     options: ReconstructionOptions,
     work: WorkChoice,
-    matcher: MatcherChoice,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:
     """Reconstruct cameras and points from a folder of photographs.

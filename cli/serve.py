@@ -17,10 +17,10 @@ import click
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.options import MatcherChoice
 from dgc_pose.cli.output import pose_data
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import scratch_folder
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.serve.options import ServeOptions
 from dgc_pose.system.options import check_options, option
@@ -46,10 +46,10 @@ class Address:
 
 
 @click.command()
-@dataclass_options(MatcherChoice, "matcher", only=("weights", "device", "runtime"))
+@dataclass_options(MatcherOptions, "matcher", only=("weights", "device", "runtime"))
 @dataclass_options(Address, "address")
 @dataclass_options(ServeOptions, "limits")
-def serve(matcher: MatcherChoice, address: Address, limits: ServeOptions) -> int:
+def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> int:
     """Show a page on this machine that estimates poses.
 
     Drop two photographs, or take the bundled pair. The page shows the matches, the epipolar lines
@@ -135,7 +135,7 @@ def _run(web: uvicorn.Server, server: Server, bound: socket.socket, url: str, br
     return 0
 
 
-def _estimator(matcher: MatcherChoice, weights: str | None) -> Estimator:
+def _estimator(matcher: MatcherOptions, weights: str | None) -> Estimator:
     """For the worker's process: the server itself imports no network."""
     from dgc_pose.serve.estimator import Estimator
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
     from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
     from dgc_pose.images.image import Image, load_image
-    from dgc_pose.matchers import MatcherCaches, load_matcher
+    from dgc_pose.matchers import MatcherCaches, MatcherOptions, load_matcher
     from dgc_pose.matches import Matches
     from dgc_pose.matching import (
         CorrespondenceMap,
@@ -33,7 +33,7 @@ _PUBLIC = {
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
     "estimation": ("EstimationOptions", "RelativePose", "estimate_pose"),
     "images.image": ("Image", "load_image"),
-    "matchers": ("MatcherCaches", "load_matcher"),
+    "matchers": ("MatcherCaches", "MatcherOptions", "load_matcher"),
     "matches": ("Matches",),
     "matching": (
         "CorrespondenceMap",
@@ -60,6 +60,7 @@ __all__ = [
     "MatchResult",
     "Matcher",
     "MatcherCaches",
+    "MatcherOptions",
     "Matches",
     "MatchingOptions",
     "RefinementOptions",

@@ -1,29 +1,36 @@
-"""Every matcher by its name: what the commands and the benchmarks match with."""
+"""Every kind of matcher by its name: what the commands and the benchmarks match with."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Literal
 
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
+from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.selection import MatchingOptions
 from dgc_pose.matching.sift import KeyPointCache, SiftMatcher, key_point_cache
-from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
+from dgc_pose.network.stored import shipped
 from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.refinement.native import NativeCache, native_cache
 from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.refinement.refiner import Refiner
 from dgc_pose.refinement.source import MapMatches, MatchSource
+from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
-from dgc_pose.system.options import check_type
+from dgc_pose.system.options import check_options, check_type, option
 
-SIFT = "sift"
-_DEFAULT = RefinementOptions()
-DIS = "dis"
-CLASSICAL = (SIFT, DIS)  # names of the matchers without weights
+DeviceName = Literal["auto", "cpu", "cuda"]
+RUNTIME_HELP = (
+    "What runs the network: ONNX Runtime, on the CPU, or torch; auto: ONNX Runtime for shipped "
+    "weights on the CPU, torch for all others."
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +43,7 @@ class MatcherCaches:
 
     features: FeatureCache = field(default_factory=feature_cache)  # the encoder's, at 240x240
     native: NativeCache = field(default_factory=native_cache)  # the encoder's, for refinement
-    key_points: KeyPointCache = field(default_factory=key_point_cache)  # of SIFT
+    key_points: KeyPointCache = field(default_factory=key_point_cache)  # of a detector
 
     def forget(self, image: Image) -> None:
         """Drop all that is kept of an image."""
@@ -45,60 +52,136 @@ class MatcherCaches:
         self.key_points.drop(lambda key: key is image)
 
 
+@dataclass(frozen=True)
+class MatcherOptions:
+    """Which matcher, and how it matches. Raises InputError, naming the field, for a value out of
+    range."""
+
+    weights: str = option(
+        DEFAULT_WEIGHTS,
+        "Shipped weights by name, or a path to .safetensors or to an authors' .pth; or a matcher "
+        "without a network of ours: sift, dis (optical flow).",
+    )
+    device: DeviceName = option("auto", "Where the network runs.")
+    runtime: RuntimeName = option("auto", RUNTIME_HELP)
+    half_precision: bool = option(
+        False, "Convolutions in bfloat16, by torch: less exact, faster on a device that has it."
+    )
+    matching: MatchingOptions = field(default_factory=MatchingOptions)
+    refinement: RefinementOptions = field(default_factory=RefinementOptions)
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def kind(self) -> MatcherKind:
+        """The kind that the name stands for; by default a network."""
+        return next(kind for kind in KINDS if fnmatchcase(self.weights, kind.pattern))
+
+    def load(self, caches: MatcherCaches | None = None, engine: Engine | None = None) -> Matcher:
+        """The matcher; see `load_matcher`. engine: of a network that is loaded already."""
+        try:
+            return self.kind.load(self, caches, engine)
+        except WeightsError:
+            path = Path(self.weights)
+            if self.weights in PRESETS or path.suffix or path.exists():
+                raise
+        names = ", ".join([*shipped(), *(kind.pattern for kind in KINDS[:-1])])
+        raise InputError(f"{self.weights}: no such file, and no such matcher: there are {names}")
+
+
+@dataclass(frozen=True)
+class MatcherKind:
+    """A kind of matcher: a row of `KINDS`."""
+
+    pattern: str  # of the names that stand for it, as of files
+    load: Callable[[MatcherOptions, MatcherCaches | None, Engine | None], Matcher]
+    dense_map: bool = False  # whether it makes one
+    # Whether it is a network of ours, whose features refine its matches and choose pairs.
+    network: bool = False
+
+
 def load_matcher(
     name: str | Path = DEFAULT_WEIGHTS,
     *,
-    device: str = "auto",
+    device: DeviceName = "auto",
     runtime: RuntimeName = "auto",
     half_precision: bool = False,
     matching: MatchingOptions | None = None,
-    refinement: RefinementOptions | None = _DEFAULT,
+    refinement: RefinementOptions | None = RefinementOptions(),  # noqa: B008, it is frozen
     caches: MatcherCaches | None = None,
 ) -> Matcher:
     """A matcher by its name; by default what `dgc-pose estimate` uses.
 
     name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), "sift", or
-    "dis" (optical flow). device: of the network, "auto", "cpu" or "cuda". runtime:
-    what runs it, see `load_engine`. half_precision: its convolutions in bfloat16, by torch; faster
-    on a GPU, less exact. matching: how matches are selected from a dense map.
-    refinement: of a network's matches; None for the matches of its map. SIFT and DIS are
-    never refined here; a `Refiner` around them does it.
+    "dis" (optical flow). device: of the network. runtime: what runs it, see `load_engine`.
+    half_precision: its convolutions in bfloat16, by torch; faster on a GPU, less exact.
+    matching: how matches are selected from a dense map. refinement: of a network's matches; None
+    for those of its map. Other matchers are never refined here; a `Refiner` around them does it.
     caches: to keep what is computed of an image from pair to pair; None to keep nothing.
 
-    Raises WeightsError if weights cannot be loaded, InputError if there is no such device.
+    Raises WeightsError if weights cannot be loaded, InputError if there is no such matcher or
+    device.
     """
     check_type(name, str | Path, "name")
-    check_type(device, str, "device")
-    for value, kind, argument in (
-        (matching, MatchingOptions, "matching"),
-        (refinement, RefinementOptions, "refinement"),
-        (caches, MatcherCaches, "caches"),
-    ):
-        if value is not None:
-            check_type(value, kind, argument)
-    if name == SIFT:
-        return SiftMatcher(cache=None if caches is None else caches.key_points)
-    if name == DIS:
-        return FlowMatcher(matching)
-    features, native = (None, None) if caches is None else (caches.features, caches.native)
-    dense = load_dense_matcher(
-        name,
-        device=device,
-        runtime=runtime,
-        half_precision=half_precision,
-        options=matching,
-        cache=features,
+    if caches is not None:
+        check_type(caches, MatcherCaches, "caches")
+    options = MatcherOptions(
+        str(name),
+        device,
+        runtime,
+        half_precision,
+        MatchingOptions() if matching is None else matching,
+        RefinementOptions(source="none") if refinement is None else refinement,
     )
-    return dense if refinement is None else refined(dense, refinement, native)
+    return options.load(caches)
 
 
 def refined(
-    dense: DenseMatcher, options: RefinementOptions, cache: NativeCache | None = None
+    matcher: Matcher, options: MatcherOptions, caches: MatcherCaches | None = None
 ) -> Refiner:
-    """A network's matcher with refinement, whose features are of the same network."""
+    """A matcher with refinement of its matches, if it has a network by its features.
+
+    Raises InputError if the features of a network are asked for, and the matcher has none.
+    """
+    source = options.refinement.source
     sources: list[MatchSource] = []
-    if options.source in ("auto", "features"):
-        sources.append(FeatureMatches(dense.engine, options.features, cache))
-    if options.source in ("auto", "map"):
+    if source in ("auto", "features"):
+        if matcher.engine is None:
+            raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
+        native = caches.native if caches else None
+        sources.append(FeatureMatches(matcher.engine, options.refinement.features, native))
+    if source in ("auto", "map"):
         sources.append(MapMatches())
-    return Refiner(dense, sources, options.alignment)
+    return Refiner(matcher, sources, options.refinement.alignment, options.matching.max_matches)
+
+
+def _network(
+    options: MatcherOptions, caches: MatcherCaches | None, engine: Engine | None
+) -> Matcher:
+    matcher = load_dense_matcher(
+        options.weights,
+        device=options.device,
+        runtime=options.runtime,
+        half_precision=options.half_precision,
+        options=options.matching,
+        cache=caches.features if caches else None,
+        engine=engine,
+    )
+    return matcher if options.refinement.source == "none" else refined(matcher, options, caches)
+
+
+def _sift(options: MatcherOptions, caches: MatcherCaches | None, engine: Engine | None) -> Matcher:
+    return SiftMatcher(cache=caches.key_points if caches else None)
+
+
+def _dis(options: MatcherOptions, caches: MatcherCaches | None, engine: Engine | None) -> Matcher:
+    return FlowMatcher(options.matching)
+
+
+# The first whose pattern the name fits. A new matcher is a row here, and a file with its class.
+KINDS = (
+    MatcherKind("sift", _sift),
+    MatcherKind("dis", _dis, dense_map=True),
+    MatcherKind("*", _network, dense_map=True, network=True),
+)

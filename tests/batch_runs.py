@@ -15,8 +15,9 @@ from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.run import Batch, BatchOptions, run_batch
 from dgc_pose.batch.source import open_source
-from dgc_pose.batch.work import Job, MatcherSettings, Outcome, Task
+from dgc_pose.batch.work import Job, Outcome, Task
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 
 
 def view_folder(folder: Path, count: int = 4) -> list[View]:
@@ -43,7 +44,7 @@ def run_sift(
         read_calibration(K, guess=K is None),
         None if pairs is None else parse_pair_choice(pairs),
         out,
-        matcher=MatcherSettings("sift"),
+        matcher=MatcherOptions("sift"),
         estimation=estimation,
         options=BatchOptions(workers=workers, resume=resume),
         start_workers=start_workers,

@@ -10,19 +10,22 @@ import numpy as np
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol, protocol_options
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions, parse_methods
+from dgc_pose.benchmarks.methods import MatchingPass, MatchingPasses, Method, parse_methods
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+from dgc_pose.refinement import RefinementOptions
 
 NAMES = ["net", "net/all", "some"]
-OPTIONS = MethodOptions(
-    matching=MatchingOptions(max_matches=400), estimation=EstimationOptions(runs=2, iterations=100)
+MATCHER = MatcherOptions(
+    matching=MatchingOptions(max_matches=400), refinement=RefinementOptions(source="none")
 )
-METHODS = parse_methods(NAMES, OPTIONS)
+ESTIMATION = EstimationOptions(runs=2, iterations=100)
+METHODS = parse_methods(NAMES, MATCHER, ESTIMATION)
 
 
 class Net(Matcher):
@@ -69,19 +72,21 @@ def posed_pairs(folder: Path, count: int, protocol: Protocol = "native") -> DtuP
     return DtuPairs(views, pairs, protocol)
 
 
-def engines(net: Matcher | None = None, **refiners: object) -> Engines:
+def passes(net: Matcher | None = None) -> MatchingPasses:
     """What `METHODS` match with."""
-    passes = {METHODS[0].key: Engine(net or Net(), {}), METHODS[2].key: Engine(Some(), {})}
-    return Engines(passes, caches={})
+    matchers = (METHODS[0], net or Net()), (METHODS[2], Some())
+    return MatchingPasses(
+        {method.matching_pass: MatchingPass(matcher) for method, matcher in matchers}
+    )
 
 
 def evaluation(
     pairs: DtuPairs,
     methods: list[Method] | None = None,
-    found: Engines | None = None,
+    loaded: MatchingPasses | None = None,
     **numbers: int,
 ) -> Evaluation:
     """`METHODS` on pairs; in the paper's protocol with its options."""
     if methods is None:
-        methods = parse_methods(NAMES, protocol_options(pairs.protocol, OPTIONS))
-    return Evaluation(pairs, methods, found or engines(), **numbers)
+        methods = parse_methods(NAMES, *protocol_options(pairs.protocol, MATCHER, ESTIMATION))
+    return Evaluation(pairs, methods, loaded or passes(), **numbers)

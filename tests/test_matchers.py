@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dgc_pose import MatcherCaches, MatchingOptions, load_dense_matcher, load_matcher
-from dgc_pose.errors import WeightsError
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -77,5 +77,7 @@ def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:
 
 
 def test_other_names_are_paths_to_weights() -> None:
-    with pytest.raises(WeightsError, match="nowhere"):
+    with pytest.raises(WeightsError, match="nowhere.pth: no such weights"):
+        load_matcher("nowhere.pth")
+    with pytest.raises(InputError, match="nowhere: no such file, .*: there are dgcm-lite0, sift"):
         load_matcher("nowhere")

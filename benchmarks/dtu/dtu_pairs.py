@@ -14,12 +14,14 @@ from typing import Literal
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
-from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.benchmarks.posed_pairs import FilePairs, PosedPair
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image, resize
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.refinement import RefinementOptions
 
 Protocol = Literal["paper", "native"]
 ViewKey = tuple[int, int, int]  # scene, view1, view2
@@ -85,12 +87,15 @@ def dtu_pairs(dataset: Dataset, views: Sequence[ViewPair], protocol: Protocol) -
     return DtuPairs(views, [listed_pair(dataset, pair) for pair in views], protocol)
 
 
-def protocol_options(protocol: Protocol, options: MethodOptions) -> MethodOptions:
+def protocol_options(
+    protocol: Protocol, matcher: MatcherOptions, estimation: EstimationOptions
+) -> tuple[MatcherOptions, EstimationOptions]:
     """The user's options with the protocol's settings for matches and refinement."""
     if protocol == "native":
-        return options
-    return MethodOptions(
-        matching=replace(options.matching, max_matches=EVERY_MATCH),
-        refinement=None,
-        estimation=replace(options.estimation, refine=False),
+        return matcher, estimation
+    matching = replace(matcher.matching, max_matches=EVERY_MATCH)
+    unrefined = RefinementOptions(source="none")
+    return (
+        replace(matcher, matching=matching, refinement=unrefined),
+        replace(estimation, refine=False),
     )

@@ -8,7 +8,7 @@ import numpy as np
 from vismatch import BaseMatcher
 
 from dgc_pose.adapters.images import image_of_tensor
-from dgc_pose.matchers import load_matcher
+from dgc_pose.matchers import DeviceName, load_matcher
 from dgc_pose.matching.matcher import Matcher
 
 
@@ -18,7 +18,9 @@ class DgcPoseMatcher(BaseMatcher):  # type: ignore[misc, unused-ignore]
     >>> found = DgcPoseMatcher()("1.jpg", "2.jpg")  # doctest: +SKIP
     """
 
-    def __init__(self, device: str = "cpu", matcher: Matcher | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self, device: DeviceName = "cpu", matcher: Matcher | None = None, **kwargs: Any
+    ) -> None:
         """
         Args:
             device: of the network, "cpu" or "cuda".

@@ -43,13 +43,13 @@ from dgc_pose.batch.work import (
     Job,
     Match,
     Matched,
-    MatcherSettings,
 )
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer
+from dgc_pose.matchers import MatcherOptions
 
 WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
@@ -97,7 +97,7 @@ def run_batch(
     choice: PairChoice | None,
     out: Path,
     *,
-    matcher: MatcherSettings,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
     options: BatchOptions,
     start_workers: Workers = local_workers,
@@ -124,7 +124,7 @@ def run_batch(
         "runtime": matcher.runtime,
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
-        "refinement": None if matcher.refinement is None else asdict(matcher.refinement),
+        "refinement": asdict(matcher.refinement),
         "estimation": asdict(estimation),
         "format": options.format,
     }
@@ -219,7 +219,7 @@ def _first_plan(
 def _lazy_workers(
     start_workers: Workers,
     plan: Plan,
-    matcher: MatcherSettings,
+    matcher: MatcherOptions,
     estimation: EstimationOptions,
     options: BatchOptions,
     stack: ExitStack,

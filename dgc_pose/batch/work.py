@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,46 +11,17 @@ import numpy as np
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of, unmatched_row
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import DgcPoseError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image, load_image
-from dgc_pose.matchers import MatcherCaches, load_matcher
+from dgc_pose.matchers import MatcherCaches, MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.matching.matcher import Matcher
-from dgc_pose.matching.selection import MatchingOptions
-from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.pose import match_and_estimate
-from dgc_pose.refinement.options import RefinementOptions
-from dgc_pose.runtime.load import RuntimeName
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
 FEATURE_BYTES = 24 * 2**20
-
-
-@dataclass(frozen=True)
-class MatcherSettings:
-    """A matcher by name and options, as `load_matcher` takes them."""
-
-    weights: str = DEFAULT_WEIGHTS
-    device: str = "auto"
-    matching: MatchingOptions = field(default_factory=MatchingOptions)
-    refinement: RefinementOptions | None = field(default_factory=RefinementOptions)
-    runtime: RuntimeName = "auto"
-    half_precision: bool = False
-
-    def load(self, caches: MatcherCaches | None = None) -> Matcher:
-        """Raises what `load_matcher` raises."""
-        return load_matcher(
-            self.weights,
-            device=self.device,
-            runtime=self.runtime,
-            half_precision=self.half_precision,
-            matching=self.matching,
-            refinement=self.refinement,
-            caches=caches,
-        )
 
 
 @dataclass(frozen=True)
@@ -60,7 +31,7 @@ class Job:
     root: Path  # of the image names
     cameras: Mapping[str, Camera]  # by name, with the size of the image
     bad: Mapping[str, str]  # reasons by name, of images that are known to be unusable
-    matcher: MatcherSettings
+    matcher: MatcherOptions
     estimation: EstimationOptions
     memory_bytes: int  # of images and features that a worker keeps
 
@@ -124,11 +95,6 @@ class Worker:
         return self._describe(task) if isinstance(task, Describe) else self._match(task)
 
     def _describe(self, task: Describe) -> Described:
-        dense = getattr(self.matcher, "matcher", self.matcher)
-        if not hasattr(dense, "coarse_features"):
-            raise InputError(
-                f"--pairs auto needs the features of a network, and {self.matcher.name} has none"
-            )
         features: dict[str, np.ndarray] = {}
         bad = {}
         for name in task.names:
@@ -136,7 +102,7 @@ class Worker:
             if isinstance(image, str):
                 bad[name] = image
             else:
-                features[name] = dense.coarse_features(image).astype(np.float16)
+                features[name] = self.matcher.coarse_features(image).astype(np.float16)
         return Described(features, bad)
 
     def _match(self, task: Match) -> Matched:

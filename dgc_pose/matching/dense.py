@@ -37,6 +37,8 @@ class DenseMatcher(Matcher):
     Raises InputError if `finest` is a level that the network's mask is not made for.
     """
 
+    engine: Engine
+
     def __init__(
         self,
         engine: Engine,
@@ -72,7 +74,7 @@ class DenseMatcher(Matcher):
         ]
 
     def coarse_features(self, image: Image) -> np.ndarray:
-        """The coarsest features of an image (cells, C) float32, of unit length over C."""
+        """As `Matcher`; those of the whole image."""
         cache = feature_cache() if self.cache is None else self.cache
         features = cache.get(*self._features(image, View.whole(image.size)))
         return np.concatenate(self.engine.coarsest(features))
@@ -175,11 +177,15 @@ def load_dense_matcher(
     cache: FeatureCache | None = None,
     runtime: RuntimeName = "auto",
     half_precision: bool = False,
+    engine: Engine | None = None,
 ) -> DenseMatcher:
     """The network alone, without refinement: shipped weights by name, or those of a file (see
     `load_network`). device, runtime, half_precision: see `load_engine`, also for what is raised.
+    engine: of these weights, if it is loaded already.
     """
-    engine = load_engine(weights, device=device, runtime=runtime, half_precision=half_precision)
+    engine = engine or load_engine(
+        weights, device=device, runtime=runtime, half_precision=half_precision
+    )
     return DenseMatcher(engine, options, cache)
 
 

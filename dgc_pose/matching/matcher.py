@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.texture import textured
+from dgc_pose.runtime.engine import Engine
 
 # Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.
 ERROR_CELLS = 0.5
@@ -70,6 +72,8 @@ class MatchResult:
 class Matcher(ABC):
     """Anything that matches two images: the network, SIFT, optical flow, files, or a refiner."""
 
+    engine: Engine | None = None  # of a network of ours, whose features may refine the matches
+
     @property
     @abstractmethod
     def name(self) -> str:
@@ -91,6 +95,13 @@ class Matcher(ABC):
             replace(result, matches=textured(result.matches, *pair))
             for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
         ]
+
+    def coarse_features(self, image: Image) -> np.ndarray:
+        """A network's coarsest features of an image (cells, C) float32, of unit length over C.
+
+        Raises InputError for a matcher that has none.
+        """
+        raise InputError(f"--pairs auto needs the features of a network, and {self.name} has none")
 
     @abstractmethod
     def _match(self, image1: Image, image2: Image) -> MatchResult:

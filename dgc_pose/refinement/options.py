@@ -8,8 +8,9 @@ from typing import Literal
 from dgc_pose.system.options import check_options, option
 
 # The source of the matches to align: those selected from the map, or matches of the encoder's
-# features at native resolution. "auto": the features', and the map's if those are too few.
-SourceName = Literal["auto", "map", "features"]
+# features at native resolution. "auto": the features', and the map's if those are too few. "none":
+# no refinement.
+SourceName = Literal["none", "auto", "map", "features"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,6 @@ class AlignmentOptions:
 
     align: bool = True  # whether patches of the originals are aligned around each match
     neighbours: int = option(12, min=4)  # nearest matches whose affinity a match must fit
-    max_matches: int = option(2000, min=1)  # an even subsample of at most so many
     patch_radius: int = option(7, min=2)  # pixels of image 2; patches of 15x15
     min_zncc: float = option(0.8, above=0, max=1)  # least correlation of a pair of aligned patches
     min_matches: int = option(50, min=1)  # a step that leaves fewer is undone
@@ -45,7 +45,13 @@ class AlignmentOptions:
 class RefinementOptions:
     """How `load_matcher` refines a network's matches. Raises InputError for an unknown source."""
 
-    source: SourceName = option("auto")
+    source: SourceName = option(
+        "auto",
+        "Which matches are aligned on the original photographs: those of the map, or those of the "
+        "encoder's features at native resolution; auto: the features', and the map's if those are "
+        "few.",
+        flag="--refine",
+    )
     features: FeatureOptions = field(default_factory=FeatureOptions)
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)
 

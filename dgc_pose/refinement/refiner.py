@@ -24,7 +24,7 @@ class Refiner(Matcher):
     """A matcher with refinement of its matches. The dense map stays the matcher's own.
 
     sources: tried in this order until one gives enough matches. For a pair without a map the
-    matcher's own matches are aligned instead.
+    matcher's own matches are aligned instead. max_matches: an even subsample of at most so many.
     """
 
     def __init__(
@@ -32,10 +32,12 @@ class Refiner(Matcher):
         matcher: Matcher,
         sources: Sequence[MatchSource] = (MapMatches(),),
         options: AlignmentOptions | None = None,
+        max_matches: int = 2000,
     ) -> None:
         self.matcher = matcher
         self.sources = tuple(sources)
         self.options = options or AlignmentOptions()
+        self.max_matches = max_matches
 
     @property
     def name(self) -> str:
@@ -44,6 +46,9 @@ class Refiner(Matcher):
     @property
     def fingerprint(self) -> str | None:
         return self.matcher.fingerprint
+
+    def coarse_features(self, image: Image) -> np.ndarray:
+        return self.matcher.coarse_features(image)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         return self.refine(image1, image2, self.matcher.match(image1, image2))
@@ -63,7 +68,7 @@ class Refiner(Matcher):
                 matches = textured(candidates, image1, image2)
                 if len(matches) >= least:
                     kept = spread(
-                        matches.points2, matches.confidence, image2.size, self.options.max_matches
+                        matches.points2, matches.confidence, image2.size, self.max_matches
                     )
                     return MatchResult(matches.subset(kept), given.correspondence_map)
         return given
@@ -94,7 +99,7 @@ class Refiner(Matcher):
                 radius=options.patch_radius,
                 error_px=matches.error_px,
                 min_zncc=options.min_zncc,
-                max_matches=options.max_matches,
+                max_matches=self.max_matches,
             )
             good = aligned.converged & (aligned.zncc >= options.min_zncc)
             moved = Matches(

@@ -18,9 +18,10 @@ from dgc_pose.batch.local import RunTasks, local_workers
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.run import BatchOptions, run_batch
 from dgc_pose.batch.source import open_source
-from dgc_pose.batch.work import Describe, Job, MatcherSettings, Outcome, Task
+from dgc_pose.batch.work import Describe, Job, Outcome, Task
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def test_what_cannot_be_loaded_is_said_as_by_the_matcher(
             read_calibration(K_text()),
             parse_pair_choice("exhaustive"),
             tmp_path / "out",
-            matcher=MatcherSettings(str(path), device=device),
+            matcher=MatcherOptions(str(path), device=device),
             estimation=EstimationOptions(),
             options=BatchOptions(workers=workers),
         )
@@ -96,8 +97,8 @@ def test_a_worker_that_is_killed_is_told_by_its_signal(photos: Path, tmp_path: P
 
 def test_what_a_worker_raises_is_raised_here(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not the end of a process: here the weights are gone once the processes start."""
-    monkeypatch.setattr(MatcherSettings, "load", lambda self, caches=None: None)  # in this process
-    settings = MatcherSettings("gone.safetensors")
+    monkeypatch.setattr(MatcherOptions, "load", lambda self, caches=None: None)  # in this process
+    settings = MatcherOptions("gone.safetensors")
     job = Job(photos, {}, {}, settings, EstimationOptions(), 2**20)
     with (
         pytest.raises(WeightsError, match="gone.safetensors"),

@@ -17,10 +17,10 @@ from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import BatchOptions, read_batch, run_batch
 from dgc_pose.batch.source import open_source
-from dgc_pose.batch.work import MatcherSettings
 from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.sift import SiftMatcher
 
 COUNT = 4
@@ -230,7 +230,7 @@ def test_a_batch_without_pairs_has_an_empty_result(photos: Path, tmp_path: Path)
             read_calibration(K_text()),
             None,
             out,
-            matcher=MatcherSettings("sift"),
+            matcher=MatcherOptions("sift"),
             estimation=EstimationOptions(),
             options=BatchOptions(resume=resume),
         )

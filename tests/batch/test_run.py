@@ -172,8 +172,8 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
     from dgc_pose.batch.calibration import read_calibration
     from dgc_pose.batch.run import BatchOptions, run_batch
     from dgc_pose.batch.source import open_source
-    from dgc_pose.batch.work import MatcherSettings
     from dgc_pose.estimation import EstimationOptions
+    from dgc_pose.matchers import MatcherOptions
 
     by_source = {}
     for name, path, K in (("list", listed, K_text()), ("database", database, None)):
@@ -182,7 +182,7 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
             read_calibration(K),
             None,
             tmp_path / name,
-            matcher=MatcherSettings("sift"),
+            matcher=MatcherOptions("sift"),
             estimation=EstimationOptions(runs=1, iterations=300),
             options=BatchOptions(),
         ).rows

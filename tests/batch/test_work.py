@@ -11,11 +11,11 @@ from batch_runs import view_folder
 from multi_view import SIZE, K
 
 from dgc_pose.batch.rows import row_of
-from dgc_pose.batch.work import FEATURE_BYTES, Job, Match, Matched, MatcherSettings, Worker
+from dgc_pose.batch.work import FEATURE_BYTES, Job, Match, Matched, Worker
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import load_matcher
+from dgc_pose.matchers import MatcherOptions, load_matcher
 
 COUNT = 3
 NAMES = tuple(f"view{i}.png" for i in range(COUNT))
@@ -34,7 +34,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _worker(photos: Path, memory_bytes: int) -> tuple[Worker, Matched]:
     """A worker that has matched all pairs."""
     cameras = {name: Camera(K, SIZE) for name in NAMES}
-    worker = Worker(Job(photos, cameras, {}, MatcherSettings(), ESTIMATION, memory_bytes))
+    worker = Worker(Job(photos, cameras, {}, MatcherOptions(), ESTIMATION, memory_bytes))
     outcome = worker.do(Match(tuple(range(len(PAIRS))), PAIRS))
     assert isinstance(outcome, Matched)
     return worker, outcome

@@ -8,9 +8,18 @@ import dense_scene
 import evaluation_pairs
 import numpy as np
 import pytest
-from evaluation_pairs import METHODS, NAMES, OPTIONS, Net, evaluation, posed_pairs, view_of
+from evaluation_pairs import (
+    ESTIMATION,
+    MATCHER,
+    METHODS,
+    NAMES,
+    Net,
+    evaluation,
+    posed_pairs,
+    view_of,
+)
 
-from dgc_pose.benchmarks.methods import Engine, Engines, parse_methods
+from dgc_pose.benchmarks.methods import parse_methods
 from dgc_pose.benchmarks.scoring import Scored, pair_seed
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.matches import Matches
@@ -99,7 +108,7 @@ def test_a_batch_begins_where_it_would_have_begun(tmp_path) -> None:
             seen.append([view_of(image2) for _, image2 in pairs])
             return super().match_batch(pairs)
 
-    found = evaluation_pairs.engines(Remembering())
+    found = evaluation_pairs.passes(Remembering())
     pairs = posed_pairs(tmp_path, 5)
     list(evaluation(pairs, METHODS[:1], found, batch=2).run(first=3))
     assert seen == [[4, 5], [6]]
@@ -113,13 +122,13 @@ def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
             calls.append(1)
             return super()._match(image1, image2)
 
-    found = evaluation_pairs.engines(Counting())
-    methods = parse_methods(["net", "net/all", "net:matchability=0.5:runs=2"], OPTIONS)
-    rows = list(evaluation(posed_pairs(tmp_path, 2), methods, found=found).run())
+    found = evaluation_pairs.passes(Counting())
+    methods = parse_methods(["net", "net/all", "net:matchability=0.5:runs=2"], MATCHER, ESTIMATION)
+    rows = list(evaluation(posed_pairs(tmp_path, 2), methods, loaded=found).run())
     assert len(calls) == 2 and len(rows[0]) == 3
 
 
-def test_a_refiner_sees_the_trusted_matches_alone(tmp_path) -> None:
+def test_a_refiner_sees_the_trusted_matches_alone(tmp_path, monkeypatch) -> None:
     """Of two methods of one engine the one without a mask keeps its matches."""
 
     class Halves:
@@ -132,19 +141,18 @@ def test_a_refiner_sees_the_trusted_matches_alone(tmp_path) -> None:
             return MatchResult(halved, found)
 
     pairs = posed_pairs(tmp_path, 1)
-    found = evaluation_pairs.engines()
-    refiners = {RefinementOptions(): Halves()}
-    refining = {key: Engine(one.matcher, refiners) for key, one in found.passes.items()}
-    refined = parse_methods(NAMES, replace(OPTIONS, refinement=RefinementOptions()), ["some"])
+    monkeypatch.setattr("dgc_pose.benchmarks.methods.refined", lambda *arguments: Halves())
+    refining = replace(MATCHER, refinement=RefinementOptions())
+    refined = parse_methods(NAMES, refining, ESTIMATION, ["some"])
     (plain,) = evaluation(pairs).run()
-    (halved,) = evaluation(pairs, refined, found=Engines(refining, {})).run()
+    (halved,) = evaluation(pairs, refined).run()
     counts = [[one.score.num_matches for one in scored] for scored in (plain, halved)]
     assert counts[1] == [-(-counts[0][0] // 2), *counts[0][1:]]
 
 
 def test_another_seed_gives_other_poses(tmp_path) -> None:
     pairs = posed_pairs(tmp_path, 2)
-    other = parse_methods(NAMES, replace(OPTIONS, estimation=replace(OPTIONS.estimation, seed=1)))
+    other = parse_methods(NAMES, MATCHER, replace(ESTIMATION, seed=1))
     assert _results(_rows(pairs)) != _results(_rows(pairs, methods=other))
     seeds = {pair_seed(s, a, b, c) for s in (0, 1) for a in (1, 2) for b in (1, 2) for c in (1, 2)}
     assert len(seeds) == 16

@@ -7,36 +7,31 @@ import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks import methods as methods_module
-from dgc_pose.benchmarks.methods import (
-    Engine,
-    MethodOptions,
-    load_engines,
-    parse_methods,
-)
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.benchmarks.methods import MatchingPass, load_passes, parse_methods
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
 from dgc_pose.refinement import RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
 IMAGE = Image(cv2.resize(BLOTS, (200, 200)))
-REFINED = MethodOptions(refinement=RefinementOptions())
+UNREFINED = RefinementOptions(source="none")
 
 
 def test_names_stand_for_methods() -> None:
     methods = parse_methods(["sift", "a/b.pth/all", "raft"], stored=["raft", "other"])
-    assert [(one.name, one.engine, one.everywhere) for one in methods] == [
+    assert [(method.name, method.matcher.weights, method.everywhere) for method in methods] == [
         ("sift", "sift", False),
         ("a/b.pth/all", "a/b.pth", True),
         ("raft", "raft", False),
         ("other", "other", False),
     ]
     # One that is asked for without its mask alone is not added with it.
-    (one,) = parse_methods(["raft/all"], stored=["raft"])
-    assert (one.name, one.engine, one.everywhere) == ("raft/all", "raft", True)
+    (method,) = parse_methods(["raft/all"], stored=["raft"])
+    assert (method.name, method.matcher.weights, method.everywhere) == ("raft/all", "raft", True)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +39,7 @@ def test_names_stand_for_methods() -> None:
     [
         ([], [], "no methods"),
         (["dis", "sift", "dis"], [], "'dis' is named twice"),
-        (["/all"], [], "is none"),
+        (["/all"], [], "has no name"),
         (["sift/all"], [], "key points alone"),
         (["dis"], ["sift"], "there already"),
         (["dis"], ["dgcm-lite0"], "there already"),
@@ -62,40 +57,39 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
 
 
 def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
-    (method,) = parse_methods(["net:refine=features:max_matches=300:align=false:runs=2"], REFINED)
-    refinement = method.options.refinement
-    assert method.options.matching == MatchingOptions(max_matches=300)
-    assert method.options.estimation == EstimationOptions(runs=2)
+    (method,) = parse_methods(["net:refine=features:max_matches=300:align=false:runs=2"])
+    assert method.matcher.matching == MatchingOptions(max_matches=300)
+    assert method.estimation == EstimationOptions(runs=2)
+    refinement = method.matcher.refinement
     assert refinement.source == "features" and not refinement.alignment.align
-    assert refinement.alignment.max_matches == 300
     (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
-    assert other.options.estimation == EstimationOptions(threshold_px=1.5, refine=False)
-    assert other.options.matching == MatchingOptions(finest=60, cycle_px=3.0)
+    assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
+    assert other.matcher.matching == MatchingOptions(finest=60, cycle_px=3.0)
     (none,) = parse_methods(
-        ["net:cycle_px=none"], MethodOptions(matching=MatchingOptions(cycle_px=3.0))
+        ["net:cycle_px=none"], MatcherOptions(matching=MatchingOptions(cycle_px=3.0))
     )
-    assert none.options.matching.cycle_px is None
+    assert none.matcher.matching.cycle_px is None
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
     names = ["net", "net:refine=none", "net/all", "dis", "sift", "raft", "sift:refine=map"]
-    methods = parse_methods(names, REFINED, ["raft"])
-    sources = [one.options.refinement and one.options.refinement.source for one in methods]
-    assert sources == ["auto", None, None, None, None, None, "map"]
+    methods = parse_methods(names, stored=["raft"])
+    sources = [method.matcher.refinement.source for method in methods]
+    assert sources == ["auto", "none", "none", "none", "none", "none", "map"]
 
 
 def test_a_path_may_hold_colons_and_equals_signs() -> None:
     (method,) = parse_methods(["C:/runs=2/net.pth/all:runs=2"])
-    assert (method.engine, method.everywhere) == ("C:/runs=2/net.pth", True)
-    assert method.options.estimation.runs == 2
+    assert (method.matcher.weights, method.everywhere) == ("C:/runs=2/net.pth", True)
+    assert method.estimation.runs == 2
 
 
 def test_methods_that_differ_after_the_map_share_its_pass() -> None:
     names = ["n", "n/all", "n:matchability=0.2", "n:runs=2", "n:refine=map"]
-    passes = {one.key for one in parse_methods(names, REFINED)}
+    passes = {method.matching_pass for method in parse_methods(names)}
     assert len(passes) == 1
     others = ["n:finest=60", "n:cycle_px=2", "n:search_below=0"]
-    assert len(passes | {one.key for one in parse_methods(others)}) == 4
+    assert len(passes | {method.matching_pass for method in parse_methods(others)}) == 4
 
 
 def _map() -> CorrespondenceMap:
@@ -110,13 +104,13 @@ def _map() -> CorrespondenceMap:
 
 
 def _taken(name: str, found: CorrespondenceMap | Matches, options: MatchingOptions) -> Matches:
-    (method,) = parse_methods([name], MethodOptions(matching=options))
+    (method,) = parse_methods([name], MatcherOptions(matching=options, refinement=UNREFINED))
     none = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
     result = MatchResult(none, found)
     if isinstance(found, Matches):
         result = MatchResult(found, None)
-    engine = Engine(dense_scene.MapMatcher(dense_scene.true_map()), {})
-    return engine.matches(method, IMAGE, IMAGE, result)
+    loaded = MatchingPass(dense_scene.MapMatcher(dense_scene.true_map()))
+    return loaded.matches(method, IMAGE, IMAGE, result)
 
 
 def test_a_method_takes_what_it_trusts_or_everything() -> None:
@@ -138,38 +132,28 @@ def test_points_have_no_everywhere() -> None:
         _taken("p/all", points, MatchingOptions())
 
 
-def test_an_engine_is_loaded_once(tmp_path) -> None:
+def test_a_matcher_is_loaded_once(tmp_path) -> None:
     methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
     folders = {"mine": tmp_path}
-    engines = load_engines(methods, device="cpu", stored=folders, stem=lambda *names: "pair")
-    assert {name for name, _ in engines.passes} == {"dis", "mine"} and len(engines.passes) == 2
-    assert not engines.caches
-    with pytest.raises(WeightsError, match="nowhere"):
-        load_engines(parse_methods(["nowhere"]), device="cpu")
+    loaded = load_passes(methods, device="cpu", stored=folders, stem=lambda *names: "pair")
+    assert [options.weights for options in loaded.passes] == ["dis", "mine"]
+    assert not loaded.caches
+    with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
+        load_passes(parse_methods(["nowhere"]), device="cpu")
 
 
-def test_a_network_is_read_once_for_all_its_passes(monkeypatch) -> None:
-    read = []
-    true_loader = methods_module.load_dense_matcher
-
-    def load(name, **options):
-        read.append(name)
-        return true_loader(name, **options)
-
-    monkeypatch.setattr(methods_module, "load_dense_matcher", load)
+def test_a_network_is_read_once_for_all_its_passes() -> None:
     names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
-    methods = parse_methods(names, REFINED)
-    engines = load_engines(methods, device="cpu", keep_features=True)
-    assert read == ["dgcm-lite0"] and len(engines.passes) == 2
-    assert set(engines.caches) == set(engines.fingerprints) == {"dgcm-lite0"}
-    refined, coarse, plain = (engines.of(method) for method in methods)
+    methods = parse_methods(names)
+    loaded = load_passes(methods, device="cpu", keep_features=True)
+    assert len(loaded.passes) == 2
+    assert set(loaded.caches) == set(loaded.fingerprints) == {"dgcm-lite0"}
+    refined, coarse, plain = (loaded.of(method) for method in methods)
     assert coarse is plain is not refined
-    assert set(refined.refiners) == set(coarse.refiners) == {RefinementOptions()}
+    assert coarse.matcher.engine is refined.matcher.engine is not None
+    assert coarse.caches is refined.caches
 
 
 def test_refinement_by_features_needs_a_network() -> None:
-    with pytest.raises(InputError, match="sift: refine=features needs"):
-        load_engines(parse_methods(["sift:refine=features"]), device="cpu")
-    methods = parse_methods(["sift:refine=map", "dis:refine=map"])
-    passes = load_engines(methods, device="cpu").passes
-    assert all(len(engine.refiners) == 1 for engine in passes.values())
+    with pytest.raises(InputError, match="sift:refine=features: .* needs the features"):
+        parse_methods(["sift:refine=features"])

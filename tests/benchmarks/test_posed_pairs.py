@@ -12,17 +12,19 @@ from verdict_folder import write_photos
 
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import Engine, Engines, Method, MethodOptions
+from dgc_pose.benchmarks.methods import MatchingPass, MatchingPasses, Method
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPosedPairs, require_images
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.main import main
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.refinement import RefinementOptions
 
 OPTIONS = EstimationOptions(runs=2, iterations=200)
 
@@ -47,9 +49,12 @@ class Backwards(Matcher):
 
 def run(pairs, matchers, options):
     """The records of matchers by name, one by one."""
-    methods = [Method(name, name, options=MethodOptions(estimation=options)) for name in matchers]
-    passes = {one.key: Engine(matchers[one.engine], {}) for one in methods}
-    for scored in Evaluation(ListedPairs(pairs), methods, Engines(passes, {})).run():
+    unrefined = RefinementOptions(source="none")
+    methods = [
+        Method(name, MatcherOptions(name, refinement=unrefined), options) for name in matchers
+    ]
+    passes = {one.matching_pass: MatchingPass(matchers[one.name]) for one in methods}
+    for scored in Evaluation(ListedPairs(pairs), methods, MatchingPasses(passes)).run():
         yield from (one.score for one in scored)
 
 

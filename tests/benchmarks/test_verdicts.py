@@ -9,7 +9,7 @@ from verdict_folder import write_photos
 
 from dgc_pose.benchmarks import verdict_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import load_engines, parse_methods
+from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.scoring import evidence_text
 from dgc_pose.benchmarks.verdicts import (
@@ -179,8 +179,8 @@ def test_a_pair_is_judged_with_its_errors():
         for kind, pair in zip(kinds, pairs, strict=True)
     ]
     methods = parse_methods(["sift:runs=1"])
-    engines = load_engines(methods, device="cpu")
-    rows = list(Evaluation(verdict_pairs.VerdictPairs(groups), methods, engines).run())
+    passes = load_passes(methods, device="cpu")
+    rows = list(Evaluation(verdict_pairs.VerdictPairs(groups), methods, passes).run())
     judged, rotated, stranger = (scored[0].score for scored in rows)
     assert [one.kind for one in (judged, rotated, stranger)] == kinds
     assert judged.success and judged.evidence is not None

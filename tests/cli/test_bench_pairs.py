@@ -27,7 +27,7 @@ def folder(tmp_path, monkeypatch):
             raise WeightsError(f"{weights}: no such weights")
         return dense_scene.MapMatcher(maps[weights], options)
 
-    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_dense_matcher", load_dense_matcher)
+    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
     return tmp_path
 
 

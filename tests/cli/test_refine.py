@@ -20,7 +20,6 @@ def folder(tmp_path, monkeypatch):
         return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), options)
 
     monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
-    monkeypatch.setattr("dgc_pose.benchmarks.methods.load_dense_matcher", load_dense_matcher)
     return tmp_path
 
 

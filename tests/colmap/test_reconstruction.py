@@ -169,15 +169,15 @@ def test_nothing_to_reconstruct(
     from dgc_pose.batch.calibration import read_calibration
     from dgc_pose.batch.run import BatchOptions, run_batch
     from dgc_pose.batch.source import open_source
-    from dgc_pose.batch.work import MatcherSettings
     from dgc_pose.estimation import EstimationOptions
+    from dgc_pose.matchers import MatcherOptions
 
     pair = run_batch(
         open_source(two, views[0]),
         read_calibration(K_text()),
         None,
         out,
-        matcher=MatcherSettings("sift"),
+        matcher=MatcherOptions("sift"),
         estimation=EstimationOptions(runs=1, iterations=300),
         options=BatchOptions(),
     )

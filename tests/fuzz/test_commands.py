@@ -31,8 +31,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path)
     Path("K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
-    for module in ("dgc_pose.matchers", "dgc_pose.benchmarks.methods"):
-        monkeypatch.setattr(f"{module}.load_dense_matcher", _map_matcher)
+    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", _map_matcher)
     yield tmp_path
 
 

@@ -11,7 +11,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import refined
+from dgc_pose.matchers import MatcherOptions, refined
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
@@ -114,8 +114,8 @@ def test_without_a_map_the_matcher_s_own_matches_are_aligned(
 
 def test_without_alignment_the_error_is_the_source_s_own(images: tuple[Image, Image]) -> None:
     matcher = _noisy()
-    options = AlignmentOptions(align=False, max_matches=200)
-    kept = Refiner(matcher, [MapMatches()], options).match(*images).matches
+    options = AlignmentOptions(align=False)
+    kept = Refiner(matcher, [MapMatches()], options, 200).match(*images).matches
     given = matcher.match(*images).matches
     assert kept.error_px == given.error_px and 100 < len(kept) <= 200
     rows = {tuple(row) for row in np.hstack([given.points1, given.points2])}
@@ -152,7 +152,9 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
     matcher = _noisy()
     matcher.engine = engine
     by_auto, by_map = (
-        refined(matcher, RefinementOptions(source=source)).match(*images).matches  # type: ignore[arg-type]
+        refined(matcher, MatcherOptions(refinement=RefinementOptions(source=source)))
+        .match(*images)
+        .matches  # type: ignore[arg-type]
         for source in ("auto", "map")
     )
     assert np.array_equal(by_auto.points1, by_map.points1) == (found_by_features == 0)
@@ -210,7 +212,6 @@ def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: To
         (AlignmentOptions, "min_zncc", 0.0),
         (AlignmentOptions, "neighbours", 3),
         (AlignmentOptions, "patch_radius", 1),
-        (AlignmentOptions, "max_matches", 0),
         (AlignmentOptions, "min_matches", 0),
         (AlignmentOptions, "min_aligned", 0),
     ],

@@ -12,13 +12,12 @@ from evaluation_pairs import posed_pairs
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, protocol_options
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.benchmarks.methods import MethodOptions
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import MatchingOptions
 from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
-from dgc_pose.refinement import RefinementOptions
 
 
 def test_paper_squares_the_images_and_the_cameras(tmp_path) -> None:
@@ -61,11 +60,9 @@ def test_a_camera_of_another_size_is_refused(tmp_path) -> None:
 
 
 def test_paper_takes_every_match_and_does_not_refine() -> None:
-    options = MethodOptions(
-        MatchingOptions(matchability=0.4), RefinementOptions(), EstimationOptions(seed=3)
-    )
-    assert protocol_options("native", options) == options
-    paper = protocol_options("paper", options)
-    assert paper.estimation == replace(options.estimation, refine=False)
-    assert paper.refinement is None
+    options = MatcherOptions(matching=MatchingOptions(matchability=0.4)), EstimationOptions(seed=3)
+    assert protocol_options("native", *options) == options
+    paper, estimation = protocol_options("paper", *options)
+    assert estimation == replace(options[1], refine=False)
+    assert paper.refinement.source == "none"
     assert paper.matching.matchability == 0.4 and paper.matching.max_matches > 256 * 256
