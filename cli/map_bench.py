@@ -28,9 +28,8 @@ from dgc_pose.matchers import DeviceName
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import check_options, option
 from dgc_pose.viz import save_figure
+from dgc_pose.viz.curves import plot_pck, plot_reliability
 from dgc_pose.viz.map_figure import MapPicture, plot_maps
-from dgc_pose.viz.pck import plot_pck
-from dgc_pose.viz.reliability import plot_reliability
 
 _TABLES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
 

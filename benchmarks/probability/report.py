@@ -166,8 +166,8 @@ def coverage_table(found: Sequence[Judged]) -> str:
 def reliability_figure(found: Mapping[str, Sequence[Judged]]) -> Figure:
     """The reliability diagram and precision against recall, a curve a kind of matches; the gates
     are a point each."""
+    from dgc_pose.viz.curves import draw_reliability
     from dgc_pose.viz.figure import new_figure
-    from dgc_pose.viz.reliability import draw_reliability
 
     figure = new_figure(11, 5)
     left, other = figure.subplots(1, 2)

@@ -6,8 +6,8 @@ images, (0, 0) the centre of the top-left pixel.
 """
 
 from dgc_pose.viz.cameras import draw_cameras
+from dgc_pose.viz.curves import draw_cumulative, draw_reliability, draw_residuals, plot_errors
 from dgc_pose.viz.figure import new_figure, save_figure
-from dgc_pose.viz.histograms import draw_cumulative, draw_residuals, plot_errors
 from dgc_pose.viz.panels import (
     draw_image,
     draw_lines,
@@ -19,7 +19,6 @@ from dgc_pose.viz.panels import (
     residual_colours,
 )
 from dgc_pose.viz.pose_figure import plot_pose
-from dgc_pose.viz.reliability import draw_reliability
 
 __all__ = [
     "draw_cameras",

@@ -24,14 +24,13 @@ def draw_cameras(
     points: np.ndarray,
     colours: np.ndarray | None = None,
 ) -> None:
-    """Draw two cameras as pyramids, and points, in camera 1's axes and in units of |t|.
-
-    Camera 1's y axis, which points down, points down in the figure.
+    """Draw two cameras as pyramids, and points, in camera 1's axes, its y axis downwards.
 
     axes: made with projection="3d". R, t: of the pose x2 = R x1 + t. camera1, camera2: their sizes
-    give the pyramids' shapes; without a size, twice the principal point counts. points: (N, 3),
-    such as `dgc_pose.geometry.triangulation.triangulated`; those behind camera 1, the farthest
-    twentieth and those not finite are left out. colours: (N, 3) RGB in [0, 1]; None for grey.
+    give the pyramids' shapes; without a size, twice the principal point counts. points: (N, 3) in
+    units of |t|, such as `dgc_pose.geometry.triangulation.triangulated`; those behind camera 1, the
+    farthest twentieth and those not finite are left out. colours: (N, 3) RGB in [0, 1]; None for
+    grey.
 
     Raises InputError if the axes are not of three dimensions.
     """
@@ -41,29 +40,24 @@ def draw_cameras(
     far = np.quantile(points[ahead, 2], _SHOWN) if ahead.any() else 1.0
     shown = ahead & (points[:, 2] <= far)
     depth = _DEPTH * float(np.median(points[shown, 2])) if shown.any() else 0.3
-    corners = [
-        _pyramid(camera1, depth),
-        (_pyramid(camera2, depth) - t) @ R,
-    ]
-    for number, (pyramid, colour) in enumerate(zip(corners, COLOURS, strict=True), start=1):
-        centre, *rim = _upright(pyramid)
-        edges = [(centre, corner) for corner in rim] + list(
-            zip(rim, [*rim[1:], rim[0]], strict=True)
-        )
+    pyramids = [_pyramid(camera1, depth), (_pyramid(camera2, depth) - t) @ R]
+    dots, *pyramids = map(_upright, (points[shown], *pyramids))
+    for number, (pyramid, colour) in enumerate(zip(pyramids, COLOURS, strict=True), start=1):
+        centre, rim = pyramid[0], pyramid[1:]
+        edges = [*((centre, corner) for corner in rim), *zip(rim, np.roll(rim, -1, 0), strict=True)]
         axes.add_collection3d(Line3DCollection(edges, colors=colour, linewidths=1.5))
         axes.text(*centre, f" {number}", color=colour)
-    axes.plot(*_upright(np.array([corners[0][0], corners[1][0]])).T, color="black", linewidth=1)
-    dots = _upright(points[shown])
+    axes.plot(*np.stack([pyramids[0][0], pyramids[1][0]]).T, color="black", linewidth=1)
     shades = "grey" if colours is None else colours[shown]
     axes.scatter(*dots.T, s=3, c=shades, linewidths=0, depthshade=False)
-    _equal(axes, np.concatenate([dots, *map(_upright, corners)]))
+    _set_limits(axes, np.concatenate([dots, *pyramids]))
     axes.set(xlabel="x", ylabel="z", zlabel="-y")
 
 
 def _pyramid(camera: Camera, depth: float) -> np.ndarray:
-    """The centre and the four corners (5, 3) of a camera's view at a depth, in its own axes."""
-    width, height = camera.size or 2 * camera.K[:2, 2] + 1
-    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)]) - 0.5
+    """The centre and the four corners (5, 3) of a camera's view at a depth, in its axes."""
+    size = camera.size or 2 * camera.K[:2, 2] + 1
+    corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * size - 0.5
     rays = homogeneous(corners) @ np.linalg.inv(camera.K).T
     return np.vstack([np.zeros(3), depth * rays])
 
@@ -73,11 +67,10 @@ def _upright(points: np.ndarray) -> np.ndarray:
     return points[:, (0, 2, 1)] * (1, 1, -1)
 
 
-def _equal(axes: Axes3D, points: np.ndarray) -> None:
-    """Limits around the points, one unit equally long along all axes."""
-    low, high = points.min(0), points.max(0)
-    room = 0.03 * (high - low).max()
-    axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-    axes.set_zlim(low[2] - room, high[2] + room)
-    axes.set_box_aspect(high - low + 2 * room)
+def _set_limits(axes: Axes3D, points: np.ndarray) -> None:
+    """Limits around the points, a unit equally long along all axes."""
+    room = 0.03 * np.ptp(points, axis=0).max()
+    low, high = points.min(0) - room, points.max(0) + room
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low)
     axes.view_init(elev=25, azim=-75)

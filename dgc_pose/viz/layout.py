@@ -31,10 +31,10 @@ class Panel:
     bar: bool = False  # whether a colour bar stands in the line of its title
 
 
-def row_height(aspects: Sequence[float], width: float = WIDTH) -> float:
+def row_height(row: Sequence[Panel], width: float) -> float:
     """Height in inches of panels side by side in a row of this width."""
-    inside = width - 2 * _MARGIN - GAP * (len(aspects) - 1)
-    return min(inside / sum(aspects), _MAX_PANEL)
+    inside = width - 2 * _MARGIN - GAP * (len(row) - 1)
+    return min(inside / sum(panel.aspect for panel in row), _MAX_PANEL)
 
 
 def panel_rows(
@@ -45,7 +45,7 @@ def panel_rows(
     Titles are set, broken where their panel is narrow; the headline stands above all.
     """
     head = _wrapped(headline, width - 2 * _MARGIN)
-    heights = [row_height([panel.aspect for panel in row], width) for row in rows]
+    heights = [row_height(row, width) for row in rows]
     strips = [
         max(_strip(p, p.aspect * h) for p in row) for row, h in zip(rows, heights, strict=True)
     ]
@@ -54,26 +54,25 @@ def panel_rows(
     figure = new_figure(width, total, layout=None)
     if head:
         figure.text(_MARGIN / width, 1 - _MARGIN / total, "\n".join(head), va="top", fontsize=11)
-    axes = []
+    axes_of_rows: list[list[Axes]] = []
     for row, height, strip in zip(rows, heights, strips, strict=True):
         top += strip + height
-        bottom = 1 - top / total
-        used = height * sum(panel.aspect for panel in row) + GAP * (len(row) - 1)
-        left, placed = (width - used) / 2, []
-        for panel in row:
-            size = panel.aspect * height
-            one = figure.add_axes((left / width, bottom, size / width, height / total))
-            one.set_title(
+        sizes = [panel.aspect * height for panel in row]
+        left = (width - sum(sizes) - GAP * (len(row) - 1)) / 2
+        axes_of_rows.append([])
+        for panel, size in zip(row, sizes, strict=True):
+            place = (left / width, 1 - top / total, size / width, height / total)
+            axes = figure.add_axes(place)
+            axes.set_title(
                 "\n".join(_wrapped(panel.title, size)),
                 fontsize=10,
                 loc="left",
                 y=1.0,  # or matplotlib would lift it above the colour bar
-                pad=72 * (0.05 + (_BAR_LINE if _bar_below(panel, size) else 0.0)),
+                pad=72 * (0.05 + _BAR_LINE * _bar_below(panel, size)),
             )
-            placed.append(one)
+            axes_of_rows[-1].append(axes)
             left += size + GAP
-        axes.append(placed)
-    return figure, axes
+    return figure, axes_of_rows
 
 
 def _wrapped(text: str, width: float) -> list[str]:
@@ -81,7 +80,7 @@ def _wrapped(text: str, width: float) -> list[str]:
 
 
 def _bar_below(panel: Panel, width: float) -> bool:
-    """Whether the colour bar needs a line of its own."""
+    """Whether the colour bar stands in a line below the title."""
     return panel.bar and len(panel.title) * _CHARACTER + _BAR > width
 
 

@@ -11,17 +11,14 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from dgc_pose.errors import InputError
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.viz.layout import Panel, panel_rows
 from dgc_pose.viz.panels import draw_colour_bar, draw_image
 
-ERROR_COLOURS = "magma"
-
 
 @dataclass(frozen=True, eq=False)
 class MapPicture:
-    """One pair with its map and the errors, on the grid of the target."""
+    """A pair with its map and the errors, on the grid of the target."""
 
     title: str
     image1: np.ndarray  # (H1, W1, 3) uint8, the source
@@ -31,27 +28,20 @@ class MapPicture:
 
 
 def plot_maps(pictures: Sequence[MapPicture], *, limit: float = 20.0) -> Figure:
-    """A row a pair: source, target, the source warped by the map, and the error up to `limit`.
-
-    Raises InputError if there are no pictures.
-    """
-    if not pictures:
-        raise InputError("pictures must hold at least one pair")
-    rows = [_panels(picture) for picture in pictures]
-    figure, axes = panel_rows(rows)
-    for panels, picture in zip(axes, pictures, strict=True):
+    """A row a pair: source, target, the source warped by the map, and the error up to `limit`."""
+    figure, rows = panel_rows([_panels(picture) for picture in pictures])
+    for (source, target, warped, error), picture in zip(rows, pictures, strict=True):
         height, width = picture.image2.shape[:2]
-        draw_image(panels[0], picture.image1)
-        draw_image(panels[1], picture.image2)
-        draw_image(panels[2], warp_image(picture.image1, picture.map, (width, height)))
-        draw_colour_bar(panels[3], draw_map_errors(panels[3], picture.errors, limit), "px")
+        draw_image(source, picture.image1)
+        draw_image(target, picture.image2)
+        draw_image(warped, warp_image(picture.image1, picture.map, (width, height)))
+        draw_colour_bar(error, draw_map_errors(error, picture.errors, limit), "px")
     return figure
 
 
 def _panels(picture: MapPicture) -> list[Panel]:
-    aspect1, aspect2 = (
-        image.shape[1] / image.shape[0] for image in (picture.image1, picture.image2)
-    )
+    images = (picture.image1, picture.image2)
+    aspect1, aspect2 = (image.shape[1] / image.shape[0] for image in images)
     return [
         Panel(aspect1, picture.title),
         Panel(aspect2, "target"),
@@ -65,7 +55,7 @@ def draw_map_errors(axes: Axes, errors: np.ndarray, limit: float) -> ScalarMappa
 
     Returns what a colour bar needs.
     """
-    colours = ScalarMappable(Normalize(0, limit), ERROR_COLOURS)
+    colours = ScalarMappable(Normalize(0, limit), "magma")
     known = np.isfinite(errors)
     shown = colours.to_rgba(np.where(known, errors, 0.0))[..., :3]
     shown[~known] = 0.5

@@ -1,4 +1,4 @@
-"""The panels that the figures are made of. Each draws one thing on the axes it is given.
+"""The panels that the figures are made of. Each draws one thing on axes of the caller.
 
 Axes are in original pixels, (0, 0) the centre of the top-left one; large images are shrunk to what
 a figure can show. What is drawn later, such as points on an image, does not move the axes.
@@ -56,12 +56,11 @@ def draw_matches(
     right = left + scale * width2
     for pixels, edges in ((pixels1, (-0.5, width1 - 0.5)), (pixels2, (left, right))):
         axes.imshow(shrunk(pixels), extent=(*edges, height1 - 0.5, -0.5), interpolation="bilinear")
-    shifted = (points2 + 0.5) * scale + (left, -0.5)
     colours = colours or ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
-    lines = np.stack([points1, shifted], axis=1)
     shades = colours.to_rgba(values)
+    lines = np.stack([points1, (points2 + 0.5) * scale + (left, -0.5)], axis=1)
     axes.add_collection(LineCollection(list(lines), colors=shades, linewidths=0.8, alpha=0.8))
-    for ends in (points1, shifted):
+    for ends in np.moveaxis(lines, 1, 0):
         axes.scatter(ends[:, 0], ends[:, 1], s=6, c=shades, linewidths=0)
     _frame(axes, (right + 0.5, height1), title)
     return colours
@@ -75,7 +74,7 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
 
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
-    """Mark points (N, 2), each in its own colour, which is that of its line by `draw_lines`."""
+    """Mark points (N, 2), each in the colour of its line by `draw_lines`."""
     colours = _line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
 
@@ -113,11 +112,8 @@ def draw_warp(
 ) -> None:
     """Draw image 1 warped onto image 2, paler where it is less matchable.
 
-    Args:
-        pixels1: (H, W, 3) uint8.
-        correspondences: (H', W', 2), for each cell of image 2's grid its point in image 1, pixels.
-        matchability: (H', W') in [0, 1].
-        size2: width and height of image 2, pixels.
+    pixels1: (H, W, 3) uint8. correspondences: (H', W', 2), for each cell of image 2's grid its
+    point in image 1, pixels. matchability: (H', W') in [0, 1]. size2: (width, height), pixels.
     """
     warped = warp_image(pixels1, correspondences, shown_size(size2))
     weight = np.clip(cv2.resize(matchability.astype(np.float32), warped.shape[1::-1]), 0, 1)
@@ -140,16 +136,13 @@ def draw_map(
     Where the grid is regular the map is smooth; it breaks at depth edges. The colour of a line goes
     with its x (or y) in image 1.
 
-    Args:
-        pixels2: (H, W, 3) uint8.
-        correspondences: (H', W', 2), for each cell of image 2's grid its point in image 1, pixels.
-        matchability: (H', W') in [0, 1]; cells below `least` are left out.
-        size1: width and height of image 1, pixels.
+    pixels2: (H, W, 3) uint8. correspondences: (H', W', 2), for each cell of image 2's grid its
+    point in image 1, pixels. matchability: (H', W') in [0, 1]; cells below `least` are left out.
+    size1: (width, height) of image 1, pixels.
     """
     grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY) / 255
     _show(axes, np.repeat(0.25 + 0.6 * grey[..., None], 3, axis=2), _size(pixels2), title)
-    rows, columns = matchability.shape
-    x, y = np.moveaxis(cell_centres((columns, rows), _size(pixels2)), -1, 0)
+    x, y = np.moveaxis(cell_centres(matchability.shape[::-1], _size(pixels2)), -1, 0)
     known = matchability >= least
     if not known.any():
         return

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -10,10 +12,9 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential, homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace
-from dgc_pose.viz.layout import Panel, panel_rows, row_height
+from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
     GAP,
     draw_colour_bar,
@@ -25,7 +26,6 @@ from dgc_pose.viz.panels import (
     draw_warp,
     residual_colours,
 )
-from dgc_pose.viz.subsample import spread_evenly
 
 DRAWN_MATCHES = 150
 DRAWN_LINES = 12
@@ -45,22 +45,23 @@ def plot_pose(trace: Trace) -> Figure:
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
     drawn = _spread(trace.matches, chosen, DRAWN_MATCHES)
     rows = _rows(trace, f"{len(drawn)} of {len(chosen)}")
-    width = next(
-        (
-            width
-            for width in (10.0, _NARROW)
-            if sum(row_height([p.aspect for p in row], width) for row in rows) <= _MAX_HEIGHT
-        ),
-        None,
-    )
-    if width is None:
-        rows = [[panel for row in rows for panel in row]]
-    figure, axes = panel_rows(rows, _headline(pose), width=width or 10.0)
-    matches, *others = (one for row in axes for one in row)
+    for width in (WIDTH, _NARROW):
+        if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT:
+            break
+    else:
+        rows, width = [list(chain(*rows))], WIDTH
+    figure, axes = panel_rows(rows, _headline(pose), width=width)
+    matches, points, lines, *map_axes = chain(*axes)
     _draw_matches(matches, trace, drawn)
-    _draw_epipolar(others[0], others[1], trace, chosen)
+    _draw_epipolar(points, lines, trace, _spread(trace.matches, chosen, DRAWN_LINES))
     if trace.correspondence_map is not None:
-        _draw_map(others[2], others[3], trace, trace.correspondence_map)
+        matchability, warp = map_axes
+        correspondences = trace.correspondence_map
+        pixels1, pixels2 = trace.image1.pixels, trace.image2.pixels
+        colours = draw_matchability(matchability, pixels2, correspondences.matchability)
+        draw_colour_bar(matchability, colours, "")
+        size2 = trace.image2.size
+        draw_warp(warp, pixels1, correspondences.map, correspondences.matchability, size2)
     return figure
 
 
@@ -77,8 +78,7 @@ def _headline(pose: RelativePose) -> str:
 
 
 def _rows(trace: Trace, counts: str) -> list[list[Panel]]:
-    (width1, height1), (width2, height2) = trace.image1.size, trace.image2.size
-    aspect1, aspect2 = width1 / height1, width2 / height2
+    aspect1, aspect2 = (width / height for width, height in (trace.image1.size, trace.image2.size))
     kind = "inlier matches" if trace.pose.inliers.any() else "matches, no inliers"
     no_lines = "image 2: no essential matrix, so no epipolar lines"
     lines = "their epipolar lines in image 2, and their matches"
@@ -90,44 +90,33 @@ def _rows(trace: Trace, counts: str) -> list[list[Panel]]:
         ],
     ]
     if trace.correspondence_map is not None:
-        rows.append(
-            [
-                Panel(aspect2, "matchability over image 2", bar=True),
-                Panel(aspect2, "image 1 warped onto image 2, pale if not matchable"),
-            ]
-        )
+        matchability = Panel(aspect2, "matchability over image 2", bar=True)
+        warp = Panel(aspect2, "image 1 warped onto image 2, pale if not matchable")
+        rows.append([matchability, warp])
     return rows
 
 
 def _draw_matches(axes: Axes, trace: Trace, drawn: np.ndarray) -> None:
-    matches, E = trace.matches, trace.pose.E
-    points1, points2 = matches.points1[drawn], matches.points2[drawn]
-    values, colours, label = matches.confidence[drawn], None, "confidence"
+    matches, E = trace.matches.subset(drawn), trace.pose.E
+    points1, points2 = matches.points1, matches.points2
+    values, colours, label = matches.confidence, None, "confidence"
     if E is not None:
         values = epipolar_residuals_px(points1, points2, trace.camera1, trace.camera2, E)
         colours, label = residual_colours(values), "residual (px)"
     pixels1, pixels2 = trace.image1.pixels, trace.image2.pixels
-    shown = draw_matches(axes, pixels1, pixels2, points1, points2, values, colours=colours)
-    draw_colour_bar(axes, shown, label)
+    colours = draw_matches(axes, pixels1, pixels2, points1, points2, values, colours=colours)
+    draw_colour_bar(axes, colours, label)
 
 
-def _draw_epipolar(left: Axes, right: Axes, trace: Trace, chosen: np.ndarray) -> None:
-    drawn = _spread(trace.matches, chosen, DRAWN_LINES)
-    points1, points2 = trace.matches.points1[drawn], trace.matches.points2[drawn]
+def _draw_epipolar(left: Axes, right: Axes, trace: Trace, drawn: np.ndarray) -> None:
+    matches = trace.matches.subset(drawn)
     draw_image(left, trace.image1.pixels)
     draw_image(right, trace.image2.pixels)
     if trace.pose.E is not None:
         F = fundamental_from_essential(trace.pose.E, trace.camera1.K, trace.camera2.K)
-        draw_lines(right, homogeneous(points1) @ F.T)
-    draw_points(left, points1)
-    draw_points(right, points2)
-
-
-def _draw_map(left: Axes, right: Axes, trace: Trace, found: CorrespondenceMap) -> None:
-    image1, image2 = trace.image1, trace.image2
-    colours = draw_matchability(left, image2.pixels, found.matchability)
-    draw_colour_bar(left, colours, "")
-    draw_warp(right, image1.pixels, found.map, found.matchability, image2.size)
+        draw_lines(right, homogeneous(matches.points1) @ F.T)
+    draw_points(left, matches.points1)
+    draw_points(right, matches.points2)
 
 
 def _spread(matches: Matches, chosen: np.ndarray, count: int) -> np.ndarray:
@@ -135,3 +124,20 @@ def _spread(matches: Matches, chosen: np.ndarray, count: int) -> np.ndarray:
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
     return chosen[spread_evenly(matches.points2[chosen], count)]
+
+
+def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
+    """Farthest point sampling: each point is the farthest from all that were chosen before.
+
+    points: (N, 2) pixels, finite. Returns at most `count` indices (M,) in increasing order, of
+    points that all differ.
+    """
+    distances = np.full(len(points), np.inf)
+    chosen: list[int] = []
+    while len(chosen) < min(count, len(points)):
+        farthest = int(np.argmax(distances))
+        if distances[farthest] == 0:
+            break
+        chosen.append(farthest)
+        distances = np.minimum(distances, np.sum((points - points[farthest]) ** 2, axis=1))
+    return np.array(sorted(chosen), dtype=np.intp)

@@ -20,56 +20,42 @@ def plot_reconstruction(
 ) -> Figure:
     """Cameras and points, orthographic, in the mean camera's axes.
 
-    Args:
-        poses: cam_from_world (3, 4), at least one.
-        points: (N, 3), world.
-        colours: (N, 3) uint8, RGB.
+    poses: cam_from_world (3, 4), at least one. points: (N, 3), world. colours: (N, 3) uint8, RGB.
     """
     R = np.stack([pose[:, :3] for pose in poses])
     centres = np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses])
     axes = _mean_axes(R)
     chosen = np.linspace(0, len(points) - 1, min(_MOST, len(points))).astype(int)
-    dots, cameras = points[chosen] @ axes.T, centres @ axes.T
-    directions = R[:, 2] @ axes.T
+    dots, cameras, directions = points[chosen] @ axes.T, centres @ axes.T, R[:, 2] @ axes.T
     figure = new_figure(12, 6)
     above, front = figure.subplots(1, 2)
-    shades = colours[chosen] / 255
-    _draw(above, dots, cameras, directions, shades, (0, 2), 1)
     above.set(title=f"from above: {len(poses)} cameras, {len(points)} points", ylabel="z")
-    _draw(front, dots, cameras, directions, shades, (0, 1), -1)
     front.set(title="from the cameras", ylabel="-y")
+    for panel, up, sign in ((above, 2, 1), (front, 1, -1)):  # the axis drawn upwards
+
+        def project(vectors: np.ndarray, up: int = up, sign: int = sign) -> np.ndarray:
+            return vectors[:, (0, up)] * np.array([1, sign])
+
+        _draw(panel, project(dots), project(cameras), project(directions), colours[chosen] / 255)
     return figure
 
 
 def _draw(
-    axes: Axes,
-    dots: np.ndarray,
-    cameras: np.ndarray,
-    directions: np.ndarray,
-    shades: np.ndarray,
-    plane: tuple[int, int],
-    sign: int,
+    axes: Axes, dots: np.ndarray, cameras: np.ndarray, directions: np.ndarray, shades: np.ndarray
 ) -> None:
-    """One view; `plane` are the axes drawn to the right and, times `sign`, upwards."""
-    flip = np.array([1, sign])
-    flat, places = dots[:, plane] * flip, cameras[:, plane] * flip
-    ends = np.quantile(flat, (_SHOWN, 1 - _SHOWN), axis=0) if len(flat) else places
-    low, high = np.minimum(ends[0], places.min(0)), np.maximum(ends[-1], places.max(0))
+    """A view of points, cameras and their directions, (N, 2) each."""
+    ends = np.quantile(dots, (_SHOWN, 1 - _SHOWN), axis=0) if len(dots) else cameras
+    low, high = np.minimum(ends[0], cameras.min(0)), np.maximum(ends[-1], cameras.max(0))
     extent = float((high - low).max()) or 1.0
-    middle = (low + high) / 2
-    axes.scatter(flat[:, 0], flat[:, 1], s=1.5, c=shades, linewidths=0)
-    arrows = _ARROW * extent * directions[:, plane] * flip
+    axes.scatter(dots[:, 0], dots[:, 1], s=1.5, c=shades, linewidths=0)
+    arrows = _ARROW * extent * directions
     axes.quiver(
-        *places.T, *arrows.T, color="tab:red", angles="xy", scale_units="xy", scale=1, width=0.004
+        *cameras.T, *arrows.T, color="tab:red", angles="xy", scale_units="xy", scale=1, width=0.004
     )
-    axes.plot(*places.T, "o", color="tab:red", markersize=3)
-    room = 0.55 * extent
-    axes.set(
-        aspect="equal",
-        xlim=(middle[0] - room, middle[0] + room),
-        ylim=(middle[1] - room, middle[1] + room),
-        xlabel="x",
-    )
+    axes.plot(*cameras.T, "o", color="tab:red", markersize=3)
+    room, middle = 0.55 * extent, (low + high) / 2
+    xlim, ylim = zip(middle - room, middle + room, strict=True)
+    axes.set(aspect="equal", xlim=xlim, ylim=ylim, xlabel="x")
 
 
 def _mean_axes(R: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ def test_points_ahead_are_drawn_where_they_are(axes):
     axes.figure.canvas.draw()
     shown = drawn_points(axes)
     assert 180 <= len(shown) <= 197
-    assert all(np.nanmin(np.abs(points - one).max(1)) < 1e-9 for one in shown[::20])
+    assert all(np.nanmin(np.abs(points - point).max(1)) < 1e-9 for point in shown[::20])
     # The view is not stretched along any axis.
     spans = [np.ptp(limits) for limits in (axes.get_xlim(), axes.get_ylim(), axes.get_zlim())]
     assert np.asarray(axes._box_aspect) / spans == pytest.approx(axes._box_aspect[0] / spans[0])
@@ -51,6 +51,5 @@ def test_the_second_camera_stands_where_the_pose_says(axes):
 
 def test_flat_axes_are_refused():
     with pytest.raises(InputError, match="3d"):
-        draw_cameras(
-            new_figure(3, 3).subplots(), np.eye(3), np.eye(3)[0], CAMERA, CAMERA, np.zeros((0, 3))
-        )
+        flat = new_figure(3, 3).subplots()
+        draw_cameras(flat, np.eye(3), np.eye(3)[0], CAMERA, CAMERA, np.zeros((0, 3)))

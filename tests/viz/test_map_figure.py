@@ -1,9 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
-from dgc_pose.errors import InputError
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.map_figure import MapPicture, draw_map_errors, plot_maps
 
@@ -35,8 +33,3 @@ def test_errors_are_bright_and_grey_where_nothing_is_known():
     assert sums[0, 0] < sums[0, 1] < sums[1, 0]
     np.testing.assert_allclose(shown[1, 0] / 255, colours.to_rgba(20.0)[:3], atol=0.01)
     assert len(set(shown[1, 1].tolist())) == 1
-
-
-def test_no_pictures_are_refused():
-    with pytest.raises(InputError, match="at least one pair"):
-        plot_maps([])

@@ -6,7 +6,7 @@ import dtu_report
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.summary import by_method, columns
+from dgc_pose.benchmarks.summary import columns
 from dgc_pose.errors import InputError
 from dgc_pose.viz import motion
 from dgc_pose.viz.motion import WORST, binned_medians, method_styles
@@ -35,10 +35,10 @@ def test_the_curves_of_angles_are_those_of_the_rows(rows, name) -> None:
     limit = axes.get_xlim()[1]
     assert f"{name} error (degrees)" in axes.get_xlabel()
     for method, line in zip(dtu_report.METHODS, axes.lines, strict=True):
-        own = np.array([getattr(r, f"{name}_error_deg") for r in rows if r.method == method])
-        assert np.isinf(own).any()
-        assert line.get_ydata()[-1] == pytest.approx(100 * np.mean(own <= limit))
-        assert f"{method}, median {np.median(own):.2f}°" in legend(axes)
+        errors = np.array([getattr(r, f"{name}_error_deg") for r in rows if r.method == method])
+        assert np.isinf(errors).any()
+        assert line.get_ydata()[-1] == pytest.approx(100 * np.mean(errors <= limit))
+        assert f"{method}, median {np.median(errors):.2f}°" in legend(axes)
 
 
 def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
@@ -54,20 +54,20 @@ def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
 
 
 def test_a_run_of_methods_without_maps_can_be_drawn(rows) -> None:
-    own = [row for row in rows if row.method == "points"]
-    everywhere, confident = plot_histograms(own)["epipolar"].axes
+    of_points = [row for row in rows if row.method == "points"]
+    everywhere, confident = plot_histograms(of_points)["epipolar"].axes
     assert not everywhere.lines and len(confident.lines) == 1
 
 
 def test_matches_of_no_pair_at_all_can_be_drawn(rows) -> None:
-    own = [replace(row, epipolar_confident_px=np.inf, epipolar_all_px=np.inf) for row in rows]
-    for figure in plot_histograms(own).values():
+    none = [replace(row, epipolar_confident_px=np.inf, epipolar_all_px=np.inf) for row in rows]
+    for figure in plot_histograms(none).values():
         figure.canvas.draw()
 
 
 def test_no_rows_are_refused() -> None:
     with pytest.raises(InputError):
-        by_method([])
+        columns([])
 
 
 def test_a_method_and_its_unmasked_twin_share_a_colour() -> None:
@@ -93,11 +93,11 @@ def test_errors_are_drawn_against_both_motions_and_failures_at_the_top(rows) -> 
     figure = plot_against_motion(rows)
     top_left, top_right, bottom_left, bottom_right = figure.axes
     assert "rotation" in bottom_left.get_xlabel() and "(mm)" in bottom_right.get_xlabel()
-    own = [row for row in rows if row.method == "net"]
+    of_net = [row for row in rows if row.method == "net"]
     dots = np.asarray(top_right.collections[0].get_offsets())
-    assert dots[:, 0] == pytest.approx([row.true_baseline_mm for row in own])
-    expected = [min(row.rotation_error_deg, WORST) for row in own]
+    assert dots[:, 0] == pytest.approx([row.true_baseline_mm for row in of_net])
+    expected = [min(row.rotation_error_deg, WORST) for row in of_net]
     assert dots[:, 1] == pytest.approx(expected)
     assert top_left.get_ylim()[1] > WORST
     folded = np.asarray(bottom_left.collections[0].get_offsets())[:, 1]
-    assert folded == pytest.approx([min(row.translation_folded_deg, WORST) for row in own])
+    assert folded == pytest.approx([min(row.translation_folded_deg, WORST) for row in of_net])

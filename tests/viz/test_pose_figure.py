@@ -12,7 +12,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.pose import trace_relative_pose
 from dgc_pose.viz.figure import picture_format, save_figure
-from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose
+from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose, spread_evenly
 
 
 def trace_of(correspondence_map):
@@ -84,17 +84,15 @@ def test_the_colour_of_a_match_is_its_distance_from_the_epipolar_lines():
     figure = plot_pose(trace)
     K = dense_scene.K
     E = trace.pose.E
-    lines = figure.axes[0].collections[0]
+    drawn = figure.axes[0].collections[0]
     # Image 2 has image 1's height, so it is drawn at its own scale.
-    ends = np.array(lines.get_segments())
-    one, two = ends[:, 0], ends[:, 1] - (1.02 * dense_scene.SIZE[0], 0)
+    ends = np.array(drawn.get_segments())
+    points1, points2 = ends[:, 0], ends[:, 1] - (1.02 * dense_scene.SIZE[0], 0)
+    x1, x2 = (np.column_stack([points, np.ones(len(points))]) for points in (points1, points2))
     F = np.linalg.inv(K).T @ E @ np.linalg.inv(K)
-    distances = []
-    for (x1, y1), (x2, y2) in zip(one, two, strict=True):
-        l2, l1 = F @ (x1, y1, 1), F.T @ (x2, y2, 1)
-        value = abs(l2 @ (x2, y2, 1))
-        distances.append((value / np.hypot(*l1[:2]) + value / np.hypot(*l2[:2])) / 2)
-    green = lines.get_colors()[:, 1]  # cyan to magenta: the less green the farther
+    value = np.abs(np.sum(x2 * (x1 @ F.T), axis=1))
+    distances = sum(value / np.hypot(*lines[:, :2].T) for lines in (x1 @ F.T, x2 @ F)) / 2
+    green = drawn.get_colors()[:, 1]  # cyan to magenta: the less green the farther
     order = np.argsort(distances)
     assert (np.diff(green[order]) <= 1e-6).all()
     assert green[order[0]] > 0.8 and green[order[-1]] == 0
@@ -148,12 +146,10 @@ def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2):
         assert 0 <= box.x0 and box.x1 <= figure.bbox.width and box.y1 <= figure.bbox.height
 
 
-def overlap(one, two):
+def overlap(box1, box2):
     """Whether two boxes share more than a pixel in both directions."""
-    return (
-        min(one.x1, two.x1) - max(one.x0, two.x0) > 1
-        and min(one.y1, two.y1) - max(one.y0, two.y0) > 1
-    )
+    low, high = np.maximum(box1.min, box2.min), np.minimum(box1.max, box2.max)
+    return bool((high - low > 1).all())
 
 
 def test_the_ending_of_a_name_chooses_the_format():
@@ -162,3 +158,25 @@ def test_the_ending_of_a_name_chooses_the_format():
     for name in ("plot", "plot.docx", ".png"):
         with pytest.raises(InputError):
             picture_format(name)
+
+
+@pytest.mark.parametrize(
+    ("points", "count", "expected"),
+    [
+        ([[5, 1], [0, 0], [3, 3]], 10, [0, 1, 2]),  # all, where they are few
+        (np.zeros((0, 2)), 10, []),
+        ([[1, 1]] * 5 + [[4, 4]], 4, [0, 5]),  # the same place is taken once
+        ([[0, 0], [1, 0], [10, 0], [4, 0]], 2, [0, 2]),
+        ([[0, 0], [1, 0], [10, 0], [4, 0]], 3, [0, 2, 3]),  # the farthest next
+    ],
+)
+def test_a_subsample_is_even(points, count, expected):
+    assert spread_evenly(np.array(points, float), count).tolist() == expected
+
+
+def test_a_crowd_takes_no_more_than_its_place():
+    rng = np.random.default_rng(0)
+    crowd, others = rng.normal(50, 1, (900, 2)), rng.random((100, 2)) * 1000
+    chosen = spread_evenly(np.concatenate([crowd, others]), 50)
+    assert len(chosen) == 50
+    assert (chosen < 900).sum() <= 2

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.viz.figure import new_figure
-from dgc_pose.viz.histograms import (
+from dgc_pose.metrics import Reliability
+from dgc_pose.viz.curves import (
     cumulative_share,
     draw_cumulative,
     draw_residuals,
     plot_errors,
+    plot_pck,
+    plot_reliability,
 )
+from dgc_pose.viz.figure import new_figure
 
 
 def test_the_share_at_each_value_is_that_of_the_errors_not_above_it():
@@ -18,15 +21,6 @@ def test_the_share_at_each_value_is_that_of_the_errors_not_above_it():
     values, share = cumulative_share(errors, 10)
     assert values.tolist() == [0, 1, 3, 3, 10]
     assert share.tolist() == [0, 0.2, 0.4, 0.6, 0.6]
-    for limit in (0.5, 1.0, 2.9, 3.0, 9.9):
-        at = share[np.searchsorted(values, limit, side="right") - 1]
-        assert at == np.mean(errors <= limit)
-
-
-def test_failures_alone_leave_the_curve_at_nought():
-    values, share = cumulative_share(np.full(3, np.inf), 10)
-    assert values.tolist() == [0, 10]
-    assert share.tolist() == [0, 0]
 
 
 @pytest.mark.parametrize("errors", [np.zeros(0), np.array([1.0, np.nan])])
@@ -35,9 +29,10 @@ def test_no_errors_and_nan_are_refused(errors):
         cumulative_share(errors, 10)
 
 
-def test_failures_alone_can_be_drawn():
+def test_failures_alone_are_a_curve_at_nought():
     errors = {"a": np.full(3, np.inf)}
-    assert len(plot_errors(errors, errors).axes) == 2
+    for axes in plot_errors(errors, errors).axes:
+        assert axes.lines[0].get_ydata().tolist() == [0, 0]
 
 
 def test_a_curve_a_method_with_its_median():
@@ -76,3 +71,44 @@ def test_no_residuals_can_be_drawn():
     axes = new_figure(4, 3).subplots()
     draw_residuals(axes, np.zeros(0), np.zeros(0, bool))
     axes.figure.canvas.draw()
+
+
+def test_a_panel_a_group_and_a_curve_a_method():
+    alphas = np.linspace(0.005, 0.1, 5)
+    curves = {
+        "I": {"a": np.linspace(0, 1, 5), "b": np.full(5, 0.5)},
+        "II": {"a": np.full(5, np.nan), "b": np.full(5, 0.25)},
+    }
+    figure = plot_pck(curves, alphas, distance="Euclidean")
+    assert [axes.get_title() for axes in figure.axes] == ["I", "II"]
+    first = figure.axes[0]
+    assert first.lines[0].get_ydata().tolist() == pytest.approx([0, 25, 50, 75, 100])
+    assert first.lines[0].get_xdata().tolist() == alphas.tolist()
+    assert "Euclidean" in first.get_xlabel() and "%" in first.get_ylabel()
+    legend = [text.get_text() for text in figure.axes[-1].get_legend().get_texts()]
+    assert legend == ["a", "b"]
+    figure.canvas.draw()
+
+
+def test_shares_stand_over_the_mean_confidence_and_counts_below():
+    confidence = np.array([0.02, 0.06, 0.55, 0.57, 0.53, 0.51])
+    reliability = Reliability.of(confidence, np.array([False, False, True, True, True, False]))
+    figure = plot_reliability({"net": reliability}, right="within 3 px")
+    upper, lower = figure.axes
+    diagonal, curve = upper.lines
+    assert list(diagonal.get_xdata()) == list(diagonal.get_ydata()) == [0, 1]
+    assert curve.get_xdata().tolist() == pytest.approx([0.04, 0.54])  # empty bins are left out
+    assert curve.get_ydata().tolist() == pytest.approx([0, 0.75])
+    error = 100 * (2 * 0.04 + 4 * 0.21) / 6
+    assert curve.get_label() == f"net, calibration error {error:.1f} %"
+    assert "within 3 px" in upper.get_ylabel()
+    values, edges, _ = lower.patches[0].get_data()
+    assert values[0] == pytest.approx(100 / 3) and values[5] == pytest.approx(200 / 3)
+    assert len(edges) == 11
+    figure.canvas.draw()
+
+
+def test_no_reliability_leaves_the_diagonal():
+    figure = plot_reliability({}, right="within 3 px")
+    assert len(figure.axes[0].lines) == 1
+    figure.canvas.draw()

@@ -1,0 +1,159 @@
+"""Errors of methods as curves and histograms: cumulative, residuals, PCK, reliability."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dgc_pose.errors import InputError
+from dgc_pose.metrics import Reliability
+from dgc_pose.viz.figure import new_figure
+
+LIMITS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)  # where an axis may end, degrees
+_SIGNS = {"degrees": "°", "pixels": " px"}
+
+
+def cumulative_share(errors: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """The steps of the cumulative histogram from 0 to `limit`.
+
+    errors: (N,), N > 0; infinite ones count as pairs. Returns 0, the errors up to the limit in
+    increasing order, and the limit; and for each of these the share of pairs (0 to 1) whose error
+    is not above it. Raises InputError for an empty array or one with NaN.
+    """
+    errors = np.asarray(errors, dtype=np.float64)
+    if errors.size == 0 or np.isnan(errors).any():
+        raise InputError("errors must hold at least one number, and no NaN")
+    below = np.sort(errors[errors <= limit])
+    counts = np.append(np.arange(len(below) + 1), len(below))
+    return np.concatenate([[0.0], below, [limit]]), counts / errors.size
+
+
+def draw_cumulative(
+    axes: Axes,
+    errors: Mapping[str, np.ndarray],
+    *,
+    quantity: str,
+    limit: float,
+    unit: str = "degrees",
+    styles: Mapping[str, Mapping[str, Any]] | None = None,
+) -> None:
+    """Draw one curve a method, its median in the legend.
+
+    unit: of the errors, degrees or pixels. styles: by method, matplotlib's properties of the line;
+    None for matplotlib's own choice.
+    """
+    for method, values in errors.items():
+        x, share = cumulative_share(values, limit)
+        label = f"{method}, median {np.median(values):.2f}{_SIGNS[unit]}"
+        style = {} if styles is None else styles[method]
+        axes.step(x, 100 * share, where="post", label=label, **style)
+    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} ({unit})", ylabel="pairs (%)")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize=9)
+
+
+def draw_residuals(
+    axes: Axes, residuals: np.ndarray, inliers: np.ndarray, *, limit: float | None = None
+) -> None:
+    """Draw the histogram of the matches' epipolar residuals, inliers and outliers stacked.
+
+    residuals: (N,) pixels, those that are not finite are left out; inliers: (N,) bool. limit: where
+    the axis ends, pixels; what is beyond is counted in the last bar. None for three times the 95 %
+    quantile of the inliers.
+    """
+    finite = np.isfinite(residuals)
+    groups = residuals[finite & inliers], residuals[finite & ~inliers]
+    if limit is None:
+        known = groups[0] if len(groups[0]) else groups[1]
+        limit = 3 * float(np.quantile(known, 0.95)) if len(known) else 1.0
+    bins = np.linspace(0, max(limit, 1e-3), 41)
+    axes.hist(
+        [np.minimum(group, bins[-1]) for group in groups],
+        bins=bins.tolist(),
+        stacked=True,
+        color=["tab:cyan", "tab:pink"],
+        label=[f"{len(groups[0])} inliers", f"{len(groups[1])} outliers"],
+    )
+    axes.set(xlim=(0, bins[-1]), xlabel="symmetric epipolar distance (pixels)", ylabel="matches")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right", fontsize=9)
+
+
+def plot_errors(
+    rotation: Mapping[str, np.ndarray], translation: Mapping[str, np.ndarray]
+) -> Figure:
+    """Histograms of rotation error and of folded translation error, a curve a method, degrees."""
+    figure = new_figure(12.0, 4.5)
+    panels = (("rotation error", rotation), ("folded translation error", translation))
+    for axes, (quantity, errors) in zip(figure.subplots(1, 2), panels, strict=True):
+        draw_cumulative(axes, errors, quantity=quantity, limit=shown_limit(errors))
+    return figure
+
+
+def shown_limit(errors: Mapping[str, np.ndarray], limits: Sequence[float] = LIMITS) -> float:
+    """The least of the limits that is not below nine tenths of the finite errors of all methods;
+    the last if there is none."""
+    values = np.concatenate(list(errors.values()))
+    finite = values[np.isfinite(values)]
+    most = np.quantile(finite, 0.9) if len(finite) else 0.0
+    return next((limit for limit in limits if limit >= most), limits[-1])
+
+
+def plot_pck(
+    curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray, *, distance: str
+) -> Figure:
+    """PCK: the share of pixels whose error is at most a share alpha of the image's side.
+
+    A panel a group, in it a curve a method. curves: by group, by method, the shares (K,) in [0, 1]
+    at `alphas` (K,); NaN for a group without pixels. distance: the measure of the error, for the
+    label.
+    """
+    figure = new_figure(4.0 * len(curves), 4.4)
+    panels = np.ravel(figure.subplots(1, len(curves), sharey=True, squeeze=False))
+    for axes, (group, by_method) in zip(panels, curves.items(), strict=True):
+        for method, shares in by_method.items():
+            axes.plot(alphas, 100 * shares, label=method)
+        axes.set(xlim=(alphas[0], alphas[-1]), ylim=(0, 100), xlabel=f"alpha ({distance})")
+        axes.set_title(group, fontsize=10)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("pixels within alpha x side (%)")
+    panels[-1].legend(loc="lower right", fontsize=9)
+    return figure
+
+
+def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) -> Figure:
+    """The share of right matches by bin of matchability, a curve a method, and below it the share
+    of all matches in each bin. A calibrated method follows the diagonal. Empty bins are left out.
+
+    right: which matches are right, for the label, such as "within 3 px".
+    """
+    figure = new_figure(5.5, 6.5)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    draw_reliability(upper, reliabilities, right=right)
+    for reliability in reliabilities.values():
+        shares = reliability.counts / max(reliability.counts.sum(), 1)
+        lower.stairs(100 * shares, reliability.edges, baseline=0)
+    lower.set(xlabel="matchability", ylabel="matches (%)", xticks=np.linspace(0, 1, 6))
+    lower.grid(alpha=0.3)
+    return figure
+
+
+def draw_reliability(axes: Axes, reliabilities: Mapping[str, Reliability], *, right: str) -> None:
+    """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
+
+    right: which matches are right, for the label.
+    """
+    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
+    for method, reliability in reliabilities.items():
+        filled = reliability.counts > 0
+        x, y = reliability.mean_confidence[filled], reliability.share_correct[filled]
+        label = f"{method}, calibration error {100 * reliability.calibration_error:.1f} %"
+        axes.plot(x, y, marker="o", ms=4, label=label)
+    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
+    axes.grid(alpha=0.3)
+    if reliabilities:
+        axes.legend(loc="lower right", fontsize=9)
