@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from tqdm import tqdm
@@ -18,6 +19,9 @@ from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.matchers import DeviceName
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import check_options, option
+
+if TYPE_CHECKING:
+    from dgc_pose.benchmarks.probability.plan import PlanEntry
 
 
 @dataclass(frozen=True)
@@ -61,43 +65,40 @@ def fit_probability(choice: FitChoice) -> None:
     """
     from dgc_pose.benchmarks.probability.plan import read_plan
 
-    sources = read_plan(choice.plan)
+    entries = read_plan(choice.plan)
     methods = split_names(choice.methods)
     if not methods:
         raise InputError("no methods named")
-    if not choice.collected and not _collected(choice, methods):
+    if not choice.collected and not _collected(choice, methods, entries):
         click.echo("stopped; the same command continues")
         return
     from dgc_pose.benchmarks.probability.run import fit_all
+    from dgc_pose.viz import save_figure
 
-    found = fit_all(choice.out, methods, sources, say=click.echo)
+    fitted = fit_all(choice.out, methods, entries, say=click.echo)
     model, text, figure = (
         str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
     )
-    from dgc_pose.viz import save_figure
-
     with staged(model, text, figure) as stage:
-        save_text(stage(model), found.models)
-        save_text(stage(text), found.report + "\n")
-        save_figure(found.figure, stage(figure))
-    click.echo(found.report)
+        save_text(stage(model), fitted.models)
+        save_text(stage(text), fitted.report + "\n")
+        save_figure(fitted.figure, stage(figure))
+    click.echo(fitted.report)
 
 
-def _collected(choice: FitChoice, methods: Sequence[str]) -> bool:
+def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> bool:
     """Match what is not stored yet; whether nothing is left."""
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
-    from dgc_pose.benchmarks.probability.plan import read_plan
-    from dgc_pose.benchmarks.probability.sources import planned, require_data
+    from dgc_pose.benchmarks.probability.planned import planned, require_data
     from dgc_pose.matchers import load_matcher
 
     start = time.monotonic()
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
-    sources = read_plan(choice.plan)
-    require_data(sources, choice.data)
+    require_data(entries, choice.data)
     for name, matcher in matchers.items():
         require_engine(choice.out, name, matcher)
     lists = choice.out / "lists"
-    pairs = [pair for source in sources for pair in planned(source, choice.data, lists)]
+    pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
     # One pair of each scene in turn: a collection that is cut short has some of each.
     pairs.sort(key=lambda pair: pair.number)
     done = collect(pairs, matchers, choice.out)

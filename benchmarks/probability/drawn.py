@@ -44,23 +44,19 @@ def drawn_rgbd(folder: Path, count: int, seed: int) -> list[Pair]:
     frames = frames[:: math.ceil(len(frames) / _FRAMES)]
     cameras = [Camera(frame.K) for frame in frames]
     depths = [frame.read_depth() for frame in frames]
-    found, overlaps = [], []
-    for j, two in enumerate(frames):
-        points = _probes(two, depths[j])
-        if not len(points):
-            continue
-        for i, one in enumerate(frames):
-            if i == j:
-                continue
-            T = two.cam_from_world @ np.linalg.inv(one.cam_from_world)
-            names = (f"images/{frame.image.name}" for frame in (one, two))
+    pairs, overlaps = [], []
+    for j, frame2 in enumerate(frames):
+        points = _probes(frame2, depths[j])
+        for i, frame1 in enumerate(frames if len(points) else ()):
+            T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
+            names = (f"images/{frame.image.name}" for frame in (frame1, frame2))
             pair = _pair(folder, tuple(names), (cameras[i], cameras[j]), T)
-            if np.linalg.norm(pair.t) < _LEAST_BASELINE * np.median(points[:, 2]):
+            if i == j or np.linalg.norm(pair.t) < _LEAST_BASELINE * np.median(points[:, 2]):
                 continue
-            found.append(pair)
+            pairs.append(pair)
             back = points @ T[:3, :3] - T[:3, 3] @ T[:3, :3]
-            overlaps.append(_overlap(one, depths[i], back))
-    return _chosen(found, np.array(overlaps), _OVERLAPS, count, seed)
+            overlaps.append(_overlap(frame1, depths[i], back))
+    return _chosen(pairs, np.array(overlaps), _OVERLAPS, count, seed)
 
 
 def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
@@ -76,7 +72,7 @@ def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
     seen = [{p.point3D_id for p in image.points2D if p.has_point3D()} for image in images]
     cameras = [_pinhole(model.cameras[image.camera_id], folder) for image in images]
     world = [np.vstack([image.cam_from_world().matrix(), (0, 0, 0, 1)]) for image in images]
-    found, common = [], []
+    pairs, common = [], []
     for i, j in np.ndindex(len(images), len(images)):
         shared = seen[i] & seen[j]
         T = world[j] @ np.linalg.inv(world[i])
@@ -84,9 +80,9 @@ def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
         if i == j or np.linalg.norm(T[:3, 3]) < _LEAST_BASELINE * depth:
             continue
         names = (f"images/{images[k].name}" for k in (i, j))
-        found.append(_pair(folder, tuple(names), (cameras[i], cameras[j]), T))
+        pairs.append(_pair(folder, tuple(names), (cameras[i], cameras[j]), T))
         common.append(len(shared))
-    return _chosen(found, np.array(common), _COMMON, count, seed)
+    return _chosen(pairs, np.array(common), _COMMON, count, seed)
 
 
 def drawn_dtu(folder: Path, count: int, seed: int) -> list[Pair]:
@@ -96,9 +92,16 @@ def drawn_dtu(folder: Path, count: int, seed: int) -> list[Pair]:
     options = ViewPairOptions(
         pairs=count, max_rotation=_DTU_ROTATION, min_overlap=_DTU_OVERLAP, seed=seed
     )
+    drawn = draw(find_view_pairs(dataset, options), options)
+    prefix = dataset.root.relative_to(folder)
     return [
-        _relative_to(folder, listed_pair(dataset, pair))
-        for pair in draw(find_view_pairs(dataset, options), options)
+        replace(
+            pair,
+            name1=(prefix / pair.name1).as_posix(),
+            name2=(prefix / pair.name2).as_posix(),
+            root=folder,
+        )
+        for pair in (listed_pair(dataset, views) for views in drawn)
     ]
 
 
@@ -121,14 +124,9 @@ def _chosen(
     ]
     chosen: list[int] = []
     while any(bins) and len(chosen) < count - len(apart):
-        chosen += [int(own.pop()) for own in bins if own]
+        chosen += [int(members.pop()) for members in bins if members]
     chosen = chosen[: count - len(apart)] + apart.tolist()
     return [pairs[k] for k in sorted(chosen)]
-
-
-def _relative_to(folder: Path, pair: Pair) -> Pair:
-    name1, name2 = (path.relative_to(folder).as_posix() for path in (pair.path1, pair.path2))
-    return replace(pair, name1=name1, name2=name2, root=folder)
 
 
 def _pair(

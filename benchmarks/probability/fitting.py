@@ -35,20 +35,19 @@ _LEAST_SLOPE = 0.2  # of the calibrated log-odds
 Samples = Sequence[tuple[Record, Evidence]]
 
 
-def fit_model(found: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
+def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     """The model, as `probability.json` holds it, of the records of the part `fit` with evidence.
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
-    samples = [(one, one.evidence) for one in found if one.part == "fit" and one.evidence]
-    right = np.array([one.right for one, _ in samples], bool)
-    scenes = np.array([one.scene for one, _ in samples])
-    few = min(right.sum(), len(right) - right.sum())
-    if few < _LEAST or len(np.unique(scenes)) < _LEAST_SCENES:
+    samples = [(row, row.evidence) for row in rows if row.part == "fit" and row.evidence]
+    right = np.array([row.right for row, _ in samples], bool)
+    scenes = np.array([row.scene for row, _ in samples])
+    counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
+    if min(counts) < _LEAST or places < _LEAST_SCENES:
         raise InputError(
-            f"{kind}: {right.sum()} right and {len(right) - right.sum()} wrong poses of "
-            f"{len(np.unique(scenes))} scenes to fit on; at least {_LEAST} of each and "
-            f"{_LEAST_SCENES} scenes are needed"
+            f"{kind}: {counts[0]} right and {counts[1]} wrong poses of {places} scenes to fit on; "
+            f"at least {_LEAST} of each and {_LEAST_SCENES} scenes are needed"
         )
     names = [name for name in FEATURES if kind == "network" or name not in OF_MAPS]
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
@@ -57,17 +56,15 @@ def fit_model(found: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     strength = min(odds, key=lambda c: _loss(odds[c], right))
     slope, offset = _platt(odds[strength], right)
     weights, intercept = _logistic(X, right, signs, strength)
-    kept = {name: w for name, w in zip(names, weights, strict=True) if w != 0}
+    medians = np.median(X[right], axis=0)
+    used = [column for column, weight in enumerate(weights) if weight != 0]
+    accurate = [(row, evidence) for row, evidence in samples if row.right and row.exact]
     return {
-        "weights": {name: round(slope * w, 6) for name, w in kept.items()},
+        "weights": {names[k]: round(slope * weights[k], 6) for k in used},
         "intercept": round(slope * intercept + offset, 6),
-        "reference": {
-            name: round(float(np.median(X[right][:, names.index(name)])), 6) for name in kept
-        },
-        **{
-            f"{part}_error": _error_model([p for p in samples if p[0].right and p[0].exact], part)
-            for part in ("rotation", "translation")
-        },
+        "reference": {names[k]: round(float(medians[k]), 6) for k in used},
+        "rotation_error": _error_model(accurate, "rotation"),
+        "translation_error": _error_model(accurate, "translation"),
     }
 
 
@@ -82,9 +79,8 @@ def _logistic(
     """Weights (F,) of the features, 0 for those that are dropped, and the intercept."""
     used = np.arange(X.shape[1])
     while True:
-        own = X[:, used]
-        mean, deviation = own.mean(0), np.maximum(own.std(0), 1e-6)
-        fitted = _regression(strength).fit((own - mean) / deviation, right)
+        mean, deviation = X[:, used].mean(0), np.maximum(X[:, used].std(0), 1e-6)
+        fitted = _regression(strength).fit((X[:, used] - mean) / deviation, right)
         signed = fitted.coef_[0] * signs[used]
         if (signed >= 0).all() or len(used) == 1:
             weights = np.zeros(X.shape[1])
@@ -125,20 +121,20 @@ def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
 
 
 def _error_model(samples: Samples, part: str) -> dict[str, float]:
-    """Quantile regression of log (error / jackknife's) on the jackknife's own.
+    """Quantile regression of log (error / jackknife's error) on the jackknife's error.
 
     The quantile is the least that holds for nine poses in ten of scenes left out: a scene's own
     errors have more in common than the fit knows.
     """
     usable = [
-        (one, own)
-        for one, evidence in samples
-        if (own := getattr(evidence, f"jackknife_{part}_90_deg")) is not None
+        (row, jackknife)
+        for row, evidence in samples
+        if (jackknife := getattr(evidence, f"jackknife_{part}_90_deg")) is not None
     ]
-    X = np.array([[log_error(own)] for _, own in usable])
-    errors = np.array([max(getattr(one, f"{part}_error_deg"), 1e-4) for one, _ in usable])
-    y = np.log(errors / np.array([max(own, 1e-4) for _, own in usable]))
-    scenes = np.array([one.scene for one, _ in usable])
+    X = np.array([[log_error(jackknife)] for _, jackknife in usable])
+    errors = np.array([max(getattr(row, f"{part}_error_deg"), 1e-4) for row, _ in usable])
+    y = np.log(errors / np.array([max(jackknife, 1e-4) for _, jackknife in usable]))
+    scenes = np.array([row.scene for row, _ in usable])
     for quantile in _QUANTILES:
         within = np.zeros(len(y), bool)
         for scene in np.unique(scenes):

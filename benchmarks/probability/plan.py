@@ -1,12 +1,12 @@
 """What a fit is made of: scenes, each with the part that it plays, listed in a JSON file.
 
-    {"scene": "hololens", "part": "fit", "kind": "rgbd", "path": "rgbd/hololens", "pairs": 120}
+    {"name": "hololens", "part": "fit", "kind": "rgbd", "path": "rgbd/hololens", "pairs": 120}
 
 Paths are relative to the data folder. A scene plays one part alone, so that pairs of one place are
 never on both sides. Kinds:
 
-- `list`: a pair list in SuperGlue's format; its `scene` may be null: then the scene of a pair is
-  the first folder of its image's name.
+- `list`: a pair list in SuperGlue's format; with `scene_by_folder` the scene of a pair is the first
+  folder of its image's name.
 - `rgbd`: a folder of posed RGB-D frames; pairs are drawn from it (`drawn.py`).
 - `sparse`: a COLMAP text model with its images.
 - `dtu`: a folder of DTU in any layout; pairs up to 60 degrees apart.
@@ -28,17 +28,17 @@ from dgc_pose.files.inputs import read_text
 from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
-SourceKind = Literal["list", "rgbd", "sparse", "dtu", "rendered", "unrelated", "textureless"]
+EntryKind = Literal["list", "rgbd", "sparse", "dtu", "rendered", "unrelated", "textureless"]
 DEFAULT_PLAN = "plan.json"  # beside this file
 
 
 @dataclass(frozen=True)
-class Source:
+class PlanEntry:
     """One line of a plan."""
 
-    name: str  # of the source's files; the scene too, but for lists of several
+    name: str  # of the entry's files; the scene too, but for lists of several
     part: Part = option()
-    kind: SourceKind = option()
+    kind: EntryKind = option()
     path: tuple[Path, ...] = ()  # within the data folder
     pairs: int = option(60, min=1)  # at most
     seed: int = option(0, min=0)
@@ -49,13 +49,12 @@ class Source:
 
     def __post_init__(self) -> None:
         check_options(self)
-        is_name = isinstance(self.name, str) and self.name not in ("", ".", "..")
-        if not is_name or Path(self.name).name != self.name or "\0" in self.name:
+        if self.name in ("", ".", "..") or Path(self.name).name != self.name or "\0" in self.name:
             raise InputError(f"name must be that of a file, not {self.name!r}")
 
 
-def read_plan(path: Path | None) -> list[Source]:
-    """The sources of a plan; None for the one that the project's model is fitted by.
+def read_plan(path: Path | None) -> list[PlanEntry]:
+    """The entries of a plan; None for the one that the project's model is fitted by.
 
     Raises InputError, with the path, for a file that is no plan and for a scene with two parts.
     """
@@ -64,24 +63,25 @@ def read_plan(path: Path | None) -> list[Source]:
         if path is None
         else read_text(path, "a plan")
     )
+    where = path or DEFAULT_PLAN
     try:
-        found = [_source(entry) for entry in json.loads(text)]
+        entries = [_entry(values) for values in json.loads(text)]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path or DEFAULT_PLAN}: not a plan ({reason(error)})") from None
-    names = [source.name for source in found]
+        raise InputError(f"{where}: not a plan ({reason(error)})") from None
+    names = [entry.name for entry in entries]
     twice = {name for name in names if names.count(name) > 1}
-    if twice or not names:
-        raise InputError(f"{path or DEFAULT_PLAN}: {', '.join(sorted(twice)) or 'no scene'} twice")
-    missing = set(get_args(Part)) - {source.part for source in found}
+    if twice:
+        raise InputError(f"{where}: {', '.join(sorted(twice))} twice")
+    missing = set(get_args(Part)) - {entry.part for entry in entries}
     if missing:
-        raise InputError(f"{path or DEFAULT_PLAN}: no scene to {' or '.join(sorted(missing))}")
-    return found
+        raise InputError(f"{where}: no scene to {' or '.join(sorted(missing))}")
+    return entries
 
 
-def _source(entry: dict[str, Any]) -> Source:
-    values = dict(entry)
+def _entry(values: dict[str, Any]) -> PlanEntry:
+    values = dict(values)
     paths, rough = values.pop("path", []), values.pop("rough", [])
-    return Source(
+    return PlanEntry(
         **values,
         path=tuple(Path(p) for p in ([paths] if isinstance(paths, str) else paths)),
         rough=tuple(map(str, rough)),

@@ -1,12 +1,11 @@
-"""From stored matches to evidence and errors: one record a pair, whatever the verdict."""
+"""From stored matches to evidence and errors: a record for each pair, whatever the verdict."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-
-import numpy as np
+from itertools import islice
 
 from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import Part
@@ -36,11 +35,10 @@ _CHUNK = 16
 class Record:
     """What a pair's evidence is, and how wrong its pose."""
 
-    name: str
-    source: str
+    entry: str  # of the plan, its name
     scene: str
     part: Part
-    exact: bool  # the true pose is: see `Source.rough`
+    exact: bool  # the true pose is: see `PlanEntry.rough`
     evidence: Evidence | None  # None without a model
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
@@ -58,34 +56,24 @@ class Record:
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
     """The record of each pair, in order; `options.verdict` does not matter."""
-    waiting: list[StoredPair] = []
-    for pair in pairs:
-        waiting.append(pair)
-        if len(waiting) == _CHUNK:
-            yield from in_threads(lambda one: record(one, options), waiting)
-            waiting = []
-    yield from in_threads(lambda one: record(one, options), waiting)
+    stored = iter(pairs)
+    while chunk := list(islice(stored, _CHUNK)):
+        yield from in_threads(lambda pair: record(pair, options), chunk)
 
 
 def record(pair: StoredPair, options: EstimationOptions) -> Record:
     """The record of one pair."""
-    own = replace(options, verdict=ANY_POSE)
     truth = pair.truth
     pose = estimate_pose(
-        pair.matches, truth.camera1, truth.camera2, own, map_matches=pair.map_matches
+        pair.matches,
+        truth.camera1,
+        truth.camera2,
+        replace(options, verdict=ANY_POSE),
+        map_matches=pair.map_matches,
     )
     rotation = translation = math.inf
     if truth.R is not None and truth.t is not None and pose.R is not None and pose.t is not None:
         rotation = rotation_error_deg(pose.R, truth.R)
-        translation = translation_error_deg(pose.t, np.asarray(truth.t))
-    source = pair.name.rpartition(" ")[0]
-    return Record(
-        pair.name,
-        source,
-        pair.scene,
-        pair.part,
-        pair.exact,
-        pose.evidence,
-        rotation,
-        translation,
-    )
+        translation = translation_error_deg(pose.t, truth.t)
+    scene = (pair.entry, pair.scene, pair.part, pair.exact)
+    return Record(*scene, pose.evidence, rotation, translation)

@@ -36,14 +36,13 @@ class Judged:
     translation_90_deg: float
 
 
-def judged(record: Record, model: ProbabilityModel, min_probability: float = 0.5) -> Judged:
+def judged(record: Record, model: ProbabilityModel) -> Judged:
     """The verdicts on a record, by the gates and by the probability."""
     evidence = record.evidence
     if evidence is None:
         return Judged(record, False, False, 0.0, math.nan, math.nan)
-    options = VerdictOptions(min_probability=min_probability)
     probability = model.probability(evidence)
-    status = judge(evidence, options, probability).status
+    status = judge(evidence, VerdictOptions(min_probability=0.5), probability).status
     return Judged(
         record,
         STATUSES[judge(evidence, _GATES).status].has_t,
@@ -54,116 +53,104 @@ def judged(record: Record, model: ProbabilityModel, min_probability: float = 0.5
     )
 
 
-def report_text(found: Sequence[Judged]) -> str:
+def report_text(poses: Sequence[Judged]) -> str:
     """All tables."""
     parts = [
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
-        claims_table(found),
+        claims_table(poses),
         "AUC@5/10/20 with the verdict, and with every pair answered (true pairs alone)",
-        auc_table(found),
-        f"calibration error of the probability {100 * reliability(found).calibration_error:.1f} %",
-        reliability_table(found),
+        auc_table(poses),
+        f"calibration error of the probability {100 * reliability(poses).calibration_error:.1f} %",
+        reliability_table(poses),
         "precision and recall of right poses by the least probability",
-        levels_table(found),
+        levels_table(poses),
         "share of right claimed poses whose error is within the expected one, 90 % of them meant; "
         "scenes of a rough reference left out",
-        coverage_table(found),
+        coverage_table(poses),
     ]
     return "\n\n".join(parts)
 
 
-def claims_table(found: Sequence[Judged]) -> str:
+def claims_table(poses: Sequence[Judged]) -> str:
     """A row a data set, and all of them."""
-    rows: list[tuple[str, ...]] = [
-        ("pairs", "number", "right", "gates claim", "wrong", "right refused", "probability claims")
-        + ("wrong", "right refused")
-    ]
-    for name, own in _groups(found).items():
-        right = sum(one.record.right for one in own)
+    headings = ("pairs", "number", "right", "gates claim", "wrong", "right refused")
+    rows: list[tuple[str, ...]] = [(*headings, "probability claims", "wrong", "right refused")]
+    for name, members in _groups(poses).items():
+        right = _right(members)
         cells = []
-        for claims in ([o.by_gates for o in own], [o.by_probability for o in own]):
-            wrong = sum(c and not o.record.right for c, o in zip(claims, own, strict=True))
-            refused = sum(not c and o.record.right for c, o in zip(claims, own, strict=True))
-            share = f" ({100 * wrong / sum(claims):.1f} %)" if sum(claims) else ""
-            cells += [str(sum(claims)), f"{wrong}{share}", str(refused)]
-        rows.append((name, str(len(own)), str(right), *cells))
+        for claims in (_by_gates(members), _by_probability(members)):
+            claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
+            share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
+            cells += [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
+        rows.append((name, str(len(members)), str(right.sum()), *cells))
     return aligned(rows)
 
 
-def auc_table(found: Sequence[Judged]) -> str:
+def auc_table(poses: Sequence[Judged]) -> str:
     """With the gates, with the probability, and without a verdict."""
     rows: list[tuple[str, ...]] = [("pairs", "gates", "probability", "all answered")]
-    for name, own in _groups(found).items():
-        errors = np.array([one.record.pair_error_deg for one in own])
+    for name, members in _groups(poses).items():
+        errors = np.array([pose.record.pair_error_deg for pose in members])
         if not np.isfinite(errors).any():
             continue
-        claims = (
-            [one.by_gates for one in own],
-            [one.by_probability for one in own],
-            [True] * len(own),
-        )
+        claims = (_by_gates(members), _by_probability(members), np.ones(len(members), bool))
         cells = (pose_auc(np.where(claim, errors, np.inf)) for claim in claims)
         rows.append((name, *("/".join(f"{a:.1f}" for a in auc) for auc in cells)))
     return aligned(rows)
 
 
-def reliability(found: Sequence[Judged]) -> Reliability:
-    """Of the probability of the records that have evidence."""
-    own = [one for one in found if one.record.evidence is not None]
-    return Reliability.of(
-        np.array([one.probability for one in own]), np.array([one.record.right for one in own])
-    )
+def reliability(poses: Sequence[Judged]) -> Reliability:
+    """Of the probability of the poses that have evidence."""
+    known = [pose for pose in poses if pose.record.evidence is not None]
+    return Reliability.of(_probability(known), _right(known))
 
 
-def reliability_table(found: Sequence[Judged]) -> str:
-    own = reliability(found)
+def reliability_table(poses: Sequence[Judged]) -> str:
+    """Of each tenth of probability the mean, and the share that is right."""
+    bins = reliability(poses)
     rows = [("probability", "poses", "mean", "right")]
-    bins = zip(own.edges, own.counts, own.mean_confidence, own.share_correct, strict=False)
-    for low, count, mean, right in bins:
+    columns = (bins.edges, bins.counts, bins.mean_confidence, bins.share_correct)
+    for low, count, mean, right in zip(*columns, strict=False):
         if count:
             name = f"{low:.1f} to {low + 0.1:.1f}"
             rows.append((name, str(count), f"{100 * mean:.0f} %", f"{100 * right:.0f} %"))
     return aligned(rows)
 
 
-def levels_table(found: Sequence[Judged]) -> str:
+def levels_table(poses: Sequence[Judged]) -> str:
     """Precision and recall at several least probabilities, and of the gates."""
     rows = [("least probability", "claimed", "precision", "recall")]
-    right = np.array([one.record.right for one in found])
-    probability = np.array([one.probability for one in found])
-    claims = [(f"{level:g}", probability >= level) for level in _LEVELS]
-    claims.append(("gates", np.array([one.by_gates for one in found])))
-    for name, claimed in claims:
+    right, probability = _right(poses), _probability(poses)
+    claims = {f"{level:g}": probability >= level for level in _LEVELS}
+    for name, claimed in {**claims, "gates": _by_gates(poses)}.items():
         true = int((claimed & right).sum())
         precision = f"{100 * true / claimed.sum():.1f} %" if claimed.any() else "-"
         rows.append((name, str(claimed.sum()), precision, f"{100 * true / right.sum():.1f} %"))
     return aligned(rows)
 
 
-def coverage_table(found: Sequence[Judged]) -> str:
+def coverage_table(poses: Sequence[Judged]) -> str:
     """By bins of rotation and of inliers."""
-    own = [one for one in found if one.by_probability and one.record.right and one.record.exact]
-    rows = [("poses", "number", "R within", "t within")]
-    bins = {"all": own}
+    claimed = [p for p in poses if p.by_probability and p.record.right and p.record.exact]
+    evidence = [pose.record.evidence for pose in claimed]
+    angles = np.array([e.rotation_angle_deg for e in evidence if e is not None])
+    inliers = np.array([e.num_inliers for e in evidence if e is not None])
+    bins = {"all": np.ones(len(claimed), bool)}
     for low, high in zip(_ROTATIONS, _ROTATIONS[1:], strict=False):
-        bins[f"rotation {low} to {high} deg"] = [
-            one for one in own if low <= _evidence(one).rotation_angle_deg < high
-        ]
+        bins[f"rotation {low} to {high} deg"] = (low <= angles) & (angles < high)
     for less, more in zip(_INLIERS, _INLIERS[1:], strict=False):
-        bins[f"inliers {less:.0f} to {more:.0f}"] = [
-            one for one in own if less <= _evidence(one).num_inliers < more
-        ]
-    for name, some in bins.items():
-        if some:
-            R = np.mean([one.record.rotation_error_deg <= one.rotation_90_deg for one in some])
-            t = np.mean(
-                [one.record.translation_error_deg <= one.translation_90_deg for one in some]
-            )
-            rows.append((name, str(len(some)), f"{100 * R:.0f} %", f"{100 * t:.0f} %"))
+        bins[f"inliers {less:.0f} to {more:.0f}"] = (less <= inliers) & (inliers < more)
+    R = np.array([p.record.rotation_error_deg <= p.rotation_90_deg for p in claimed])
+    t = np.array([p.record.translation_error_deg <= p.translation_90_deg for p in claimed])
+    rows: list[tuple[str, ...]] = [("poses", "number", "R within", "t within")]
+    for name, chosen in bins.items():
+        if chosen.any():
+            shares = (f"{100 * np.mean(within[chosen]):.0f} %" for within in (R, t))
+            rows.append((name, str(chosen.sum()), *shares))
     return aligned(rows)
 
 
-def reliability_figure(found: Mapping[str, Sequence[Judged]]) -> Figure:
+def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     """The reliability diagram and precision against recall, a curve a kind of matches; the gates
     are a point each."""
     from dgc_pose.viz.curves import draw_reliability
@@ -171,18 +158,15 @@ def reliability_figure(found: Mapping[str, Sequence[Judged]]) -> Figure:
 
     figure = new_figure(11, 5)
     left, other = figure.subplots(1, 2)
-    curves = {name: reliability(own) for name, own in found.items()}
+    curves = {name: reliability(poses) for name, poses in kinds.items()}
     draw_reliability(left, curves, right="within 10 degrees")
     left.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    for number, (name, own) in enumerate(found.items()):
-        right = np.array([one.record.right for one in own])
-        probability = np.array([one.probability for one in own])
-        order = np.argsort(-probability, kind="stable")
+    for number, (name, poses) in enumerate(kinds.items()):
+        right, gates, colour = _right(poses), _by_gates(poses), f"C{number}"
+        order = np.argsort(-_probability(poses), kind="stable")
         true = np.cumsum(right[order])
         total = max(int(right.sum()), 1)
-        colour = f"C{number}"
-        other.plot(true / total, true / np.arange(1, len(own) + 1), color=colour, label=name)
-        gates = np.array([one.by_gates for one in own])
+        other.plot(true / total, true / np.arange(1, len(poses) + 1), color=colour, label=name)
         if gates.any():
             hits = int((gates & right).sum())
             other.plot(hits / total, hits / gates.sum(), "o", color=colour, label=f"{name}, gates")
@@ -192,21 +176,32 @@ def reliability_figure(found: Mapping[str, Sequence[Judged]]) -> Figure:
     return figure
 
 
+def _right(poses: Sequence[Judged]) -> np.ndarray:
+    return np.array([pose.record.right for pose in poses], bool)
+
+
+def _by_gates(poses: Sequence[Judged]) -> np.ndarray:
+    return np.array([pose.by_gates for pose in poses], bool)
+
+
+def _by_probability(poses: Sequence[Judged]) -> np.ndarray:
+    return np.array([pose.by_probability for pose in poses], bool)
+
+
+def _probability(poses: Sequence[Judged]) -> np.ndarray:
+    return np.array([pose.probability for pose in poses])
+
+
 def _expected(evidence: Evidence, model: ProbabilityModel, part: str) -> float:
-    own = getattr(evidence, f"jackknife_{part}_90_deg")
-    if own is None:
+    error = getattr(evidence, f"jackknife_{part}_90_deg")
+    if error is None:
         return math.nan
     factors = {"rotation": model.rotation_error, "translation": model.translation_error}
-    return min(own * factors[part].factor(own), 180.0)
+    return min(error * factors[part].factor(error), 180.0)
 
 
-def _groups(found: Sequence[Judged]) -> dict[str, list[Judged]]:
+def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:
     groups: dict[str, list[Judged]] = {}
-    for one in found:
-        groups.setdefault(one.record.source, []).append(one)
-    return {**groups, "all": list(found)}
-
-
-def _evidence(one: Judged) -> Evidence:
-    assert one.record.evidence is not None
-    return one.record.evidence
+    for pose in poses:
+        groups.setdefault(pose.record.entry, []).append(pose)
+    return {**groups, "all": list(poses)}

@@ -10,14 +10,9 @@ from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.fitting import fit_model, models_text
-from dgc_pose.benchmarks.probability.plan import Source
+from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
-from dgc_pose.benchmarks.probability.report import (
-    Judged,
-    judged,
-    reliability_figure,
-    report_text,
-)
+from dgc_pose.benchmarks.probability.report import judged, reliability_figure, report_text
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import MatchKind, match_kind, models_of
@@ -43,7 +38,7 @@ class Fitted:
 def fit_all(
     out: Path,
     methods: Sequence[str],
-    sources: Sequence[Source],
+    entries: Sequence[PlanEntry],
     options: EstimationOptions = _DEFAULTS,
     say: Callable[[str], object] = lambda line: None,
 ) -> Fitted:
@@ -52,33 +47,33 @@ def fit_all(
     options: of the estimation, as users have them. say: takes a line of progress. Raises InputError
     if nothing is stored, or too little.
     """
-    engine = {method: read_engine(out, method) for method in methods}
+    engines = {method: read_engine(out, method) for method in methods}
     by_kind: dict[MatchKind, list[Record]] = {}
     for method in methods:
-        found = list(records(read_collection(out, method, sources), options))
-        say(f"{method}: {len(found)} pairs")
-        for kind, own in _by_kind(found).items():
-            by_kind.setdefault(kind, own)  # of several networks the first
+        of_method = list(records(read_collection(out, method, entries), options))
+        say(f"{method}: {len(of_method)} pairs")
+        for kind, rows in _by_kind(of_method).items():
+            by_kind.setdefault(kind, rows)  # of several networks the first
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
-    fitted = {kind: fit_model(own, kind) for kind, own in by_kind.items()}
-    text = models_text(fitted, engine)
+    text = models_text({kind: fit_model(rows, kind) for kind, rows in by_kind.items()}, engines)
     models = models_of(text, "the fit")
-    reported: dict[str, list[Judged]] = {
-        kind: [judged(one, models[kind]) for one in own if one.part == "report"]
-        for kind, own in by_kind.items()
+    reported = {
+        kind: [judged(row, models[kind]) for row in rows if row.part == "report"]
+        for kind, rows in by_kind.items()
     }
-    parts = [f"{WORDS[kind]}\n\n{report_text(own)}" for kind, own in reported.items()]
-    everything = [one for own in by_kind.values() for one in own]
-    return Fitted(text, "\n\n\n".join(parts), reliability_figure(reported), everything)
+    parts = [f"{WORDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
+    everything = [row for rows in by_kind.values() for row in rows]
+    figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
+    return Fitted(text, "\n\n\n".join(parts), figure, everything)
 
 
-def _by_kind(found: Sequence[Record]) -> dict[MatchKind, list[Record]]:
+def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
     """A method's records as its own kind of matches, and a network's as those of no map too."""
-    kinds = {match_kind(one.evidence) for one in found if one.evidence is not None}
+    kinds = {match_kind(row.evidence) for row in rows if row.evidence is not None}
     if "network" not in kinds:
-        return {kind: list(found) for kind in kinds}
-    return {"network": list(found), "matches": [_without_map(one) for one in found]}
+        return {kind: list(rows) for kind in kinds}
+    return {"network": list(rows), "matches": [_without_map(row) for row in rows]}
 
 
 def _without_map(record: Record) -> Record:

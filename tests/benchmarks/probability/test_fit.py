@@ -6,6 +6,7 @@ import dataclasses
 import json
 from pathlib import Path
 
+import cv2
 import dense_scene
 import numpy as np
 import pytest
@@ -21,11 +22,11 @@ from dgc_pose.benchmarks.probability.collection import (
     store_path,
 )
 from dgc_pose.benchmarks.probability.fitting import fit_model
-from dgc_pose.benchmarks.probability.plan import Part, Source
+from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
+from dgc_pose.benchmarks.probability.planned import PlannedPair, planned
 from dgc_pose.benchmarks.probability.records import Record, record
 from dgc_pose.benchmarks.probability.report import judged, report_text
 from dgc_pose.benchmarks.probability.run import fit_all
-from dgc_pose.benchmarks.probability.sources import PlannedPair, planned
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
@@ -58,9 +59,9 @@ class _Scenes(Matcher):
     _match = match
 
 
-def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[Source, list[PlannedPair]]:
+def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[PlanEntry, list[PlannedPair]]:
     """Every second pair has a scene; the matches of the others are random."""
-    source = Source(part, part, "list")
+    source = PlanEntry(part, part, "list")
 
     def make(number: int) -> PosedPair:
         kind = "general" if number % 2 else "random"
@@ -74,7 +75,7 @@ def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[Source, list[Plann
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory) -> tuple[Path, list[Source]]:
+def stored(tmp_path_factory) -> tuple[Path, list[PlanEntry]]:
     out = tmp_path_factory.mktemp("collected")
     matcher, sources = _Scenes(), []
     require_engine(out, "sift", matcher)
@@ -116,7 +117,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map())
     camera = Camera(dense_scene.K, dense_scene.SIZE)
     images = [Image(pixels) for pixels in dense_scene.pictures()]
-    source = Source("one", "fit", "list")
+    source = PlanEntry("one", "fit", "list")
     truth = Truth({}, camera, camera, dense_scene.R, dense_scene.T)
     made = PlannedPair(source, 0, "one", lambda: PosedPair(truth, *images))
     list(collect([made], {"net": matcher}, tmp_path))
@@ -175,7 +176,7 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
             jackknife_rotation_90_deg=own,
             jackknife_translation_90_deg=own,
         )
-        found.append(Record(f"s {k}", "s", f"{part} {k % 5}", part, True, evidence, error, error))
+        found.append(Record("s", f"{part} {k % 5}", part, True, evidence, error, error))
     return found
 
 
@@ -215,12 +216,10 @@ def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:
         (tmp_path / folder).mkdir()
         for k in range(3):
             pixels = np.random.default_rng(k).integers(0, 255, (30, 40, 3), np.uint8)
-            import cv2
-
             cv2.imwrite(str(tmp_path / folder / f"{folder}{k}_1.png"), pixels)
     paths = (Path("a"), Path("b"))
     for kind in ("unrelated", "textureless"):
-        source = Source(kind, "report", kind, paths, pairs=8, seed=3)
+        source = PlanEntry(kind, "report", kind, paths, pairs=8, seed=3)
         first, again = (
             [one.make() for one in planned(source, tmp_path, tmp_path / "lists")] for _ in "12"
         )
@@ -228,7 +227,7 @@ def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:
         for one, other in zip(first, again, strict=True):
             assert np.array_equal(one.image1.pixels, other.image1.pixels)
             assert one.truth.R is None and one.truth.camera1.size == one.image1.size
-    missing = Source("x", "fit", "rgbd", (Path("nowhere"),))
+    missing = PlanEntry("x", "fit", "rgbd", (Path("nowhere"),))
     with pytest.raises(InputError, match="nowhere: no such data"):
         planned(missing, tmp_path, tmp_path / "lists")
 

@@ -1,0 +1,151 @@
+"""The pairs of a plan's entries, each made when it is matched."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dgc_pose.benchmarks.posed_pairs import (
+    ListedPairs,
+    PosedPair,
+    Truth,
+    rendered_pair,
+    require_images,
+    unrelated_pair,
+)
+from dgc_pose.benchmarks.probability.blank import BLANKS, blank
+from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
+from dgc_pose.errors import InputError
+from dgc_pose.files.outputs import replaced
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import Image, load_image
+
+_RENDERED_SIZE = 640  # pixels a side
+_BLANK_SIZE = (640, 480)
+_DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
+
+
+@dataclass(frozen=True)
+class PlannedPair:
+    """A pair of an entry, not read yet."""
+
+    entry: PlanEntry
+    number: int
+    scene: str
+    make: Callable[[], PosedPair]
+
+
+def require_data(entries: Sequence[PlanEntry], data: Path) -> None:
+    """Raise InputError, with the path, if something that the entries name is not there."""
+    for entry in entries:
+        for path in entry.path:
+            if not os.path.exists(data / path):  # False for a name with a zero byte, too
+                raise InputError(
+                    f"{data / path}: no such data; the plan's source {entry.name} needs it"
+                )
+
+
+def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
+    """The pairs of an entry. Pairs that are drawn are written as a list to the folder `lists`, and
+    read from there the next time.
+
+    Raises InputError or ImageError if the data are not as the plan says.
+    """
+    require_data([entry], data)
+    folders = [data / path for path in entry.path]
+    if entry.kind in ("rendered", "unrelated", "textureless"):
+        makers = {"rendered": _rendered, "unrelated": _unrelated, "textureless": _textureless}
+        made = makers[entry.kind](folders, entry)
+        return [PlannedPair(entry, k, entry.name, make) for k, make in enumerate(made)]
+    pairs = _listed(entry, folders[0], lists)
+    require_images(pairs)
+    listed = ListedPairs(pairs)
+    return [
+        PlannedPair(
+            entry,
+            k,
+            Path(pair.name1).parts[0] if entry.scene_by_folder else entry.name,
+            partial(listed.pair, k),
+        )
+        for k, pair in enumerate(pairs)
+    ]
+
+
+def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
+    if entry.kind == "list":
+        pairs = read_pairs(path)
+        return pairs[:: max(1, -(-len(pairs) // entry.pairs))]
+    known = lists / f"{entry.name}.txt"
+    if not known.is_file():
+        lists.mkdir(parents=True, exist_ok=True)
+        with replaced(known) as stage:
+            write_pairs(stage, _DRAWN[entry.kind](path, entry.pairs, entry.seed))
+    return read_pairs(known, path)
+
+
+def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+    from dgc_pose.synthesis.photos import load_held_back
+    from dgc_pose.synthesis.render import SceneOptions
+
+    textures = load_held_back(folders[0]).textures
+    scenes = SceneOptions(
+        rotation_deg=(5.0, 70.0), roll_deg=8.0, min_overlap=0.15, texture_span=(0.3, 0.6)
+    )
+
+    def make(number: int) -> PosedPair:
+        import torch
+
+        generator = torch.Generator().manual_seed(1000 * entry.seed + number)
+        return rendered_pair(textures, _RENDERED_SIZE, generator, scenes, {})
+
+    return [partial(make, k) for k in range(entry.pairs)]
+
+
+def _unrelated(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+    """Photographs of different places: of different folders, or of different prefixes in one."""
+    paths = _photographs_in(folders)
+    places = {path: f"{path.parent} {path.stem.split('_')[0]}" for path in paths}
+    one_each = {path for path in paths if "photos" in path.parts and "more" not in path.parts}
+    rng = np.random.default_rng(entry.seed)
+    makers: list[Callable[[], PosedPair]] = []
+    while len(makers) < entry.pairs:
+        path1, path2 = (paths[k] for k in rng.integers(0, len(paths), 2))
+        if places[path1] != places[path2] or (path1 in one_each and path1 != path2):
+            makers.append(partial(unrelated_pair, path1, path2))
+    return makers
+
+
+def _textureless(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+    """Each kind of blank image with itself, with another and with a photograph, in turn."""
+    paths = _photographs_in(folders)
+
+    def make(number: int) -> PosedPair:
+        rng = np.random.default_rng([entry.seed, number])
+        kind, way = BLANKS[number % len(BLANKS)], number // len(BLANKS) % 3
+        first = blank(kind, _BLANK_SIZE, rng)
+        if way == 0:
+            second = first.copy()
+        elif way == 1:
+            second = blank(BLANKS[rng.integers(len(BLANKS))], _BLANK_SIZE, rng)
+        else:
+            photo = load_image(paths[rng.integers(len(paths))]).pixels
+            second = cv2.resize(photo, _BLANK_SIZE, interpolation=cv2.INTER_AREA)
+        width, height = _BLANK_SIZE
+        K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1]])
+        camera = Camera(K.astype(np.float64), _BLANK_SIZE)
+        return PosedPair(Truth({}, camera, camera, None, None), Image(first), Image(second))
+
+    return [partial(make, k) for k in range(entry.pairs)]
+
+
+def _photographs_in(folders: list[Path]) -> list[Path]:
+    return [p for f in folders for p in sorted(f / name for name in search_images(f).names)]
