@@ -30,10 +30,10 @@ UNUSABLE_INPUT = 2
 PIPE = 13  # SIGPIPE, which Windows has not
 LONGEST = 1000  # characters of a message
 INTERRUPTED = 130  # what shells report after SIGINT
-# Rounds that GNU's OpenMP, which torch uses on Linux, spins for a late thread before it sleeps. By
-# default 300,000: a machine with another busy process then spends nearly all its time spinning.
+# How long a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits for the others.
+# With the default of 300,000 rounds, a machine that has another busy process spends most of its
+# time spinning.
 SPIN_COUNT = "10000"
-
 
 # By name, the line in the help. `some-name` is the function `some_name` of cli/some_name.py.
 SUBCOMMANDS = {
@@ -95,30 +95,30 @@ class LazyGroup(click.Group):
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
-        given = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
-        debug = DEBUG in given
+        words = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
+        debug = DEBUG in words
         try:
             with stopped_by_signals(), standard_streams(), plain_warnings(shown=debug):
                 status = super().main(*args, **kwargs)
                 sys.stdout.flush()  # a full disk shows here, and not when the process ends
+        except SystemExit:
+            raise
         except BaseException as error:
-            if isinstance(error, SystemExit):
-                raise
             if debug:
                 click.echo(traceback.format_exc(), err=True, nl=False)
-            message, status = _told(error, given)
+            message, status = _message_and_status(error, words)
             if message is not None:
                 click.echo("error: " + _one_line(message), err=True)
         sys.exit(status)
 
 
-def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
-    """The message of an error, None for silence, and the exit code."""
+def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str | None, int]:
+    """What is printed of an error, None for nothing, and the exit code."""
     match error:
         case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
             return "interrupted", INTERRUPTED
         case click.NoSuchOption():
-            return _with_path_hint(error, given), UNUSABLE_INPUT
+            return _with_path_hint(error, words), UNUSABLE_INPUT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
         case ImageSizeError():
@@ -126,7 +126,7 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
         case BrokenPipeError() | Stopped(number=13):  # PIPE
-            # Whoever read the output has left; the end of the process would try to write again.
+            # Nobody reads the output any more; Python would write the rest when the process ends.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return None, 128 + PIPE
@@ -141,23 +141,22 @@ def _told(error: BaseException, given: Sequence[str]) -> tuple[str | None, int]:
     return f"{type(error).__name__}: {reason(error)} ({DEBUG} shows the trace)", UNEXPECTED
 
 
-def _with_path_hint(error: click.NoSuchOption, given: Sequence[str]) -> str:
+def _with_path_hint(error: click.NoSuchOption, words: Sequence[str]) -> str:
     """A photograph's name may begin with a dash, and then looks like an option."""
-    for text in given:
-        if text.startswith(error.option_name) and os.path.exists(text):
-            return f"{error.format_message()} The file of that name is ./{text}"
+    for word in words:
+        if word.startswith(error.option_name) and os.path.exists(word):
+            return f"{error.format_message()} The file of that name is ./{word}"
     return error.format_message()
 
 
 def _describe(error: OSError) -> str:
-    """The system's words, with the files that it names."""
-    names = [str(name) for name in (error.filename, error.filename2) if name is not None]
-    where = " -> ".join(names) or type(error).__name__
-    return f"{where}: {error.strerror or reason(error)}"
+    """The files that the system names, and its words."""
+    paths = [str(path) for path in (error.filename, error.filename2) if path is not None]
+    return f"{' -> '.join(paths) or type(error).__name__}: {error.strerror or reason(error)}"
 
 
 def _one_line(message: str) -> str:
-    """Without line breaks, without what a terminal would act on, and not endless."""
+    """A message without line breaks and control characters, shortened."""
     text = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(message.split()))
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 40]} ... {text[-30:]}"
 

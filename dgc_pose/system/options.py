@@ -20,47 +20,31 @@ MAX_SEED = 2**63 - 1  # what torch takes
 
 _KEY = "option"
 _NUMBERS: dict[type, type] = {int: Integral, float: Real}  # those of NumPy too
+_TYPE_NAMES = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
 
 
 @dataclass(frozen=True)
 class OptionInfo:
-    """What is known of an option beside its type and default."""
+    """What an option has beside its type and default."""
 
-    help: str  # empty: not on the command line
-    flag: str | None  # as on the command line; None: made of the field's name
-    metavar: str | None
-    parse: Callable[[str], Any] | None  # the value from the text of the command line
-    text: str | None  # the default as text, if the option is parsed
-    min: float | None  # least allowed value
-    above: float | None  # the value must be larger
-    max: float | None  # largest allowed value
+    help: str = ""  # empty: not on the command line
+    flag: str | None = None  # as on the command line; None: made of the field's name
+    metavar: str | None = None
+    parse: Callable[[str], Any] | None = None  # makes the value of its text, or raises InputError
+    text: str | None = None  # the default as a user would write it, if the option is parsed
+    min: float | None = None  # least allowed value
+    above: float | None = None  # the value must be larger
+    max: float | None = None  # largest allowed value
     type: Any = None  # of click, for a text that is more than that, such as an output's path
 
 
-def option(
-    default: Any = MISSING,
-    help: str = "",
-    *,
-    flag: str | None = None,
-    metavar: str | None = None,
-    parse: Callable[[str], Any] | None = None,
-    text: str | None = None,
-    min: float | None = None,
-    above: float | None = None,
-    max: float | None = None,
-    type: Any = None,
-) -> Any:
-    """A dataclass field with what the command line and `check_options` need to know of it.
-
-    Without a default the option is required. `parse` makes the value of the option's text and
-    raises InputError for a wrong one; then `text` is the default as a user would write it.
-    """
-    info = OptionInfo(help, flag, metavar, parse, text, min, above, max, type)
-    return field(default=default, metadata={_KEY: info})
+def option(default: Any = MISSING, help: str = "", **info: Any) -> Any:
+    """A dataclass field with an `OptionInfo`. Without a default the option is required."""
+    return field(default=default, metadata={_KEY: OptionInfo(help, **info)})
 
 
 def option_info(of: Field[Any]) -> OptionInfo | None:
-    """What `option` was given for a dataclass field; None for other fields."""
+    """The `OptionInfo` of a dataclass field; None if it was not made by `option`."""
     info: OptionInfo | None = of.metadata.get(_KEY)
     return info
 
@@ -72,7 +56,7 @@ def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
     The types must be importable at run time, not under TYPE_CHECKING alone.
     """
     hints = get_type_hints(cls)
-    return {one.name: _without_none(hints[one.name]) for one in fields(cls)}
+    return {of.name: _without_none(hints[of.name]) for of in fields(cls)}
 
 
 def check_options(options: Any) -> None:
@@ -81,21 +65,20 @@ def check_options(options: Any) -> None:
     For `__post_init__` of option dataclasses. The types of all fields are checked, the ranges of
     those made by `option`; None passes if the type has it.
     """
-    cls: Any = type(options)
-    for one in fields(options):
-        info, value = option_info(one), getattr(options, one.name)
-        kind, optional = field_types(cls)[one.name]
-        if value is None and (optional or one.default is None):
+    for of in fields(options):
+        name, info, value = of.name, option_info(of), getattr(options, of.name)
+        kind, optional = field_types(type(options))[name]
+        if value is None and (optional or of.default is None):
             continue
-        check_type(value, kind, one.name)
+        check_type(value, kind, name)
         if get_origin(kind) is Literal and value not in get_args(kind):
-            names = ", ".join(map(str, get_args(kind)))
-            raise InputError(f"{one.name} must be one of {names}, not {value!r}")
+            choices = ", ".join(map(str, get_args(kind)))
+            raise InputError(f"{name} must be one of {choices}, not {value!r}")
         if info is not None and not _in_range(info, value):
             order = "be ascending and " if isinstance(value, tuple) else ""
-            raise InputError(f"{one.name} must {order}{_range(info)}, not {value}")
+            raise InputError(f"{name} must {order}{_range_text(info)}, not {value}")
         if isinstance(value, float) and math.isnan(value):
-            raise InputError(f"{one.name} must be a number, not nan")
+            raise InputError(f"{name} must be a number, not nan")
 
 
 def check_type(value: Any, kind: Any, name: str) -> None:
@@ -110,24 +93,18 @@ def check_type(value: Any, kind: Any, name: str) -> None:
         for part in value:
             check_type(part, parts[0], name)
         return
-    if get_origin(kind) in (Union, UnionType):
-        if not isinstance(value, get_args(kind)):
-            names = " or ".join(_called(one) for one in get_args(kind))
-            raise InputError(f"{name} must be {names}, not {value!r}")
+    kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+    if not all(isinstance(kind, type) for kind in kinds):
         return
-    if not isinstance(kind, type):
-        return
-    expected = _NUMBERS.get(kind, kind)
-    if not isinstance(value, expected) or (isinstance(value, bool) and kind in (int, float)):
-        given = (
-            repr(value) if value is None or isinstance(value, str | Real) else type(value).__name__
-        )
-        raise InputError(f"{name} must be {_called(kind)}, not {given}")
+    number_as_bool = isinstance(value, bool) and kind in (int, float)
+    if not isinstance(value, tuple(_NUMBERS.get(kind, kind) for kind in kinds)) or number_as_bool:
+        is_plain = value is None or isinstance(value, str | Real)
+        shown = repr(value) if is_plain else type(value).__name__
+        raise InputError(f"{name} must be {' or '.join(map(_type_name, kinds))}, not {shown}")
 
 
-def _called(kind: type) -> str:
-    names = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
-    return names.get(kind) or f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}"
+def _type_name(kind: type) -> str:
+    return _TYPE_NAMES.get(kind) or f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}"
 
 
 def _in_range(info: OptionInfo, value: Any) -> bool:
@@ -136,27 +113,24 @@ def _in_range(info: OptionInfo, value: Any) -> bool:
         return True
     values = value if isinstance(value, tuple) else (value,)
     return list(values) == sorted(values) and all(
-        (isinstance(one, int) or math.isfinite(one))  # a long integer is no float
-        and (info.min is None or one >= info.min)
-        and (info.above is None or one > info.above)
-        and (info.max is None or one <= info.max)
-        for one in values
+        (isinstance(number, int) or math.isfinite(number))  # a long integer is no float
+        and (info.min is None or number >= info.min)
+        and (info.above is None or number > info.above)
+        and (info.max is None or number <= info.max)
+        for number in values
     )
 
 
-def _range(info: OptionInfo) -> str:
-    low, high = (_number(bound) for bound in (info.min, info.max))
-    if info.above is not None:
-        text = "be positive" if info.above == 0 else f"be above {info.above:g}"
-        return f"{text} and finite" if info.max is None else f"{text} and at most {high}"
+def _range_text(info: OptionInfo) -> str:
     if info.min is not None and info.max is not None:
-        return f"lie in [{low}, {high}]"
-    if info.min is not None:
-        return "not be negative" if info.min == 0 else f"be at least {low}"
-    return f"be at most {high}"
+        return f"lie in [{_number(info.min)}, {_number(info.max)}]"
+    bounds = (("above", info.above), ("at least", info.min), ("at most", info.max))
+    texts = [f"{words} {_number(bound)}" for words, bound in bounds if bound is not None]
+    finite = " and finite" if info.above is not None and info.max is None else ""
+    return f"be {' and '.join(texts)}{finite}"
 
 
-def _number(bound: float | None) -> str:
+def _number(bound: float) -> str:
     return f"{bound:g}" if isinstance(bound, float) else str(bound)
 
 

@@ -112,8 +112,8 @@ def test_some_fields_alone_may_be_options() -> None:
     ("words", "message"),
     [
         (["--runs", "0"], "runs must be at least 1, not 0"),
-        (["--limit", "0"], "limit_px must be positive and finite, not 0"),
-        (["--limit", "nan"], "limit_px must be positive and finite, not nan"),
+        (["--limit", "0"], "limit_px must be above 0 and finite, not 0"),
+        (["--limit", "nan"], "limit_px must be above 0 and finite, not nan"),
         (["--share", "1.5"], r"share must lie in \[0, 1\], not 1.5"),
         (["--size", "big"], "size must be WxH, not big"),
     ],
@@ -135,7 +135,7 @@ def test_what_click_refuses_names_the_option(words: list[str]) -> None:
 def test_a_literal_and_a_range_are_checked_without_a_command_line() -> None:
     with pytest.raises(InputError, match="kind must be one of fast, good, not 'slow'"):
         Options(Path(), kind="slow")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="secret must not be negative, not -1"):
+    with pytest.raises(InputError, match="secret must be at least 0, not -1"):
         Options(Path(), secret=-1)
     assert Options(Path(), limit_px=None).limit_px is None
 
