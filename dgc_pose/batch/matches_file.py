@@ -67,52 +67,6 @@ def new_file(path: Path) -> Iterator[Any]:
         path.write_bytes(image)
 
 
-def read_matches(group: h5py.Group) -> PairMatches:
-    """The matches of a group. Raises InputError if they are none."""
-    where = f"{group.file.filename}: {group.name}"
-    try:
-        arrays = {field: _array(group, name) for name, field in _DATASETS.items()}
-    except Exception:  # of HDF5, for damaged files almost any
-        raise InputError(f"{where}: no whole matches") from None
-    shape = (len(arrays["scores"]),) if arrays["scores"].ndim == 1 else ()
-    if not arrays["points1"].shape == arrays["points2"].shape == (*shape, 2) != (2,):
-        raise InputError(f"{where}: datasets of different lengths")
-    if arrays["inliers"].shape != shape:
-        raise InputError(f"{where}: datasets of different lengths")
-    if not all(np.isfinite(arrays[name]).all() for name in ("points1", "points2", "scores")):
-        raise InputError(f"{where}: numbers that are not finite")
-    return PairMatches(**arrays)
-
-
-def find_group(file: Any, name: str) -> Any:
-    """The group `name1/name2` of an open file, None if there is none.
-
-    Links to other files and places are not followed: they could lead anywhere.
-    """
-    found = file
-    for part in name.split("/"):
-        try:
-            if not isinstance(found.get(part, getlink=True), h5py.HardLink):
-                return None
-            found = found[part]
-        except Exception:  # of HDF5, for damaged files almost any
-            return None
-        if not isinstance(found, h5py.Group):
-            return None
-    return found
-
-
-def _array(group: h5py.Group, name: str) -> np.ndarray:
-    """A data set of numbers of this file itself, not too large; raises anything else."""
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise ValueError("a link")
-    data = group[name]
-    kind = "b" if name == "inliers" else "f"
-    if data.external or data.is_virtual or data.dtype.kind != kind or data.nbytes > ARRAY_BYTES:
-        raise ValueError("not numbers of this file")
-    return np.asarray(data[()])
-
-
 @contextmanager
 def open_matches(path: Path) -> Iterator[Any]:
     """An HDF5 file to read. Raises InputError, with the path, if it is missing, cut short or of
@@ -125,3 +79,43 @@ def open_matches(path: Path) -> Iterator[Any]:
         raise InputError(f"{path}: not an HDF5 file that can be read ({reason(error)})") from None
     with file:
         yield file
+
+
+def read_matches(file: Any, name: str) -> PairMatches:
+    """The matches of the group `name` of an open file. Raises InputError, with the path, if there
+    are none, or if they are not whole.
+
+    Links to other files and places are not followed: they could lead anywhere.
+    """
+    where = f"{file.filename}: {name}"
+    try:
+        group = file
+        for part in name.split("/"):
+            group = _member(group, part, h5py.Group)
+        arrays = {field: _array(group, dataset) for dataset, field in _DATASETS.items()}
+    except Exception:  # of HDF5, for damaged files almost any
+        raise InputError(f"{where}: no whole matches") from None
+    count = len(arrays["scores"])
+    shapes = [arrays[name].shape for name in _DATASETS.values()]
+    if shapes != [(count, 2), (count, 2), (count,), (count,)]:
+        raise InputError(f"{where}: datasets of different lengths")
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise InputError(f"{where}: numbers that are not finite")
+    return PairMatches(**arrays)
+
+
+def _member(group: Any, name: str, kind: type) -> Any:
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise ValueError("a link, or nothing")
+    if not isinstance(group[name], kind):
+        raise ValueError("something else")
+    return group[name]
+
+
+def _array(group: Any, name: str) -> np.ndarray:
+    """A data set of numbers of this file itself, not too large; raises anything else."""
+    data = _member(group, name, h5py.Dataset)
+    kind = "b" if name == "inliers" else "f"
+    if data.external or data.is_virtual or data.dtype.kind != kind or data.nbytes > ARRAY_BYTES:
+        raise ValueError("not numbers of this file")
+    return np.asarray(data[()])

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
 from dgc_pose.errors import InputError
 
 Way = Literal["exhaustive", "sequential", "auto"]
-_COUNTED = ("sequential", "auto")
 _DIGITS = 10  # of a number of images
 
 
@@ -27,29 +26,25 @@ class PairChoice:
         if self.number < 1:
             raise InputError(f"--pairs {self.way}:N needs N of at least 1, not {self.number}")
 
+    def pairs(self, count: int) -> list[tuple[int, int]]:
+        """The pairs (i, j), i < j, of so many images; none for "auto", which needs their scores."""
+        if self.way == "auto":
+            return []
+        widest = count if self.way == "exhaustive" else self.number
+        return [(i, j) for i in range(count) for j in range(i + 1, min(i + widest + 1, count))]
+
 
 def parse_pair_choice(text: str) -> PairChoice:
     """`exhaustive`, `sequential:W` or `auto:K`. Raises InputError for another text."""
-    way, colon, number = text.partition(":")
-    if way == "exhaustive" and not colon:
+    if text == "exhaustive":
         return PairChoice("exhaustive")
-    if way in _COUNTED and number.isdecimal() and len(number) < _DIGITS:
-        return PairChoice("sequential" if way == "sequential" else "auto", int(number))
-    raise InputError(
-        f"--pairs must be exhaustive, sequential:W or auto:K, not {text!r}"
-        if way in get_args(Way) or way
-        else "--pairs is empty"
-    )
-
-
-def exhaustive(count: int) -> list[tuple[int, int]]:
-    """All pairs (i, j), i < j, of so many images."""
-    return [(i, j) for i in range(count) for j in range(i + 1, count)]
-
-
-def sequential(count: int, width: int) -> list[tuple[int, int]]:
-    """The pairs (i, j), i < j <= i + width."""
-    return [(i, j) for i in range(count) for j in range(i + 1, min(i + width, count - 1) + 1)]
+    way, _, number = text.partition(":")
+    if number.isdecimal() and len(number) < _DIGITS:
+        if way == "sequential":
+            return PairChoice("sequential", int(number))
+        if way == "auto":
+            return PairChoice("auto", int(number))
+    raise InputError(f"--pairs must be exhaustive, sequential:W or auto:K, not {text!r}")
 
 
 def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:
@@ -84,12 +79,3 @@ def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
         outside[node] = False
         closer = outside & (scores[node] > best)
         best[closer], nearest[closer] = scores[node][closer], node
-
-
-def pairs_of(choice: PairChoice, names: Sequence[str]) -> list[tuple[int, int]]:
-    """The pairs of a choice that needs no scores. Raises ValueError for "auto"."""
-    if choice.way == "exhaustive":
-        return exhaustive(len(names))
-    if choice.way == "sequential":
-        return sequential(len(names), choice.number)
-    raise ValueError("auto needs the scores of all pairs")

@@ -87,19 +87,18 @@ def read_plan(out: Path) -> Plan:
     try:
         if data["version"] != _VERSION:
             raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
-        images = data["images"]
         if data["settings"]["format"] not in get_args(RowFormat):
             raise ValueError("a format of rows that is none")
+        cameras, bad, states = (
+            {image["name"]: image[key] for image in data["images"] if image[key] is not None}
+            for key in ("camera", "bad", "state")
+        )
         plan = Plan(
             Path(data["root"]),
-            {
-                image["name"]: parse_camera_data(image["camera"])
-                for image in images
-                if image["camera"] is not None
-            },
-            {image["name"]: image["bad"] for image in images if image["bad"] is not None},
-            parse_states({image["name"]: image["state"] for image in images}),
-            tuple(image["name"] for image in images),
+            {name: parse_camera_data(values) for name, values in cameras.items()},
+            bad,
+            parse_states(states),
+            tuple(image["name"] for image in data["images"]),
             np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
             data["settings"],
         )
@@ -125,7 +124,6 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     Raises InputError, saying what differs, if the batch had other settings, images, pairs, or other
     cameras of photographs that have not changed.
     """
-
     where = out / PLAN
     _require_same(where, "the folder", str(before.root), str(now.root))
     _require_same(where, "the option", before.settings, json.loads(json.dumps(now.settings)))
@@ -137,16 +135,15 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
         _require_same(where, "the pair", *(dict(enumerate(listed, start=1)) for listed in pairs))
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     for name in unchanged:
-        cameras = (plan.cameras.get(name) for plan in (before, now))
-        data = (None if camera is None else _calibration(camera) for camera in cameras)
-        _require_same(where, f"of {name} the", *data)
+        cameras = (_calibration(plan.cameras.get(name)) for plan in (before, now))
+        _require_same(where, f"of {name} the", *cameras)
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
 
 
-def _calibration(camera: Camera) -> dict[str, Any]:
+def _calibration(camera: Camera | None) -> dict[str, Any] | None:
     """The numbers of a camera, without what was said of them."""
-    return {key: value for key, value in camera_data(camera).items() if key != "warnings"}
+    return None if camera is None else {**camera_data(camera), "warnings": None}
 
 
 def _require_same(where: Path, what: str, old: Any, new: Any) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,11 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.files.inputs import open_regular, read_as
 from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
+from dgc_pose.system.options import check_options
 
 # Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
-_COUNTS = {"R": 9, "t": 3}  # of numbers
-_LONGEST = 2**20  # bytes of a row in JSON
 _PER_WRITE = 4096  # rows of a Parquet table held in memory
 
 
@@ -34,22 +33,22 @@ class PairRow:
 
     name1: str
     name2: str
-    status: str  # of `dgc_pose.estimation.result.Status`, or "bad_input" or "failed"
+    status: str  # of `dgc_pose.estimation.status.Status`, or "bad_input" or "failed"
     success: bool  # whether R and t are known
     reason: str  # one sentence for people
     # That R and t are both within 10 degrees; None if no model of it is fitted for such matches.
-    probability: float | None
-    R: tuple[float, ...] | None  # 9 numbers, row by row
-    t: tuple[float, ...] | None  # 3 numbers, unit length
-    rotation_error_90_deg: float | None  # nine times in ten the error is below
-    translation_error_90_deg: float | None  # of the direction
-    num_matches: int
-    num_inliers: int
-    inlier_ratio: float | None
-    median_triangulation_angle_deg: float | None
-    error_px: float | None  # expected error of a match, pixels of the originals
-    guessed_focal: bool  # whether a focal length is a guess: expect a bad pose
-    warnings: tuple[str, ...]  # about the images, the cameras and the pose
+    probability: float | None = None
+    R: tuple[float, ...] | None = None  # 9 numbers, row by row
+    t: tuple[float, ...] | None = None  # 3 numbers, unit length
+    rotation_error_90_deg: float | None = None  # nine times in ten the error is below
+    translation_error_90_deg: float | None = None  # of the direction
+    num_matches: int = 0
+    num_inliers: int = 0
+    inlier_ratio: float | None = None
+    median_triangulation_angle_deg: float | None = None
+    error_px: float | None = None  # expected error of a match, pixels of the originals
+    guessed_focal: bool = False  # whether a focal length is a guess: expect a bad pose
+    warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:
@@ -83,61 +82,32 @@ def row_of(
     )
 
 
-def unmatched_row(names: tuple[str, str], status: str, reason: str) -> PairRow:
-    """The row of a pair that was not matched, of status `BAD_INPUT` or `FAILED`."""
-    known: dict[str, Any] = {
-        "name1": names[0],
-        "name2": names[1],
-        "status": status,
-        "success": False,
-        "reason": reason,
-        "num_matches": 0,
-        "num_inliers": 0,
-        "guessed_focal": False,
-        "warnings": (),
-    }
-    values: dict[str, Any] = {field.name: known.get(field.name) for field in fields(PairRow)}
-    return PairRow(**values)
-
-
-def row_data(row: PairRow) -> dict[str, Any]:
-    """A row for JSON."""
-    return asdict(row)
-
-
-def parse_row(data: Mapping[str, Any], where: str) -> PairRow:
+def parse_row(data: Any, where: str) -> PairRow:
     """A row of JSON. Raises InputError, with `where`, if it is none."""
     try:
-        values: dict[str, Any] = {
-            field.name: tuple(value) if isinstance(value := data[field.name], list) else value
-            for field in fields(PairRow)
-        }
+        values: dict[str, Any] = {field.name: data[field.name] for field in fields(PairRow)}
+        for name, value in values.items():
+            if isinstance(value, list):
+                values[name] = tuple(value)
+        row = PairRow(**values)
+        check_options(row)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
     except (KeyError, TypeError):
         raise InputError(f"{where}: not a row of a batch") from None
-    for field in fields(PairRow):
-        if not _fits(values[field.name], str(field.type), field.name):
-            raise InputError(f"{where}: {field.name} is not that of a row of a batch")
-    return PairRow(**values)
-
-
-def _fits(value: object, kind: str, name: str) -> bool:
-    """Whether a value of JSON is one of a field's type; numbers must be finite."""
-    if value is None:
-        return kind.endswith("| None")
-    if isinstance(value, tuple):
-        count = _COUNTS.get(name)
-        inner = "str" if name == "warnings" else "float"
-        is_row = kind.startswith("tuple") and count in (None, len(value))
-        return is_row and all(_fits(one, inner, "") for one in value)
-    if kind.startswith("float"):
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        return is_number and math.isfinite(value)  # type: ignore[arg-type]
-    return type(value) is {"str": str, "bool": bool, "int": int}.get(kind)
+    for name, value in values.items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except ValueError:
+            raise InputError(f"{where}: {name} is not finite") from None
+    if (len(row.R or ()), len(row.t or ())) not in ((0, 0), (9, 0), (9, 3)):
+        raise InputError(f"{where}: R has 9 numbers and t has 3")
+    return row
 
 
 def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
     """Rows as JSON Lines, strict JSON."""
-    lines = (json.dumps(row_data(row), allow_nan=False) + "\n" for row in rows)
+    lines = (json.dumps(asdict(row), allow_nan=False) + "\n" for row in rows)
     with path.open("w", encoding="utf-8") as stream:
         for line in lines:
             with writing(path):
@@ -147,23 +117,19 @@ def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
 def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
     """Rows as a Parquet table. Raises InputError without pyarrow."""
     arrow, parquet = require_pyarrow()
-    numbers = arrow.list_(arrow.float64())
-    kinds = {"R": numbers, "t": numbers, "warnings": arrow.list_(arrow.string())}
-    by_type = {"str": arrow.string(), "bool": arrow.bool_(), "int": arrow.int64()}
-    schema = arrow.schema(
-        [
-            (field.name, kinds.get(field.name, by_type.get(str(field.type), arrow.float64())))
-            for field in fields(PairRow)
-        ]
-    )
+    kinds = {
+        "str": arrow.string(),
+        "bool": arrow.bool_(),
+        "int": arrow.int64(),
+        "float | None": arrow.float64(),
+        "tuple[float, ...] | None": arrow.list_(arrow.float64()),
+        "tuple[str, ...]": arrow.list_(arrow.string()),
+    }
+    schema = arrow.schema([(field.name, kinds[str(field.type)]) for field in fields(PairRow)])
+    data = map(asdict, rows)
     with parquet.ParquetWriter(path, schema) as writer:
-        held: list[dict[str, Any]] = []
-        for row in rows:
-            held.append(row_data(row))
-            if len(held) == _PER_WRITE:
-                writer.write_table(arrow.Table.from_pylist(held, schema))
-                held = []
-        writer.write_table(arrow.Table.from_pylist(held, schema))
+        while some := list(islice(data, _PER_WRITE)):
+            writer.write_table(arrow.Table.from_pylist(some, schema))
 
 
 def read_rows(path: Path) -> Iterator[PairRow]:
@@ -174,16 +140,14 @@ def read_rows(path: Path) -> Iterator[PairRow]:
     if path.suffix == ".parquet":
         arrow, parquet = require_pyarrow()
         try:
-            table = parquet.ParquetFile(path)
-            for batch in table.iter_batches():
+            for batch in parquet.ParquetFile(path).iter_batches():
                 for data in batch.to_pylist():
                     yield parse_row(data, str(path))
         except (arrow.ArrowException, OSError) as error:
             raise InputError(f"{path}: not a whole Parquet file ({error})") from None
         return
     with read_as("a table of poses", path), open_regular(path) as stream:
-        lines = iter(lambda: stream.readline(_LONGEST), b"")
-        for number, line in enumerate(lines, start=1):
+        for number, line in enumerate(stream, start=1):
             try:
                 data = json.loads(line)
             except (ValueError, RecursionError):

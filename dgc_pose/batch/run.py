@@ -15,14 +15,8 @@ import numpy as np
 
 from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
-from dgc_pose.batch.matches_file import (
-    PairMatches,
-    find_group,
-    group_name,
-    open_matches,
-    read_matches,
-)
-from dgc_pose.batch.pair_choice import PairChoice, most_similar, pairs_of
+from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
+from dgc_pose.batch.pair_choice import PairChoice, most_similar
 from dgc_pose.batch.plan import PLAN, Plan, RowFormat, continued, read_plan, write_plan
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
@@ -46,10 +40,12 @@ from dgc_pose.batch.work import (
 )
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.status import STATUSES
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.network.stored import find_weights, shipped
 
 WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
@@ -84,11 +80,7 @@ class Batch:
         """Each row with its matches. Raises InputError if the file is cut short."""
         with open_matches(self.folder / MATCHES) as file:
             for row in self.rows:
-                name = group_name(row.name1, row.name2)
-                group = find_group(file, name)
-                if group is None:
-                    raise InputError(f"{self.folder / MATCHES}: no matches of {name}")
-                yield row, read_matches(group)
+                yield row, read_matches(file, group_name(row.name1, row.name2))
 
 
 def run_batch(
@@ -128,7 +120,7 @@ def run_batch(
         "estimation": asdict(estimation),
         "format": options.format,
     }
-    with _own_folder(out):
+    with _folder_alone(out):
         before = _plan_before(out, options.resume)
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
@@ -142,26 +134,24 @@ def run_batch(
                         plan = _with_similar(plan, choice.number, run, progress)
                     write_plan(out, plan)
                 store = PartStore(out, plan, before)
-                if store.finished:
-                    store.close()
-                    return read_batch(out)
-                worked = _work(store, plan, run, options, progress)
+                worked = 0 if store.finished else _match(store, plan, run, options, progress)
         except DgcPoseError:
             if before is None and store is not None:
                 if len(store.left) == len(plan.pairs) > 0:  # bad weights, say
                     store.close()
                     (out / PLAN).unlink()
             raise
-        bad = store.assemble()
-        if before is not None:
-            write_plan(out, plan)  # with the photographs as they are now
-        _summarise(out, plan, bad, worked, time.perf_counter() - start)
+        if not store.finished:
+            store.assemble()
+            if before is not None:
+                write_plan(out, plan)  # with the photographs as they are now
+            _summarise(out, plan, store.bad, worked, time.perf_counter() - start)
         store.close()
         return read_batch(out)
 
 
 @contextmanager
-def _own_folder(out: Path) -> Iterator[None]:
+def _folder_alone(out: Path) -> Iterator[None]:
     """The folder to this process alone; made if missing, and removed if nothing is written."""
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
@@ -203,17 +193,23 @@ def _first_plan(
     settings: Mapping[str, Any],
 ) -> Plan:
     """The plan; without pairs where they are chosen by the images' features."""
-    names = source.names
-    if choice is None:
-        if source.pairs is None:
-            raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
-        position = {name: i for i, name in enumerate(names)}
-        chosen = [(position[a], position[b]) for a, b in source.pairs]
+    if choice is not None:
+        chosen = choice.pairs(len(source.names))
+    elif source.pairs is None:
+        raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
     else:
-        chosen = [] if choice.way == "auto" else pairs_of(choice, names)
-    pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
-    known = survey(source, calibration)
-    return Plan(source.root, known.cameras, known.bad, known.states, names, pairs, settings)
+        position = {name: i for i, name in enumerate(source.names)}
+        chosen = [(position[a], position[b]) for a, b in source.pairs]
+    images = survey(source, calibration)
+    return Plan(
+        source.root,
+        images.cameras,
+        images.bad,
+        images.states,
+        source.names,
+        np.array(chosen, dtype=np.int64).reshape(-1, 2),
+        settings,
+    )
 
 
 def _lazy_workers(
@@ -238,42 +234,27 @@ def _lazy_workers(
 
 
 def _with_similar(plan: Plan, number: int, run: RunTasks, progress: Progress) -> Plan:
-    """The plan with the pairs of each image and its `number` most similar ones."""
-    plan, features = _described(plan, run, progress)
-    scores = similarities(features)
-    usable = [i for i, feature in enumerate(features) if feature is not None]
-    chosen = most_similar(scores[np.ix_(usable, usable)], number)
-    pairs = [(usable[i], usable[j]) for i, j in chosen]
-    return replace(plan, pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2))
-
-
-def _described(
-    plan: Plan, run: RunTasks, progress: Progress
-) -> tuple[Plan, list[np.ndarray | None]]:
-    """The coarsest features of all images, and the plan with the bad images that showed up."""
-    tasks = [
-        Describe(tuple(plan.names[i] for i in block))
-        for block in blocks_of(range(len(plan.names)), 4)
-    ]
+    """The plan with the pairs of each image and its `number` most similar ones, and with the bad
+    images that showed up."""
     features: dict[str, np.ndarray] = {}
     bad = dict(plan.bad)
-    done = 0
-    for outcome in run(tasks):
+    for outcome in run([Describe(tuple(names)) for names in blocks_of(plan.names, 4)]):
         assert isinstance(outcome, Described)
         bad.update(outcome.bad)
         features.update(outcome.features)
-        done += len(outcome.features) + len(outcome.bad)
-        progress("images", done, len(plan.names))
-    return replace(plan, bad=bad), [features.get(name) for name in plan.names]
+        progress("images", len(features) + len(bad), len(plan.names))
+    usable = [i for i, name in enumerate(plan.names) if name in features]
+    scores = similarities([features[plan.names[i]] for i in usable])
+    pairs = [(usable[i], usable[j]) for i, j in most_similar(scores, number)]
+    return replace(plan, bad=bad, pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2))
 
 
-def _work(
+def _match(
     store: PartStore, plan: Plan, run: RunTasks, options: BatchOptions, progress: Progress
 ) -> int:
     """Match the pairs that are left; returns their number."""
     left = np.array(store.left, dtype=np.int64)
-    capacity = _capacity(plan, options)
-    order = left[tile_order(plan.pairs[left], len(plan.names), capacity)] if len(left) else left
+    order = left[tile_order(plan.pairs[left], len(plan.names), _capacity(plan, options))]
     # Small batches in small blocks, so that all workers have something to do.
     size = int(min(BLOCK, max(1, len(left) // (4 * options.workers))))
     tasks = [
@@ -300,16 +281,15 @@ def _capacity(plan: Plan, options: BatchOptions) -> int:
 
 def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, seconds: float) -> None:
     """summary.json; its `seconds` and `matched_now` are those of the last run."""
-    rows = list(read_rows(rows_path(out, plan)))
-    by_status = Counter(row.status for row in rows)
+    by_status = Counter(row.status for row in read_rows(rows_path(out, plan)))
     data = {
         "images": len(plan.names),
         "bad_images": dict(sorted(bad.items())),
         "guessed_focal": len(plan.guessed),
-        "pairs": len(rows),
-        "poses": sum(row.success for row in rows),
-        "bad_pairs": by_status.get(BAD_INPUT, 0),
-        "failed_pairs": by_status.get(FAILED, 0),
+        "pairs": len(plan.pairs),
+        "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
+        "bad_pairs": by_status[BAD_INPUT],
+        "failed_pairs": by_status[FAILED],
         "by_status": dict(sorted(by_status.items())),
         "matched_now": worked,
         "seconds": round(seconds, 2),
@@ -319,8 +299,5 @@ def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, secon
 
 def _weights_hash(weights: str) -> str | None:
     """The first digits of the SHA-256 of a weights file; None for a matcher without weights."""
-    from importlib import resources
-
-    path = Path(str(resources.files("dgc_pose") / "weights" / f"{weights}.safetensors"))
-    path = path if path.is_file() else Path(weights)
+    path = find_weights(weights) if weights in shipped() else Path(weights)
     return hashlib.sha256(read_bytes(path)).hexdigest()[:16] if path.is_file() else None

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
+Item = TypeVar("Item")
 BLOCK = 16  # pairs handed to a worker at a time, and stored together
 _TILES = (0.25, 0.5, 0.75)  # sides that are tried, of the images that fit into memory
 
@@ -60,9 +62,9 @@ def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
     that a batch needs none (`requirements-light.txt`).
     """
     partners: list[set[int]] = [set() for _ in range(count)]
-    for one, other in pairs.tolist():
-        partners[one].add(other)
-        partners[other].add(one)
+    for first, second in pairs.tolist():
+        partners[first].add(second)
+        partners[second].add(first)
     by_degree = sorted(range(count), key=lambda image: len(partners[image]))
     order: list[int] = []
     reached = [False] * count
@@ -72,16 +74,15 @@ def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
         while waiting:
             image = waiting.popleft()
             order.append(image)
-            for other in sorted(partners[image], key=lambda one: (len(partners[one]), one)):
+            for other in sorted(partners[image], key=lambda i: (len(partners[i]), i)):
                 if not reached[other]:
                     reached[other] = True
                     waiting.append(other)
     return order[::-1]
 
 
-def blocks_of(order: Sequence[int], size: int = BLOCK) -> list[list[int]]:
+def blocks_of(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
     """Runs of at most `size` successive items."""
-    items = [int(item) for item in order]
     return [items[i : i + size] for i in range(0, len(items), size)]
 
 
@@ -92,11 +93,7 @@ class Spans:
     """
 
     def __init__(self, count: int, workers: int) -> None:
-        """
-        Args:
-            count: of blocks.
-            workers: of runs.
-        """
+        """count: of blocks."""
         bounds = [count * i // workers for i in range(workers + 1)]
         self._left = [list(range(a, b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
 

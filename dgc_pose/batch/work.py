@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches
-from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of, unmatched_row
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
-from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.pose import match_and_estimate
 
@@ -106,36 +105,37 @@ class Worker:
         return Described(features, bad)
 
     def _match(self, task: Match) -> Matched:
-        rows, matches = [], []
         bad: dict[str, str] = {}
-        for names in task.pairs:
-            row, found = self._pair(names, bad)
-            rows.append(row)
-            matches.append(found)
-        return Matched(task.indices, rows, matches, bad)
+        rows, matches = zip(*(self._pair(names, bad) for names in task.pairs), strict=True)
+        return Matched(task.indices, list(rows), list(matches), bad)
 
     def _pair(self, names: tuple[str, str], bad: dict[str, str]) -> tuple[PairRow, PairMatches]:
-        images = [self._image(name) for name in names]
-        reasons = {name: one for name, one in zip(names, images, strict=True) if _is_bad(one)}
-        if reasons:
-            bad.update({name: str(reason) for name, reason in reasons.items()})
-            reason = "; ".join(map(str, reasons.values()))
-            return unmatched_row(names, BAD_INPUT, reason), NO_MATCHES
-        image1, image2 = (one for one in images if isinstance(one, Image))
+        """The row and the matches of a pair; the reasons of bad images are added to `bad`."""
+        image1, image2 = (self._image(name) for name in names)
+        reasons = {n: i for n, i in zip(names, (image1, image2), strict=True) if isinstance(i, str)}
+        bad.update(reasons)
+        if isinstance(image1, str) or isinstance(image2, str):
+            return PairRow(*names, BAD_INPUT, False, "; ".join(reasons.values())), NO_MATCHES
         camera1, camera2 = (self.job.cameras[name] for name in names)
         try:
             trace = match_and_estimate(
                 image1, image2, camera1, camera2, self.matcher, self.job.estimation
             )
         except DgcPoseError as error:
-            return unmatched_row(names, BAD_INPUT, str(error)), NO_MATCHES
+            return PairRow(*names, BAD_INPUT, False, str(error)), NO_MATCHES
         except MemoryError:  # every further pair would meet it too
             raise
         except Exception as error:  # one pair of a million must not end the batch
-            return unmatched_row(names, FAILED, f"{type(error).__name__}: {error}"), NO_MATCHES
+            reason = f"{type(error).__name__}: {error}"
+            return PairRow(*names, FAILED, False, reason), NO_MATCHES
         guessed = camera1.guessed_focal or camera2.guessed_focal
-        row = row_of(names, trace.pose, trace.matches.error_px, guessed)
-        return row, _stored(trace.matches, trace.pose.inliers)
+        matches = PairMatches(
+            trace.matches.points1.astype(np.float32),
+            trace.matches.points2.astype(np.float32),
+            trace.matches.confidence.astype(np.float32),
+            trace.pose.inliers,
+        )
+        return row_of(names, trace.pose, trace.matches.error_px, guessed), matches
 
     def _image(self, name: str) -> Image | str:
         """An image, or the reason why it cannot be used."""
@@ -159,18 +159,5 @@ class Worker:
         return image
 
 
-def _is_bad(image: Image | str) -> bool:
-    return isinstance(image, str)
-
-
 def _bytes(name: str, image: Image | str) -> int:
     return 0 if isinstance(image, str) else image.pixels.nbytes + FEATURE_BYTES
-
-
-def _stored(found: Matches, inliers: np.ndarray) -> PairMatches:
-    return PairMatches(
-        found.points1.astype(np.float32),
-        found.points2.astype(np.float32),
-        found.confidence.astype(np.float32),
-        np.asarray(inliers, dtype=bool),
-    )

@@ -6,26 +6,22 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from dgc_pose.batch.pair_choice import (
-    exhaustive,
-    most_similar,
-    pairs_of,
-    parse_pair_choice,
-    sequential,
-)
+from dgc_pose.batch.pair_choice import most_similar, parse_pair_choice
 from dgc_pose.errors import InputError
 
 
-def test_all_pairs_and_neighbours() -> None:
-    assert exhaustive(3) == [(0, 1), (0, 2), (1, 2)]
-    assert sequential(4, 2) == [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]
-    assert sequential(3, 9) == exhaustive(3)
-
-
-def test_choices_as_text() -> None:
-    assert pairs_of(parse_pair_choice("sequential:1"), "abc") == [(0, 1), (1, 2)]
-    assert pairs_of(parse_pair_choice("exhaustive"), "ab") == [(0, 1)]
-    assert parse_pair_choice("auto:7").number == 7
+@pytest.mark.parametrize(
+    ("text", "count", "pairs"),
+    [
+        ("exhaustive", 3, [(0, 1), (0, 2), (1, 2)]),
+        ("sequential:1", 3, [(0, 1), (1, 2)]),
+        ("sequential:2", 4, [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]),
+        ("sequential:9", 3, [(0, 1), (0, 2), (1, 2)]),
+        ("auto:7", 3, []),
+    ],
+)
+def test_the_pairs_of_a_choice(text: str, count: int, pairs: list[tuple[int, int]]) -> None:
+    assert parse_pair_choice(text).pairs(count) == pairs
 
 
 @pytest.mark.parametrize("text", ["all", "auto", "auto:0", "auto:-1", "sequential:x", "", "a:1"])

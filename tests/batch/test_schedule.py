@@ -7,7 +7,7 @@ from collections import OrderedDict
 import numpy as np
 import pytest
 
-from dgc_pose.batch.pair_choice import exhaustive, sequential
+from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.schedule import Spans, blocks_of, loads, tile_order
 
 
@@ -32,34 +32,34 @@ def _shuffled(pairs: list[tuple[int, int]], count: int) -> np.ndarray:
 
 
 def test_all_pairs_are_ordered_once() -> None:
-    pairs = _shuffled(exhaustive(9), 9)
+    pairs = _shuffled(PairChoice("exhaustive").pairs(9), 9)
     assert sorted(tile_order(pairs, 9, 4)) == list(range(len(pairs)))
     assert len(tile_order(np.zeros((0, 2), np.int64), 0, 4)) == 0
 
 
 def test_with_memory_for_all_each_image_is_encoded_once() -> None:
-    pairs = _shuffled(exhaustive(20), 20)
+    pairs = _shuffled(PairChoice("exhaustive").pairs(20), 20)
     assert _encoded(pairs[tile_order(pairs, 20, 20)], 20) == 20
 
 
 def test_a_sequence_is_encoded_once_although_memory_holds_few() -> None:
-    pairs = _shuffled(sequential(60, 3), 60)
+    pairs = _shuffled(PairChoice("sequential", 3).pairs(60), 60)
     assert _encoded(pairs[tile_order(pairs, 60, 12)], 12) == 60
     assert _encoded(pairs[tile_order(pairs, 60, 5)], 5) == 60
     assert _encoded(pairs, 12) > 150
 
 
 def test_loads_are_counted_as_by_a_plain_list() -> None:
-    pairs = _shuffled(exhaustive(12), 12)
+    pairs = _shuffled(PairChoice("exhaustive").pairs(12), 12)
     for capacity in (2, 5, 12):
         assert loads(pairs, capacity) == _encoded(pairs, capacity)
 
 
 def test_exhaustive_pairs_are_worked_through_in_tiles() -> None:
     """In tiles of 5 images, each of 8 tiles is encoded with each other: some 8 * 8 / 2 * 5."""
-    pairs = _shuffled(exhaustive(40), 40)
+    pairs = _shuffled(PairChoice("exhaustive").pairs(40), 40)
     assert _encoded(pairs[tile_order(pairs, 40, 10)], 10) <= 200
-    assert _encoded(np.array(exhaustive(40)), 10) > 600
+    assert _encoded(np.array(PairChoice("exhaustive").pairs(40)), 10) > 600
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3])

@@ -18,8 +18,8 @@ import torch
 
 from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.matches_file import PairMatches
-from dgc_pose.batch.plan import Plan, read_plan, write_plan
-from dgc_pose.batch.rows import BAD_INPUT, PairRow, row_data, unmatched_row
+from dgc_pose.batch.plan import Plan, write_plan
+from dgc_pose.batch.rows import BAD_INPUT, PairRow
 from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.store import PartStore, read_part
 from dgc_pose.batch.work import Matched
@@ -263,9 +263,9 @@ def _make_photos(folder: Path) -> None:
 def make_batch(folder: Path) -> None:
     """A finished batch: a pose of two images, and a pair with a bad image."""
     store = _store(folder)
-    bad = store.assemble()
+    store.assemble()
     store.close()
-    summary = {"images": 3, "bad_images": bad, "guessed_focal": 1, "pairs": 2, "poses": 1}
+    summary = {"images": 3, "bad_images": store.bad, "guessed_focal": 1, "pairs": 2, "poses": 1}
     summary |= {"by_status": {"ok": 1, "bad_input": 1}, "matched_now": 2, "seconds": 0.5}
     (folder / "summary.json").write_text(json.dumps(summary))
 
@@ -288,10 +288,10 @@ def _store(folder: Path) -> PartStore:
     plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
     write_plan(folder, plan)
     store = PartStore(folder, plan)
-    values = row_data(unmatched_row(names[:2], BAD_INPUT, "a pose"))
-    values |= {"status": "ok", "success": True, "R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
+    values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
     values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
-    rows = [PairRow(**values), unmatched_row(names[1:], BAD_INPUT, "too small")]
+    good = PairRow(*names[:2], "ok", True, "a pose", **values)
+    rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]
     store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {"c.png": "too small"}))
     return store
 
@@ -303,7 +303,7 @@ def _matches(count: int) -> PairMatches:
 
 def _read_part(folder: Path, path: Path) -> None:
     if path.parent != folder:
-        read_part(path, read_plan(folder))
+        read_part(path, matches=True)
 
 
 def _make_collection(folder: Path) -> None:
