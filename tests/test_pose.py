@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,15 @@ import pytest
 import torch
 
 import dgc_pose
-from dgc_pose import Camera, ImageError, InputError, estimate_relative_pose, trace_relative_pose
+from dgc_pose import (
+    Camera,
+    EstimationOptions,
+    ImageError,
+    InputError,
+    estimate_relative_pose,
+    load_matcher,
+    trace_relative_pose,
+)
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
@@ -98,17 +107,36 @@ def test_noise_gives_no_pose() -> None:
     assert not pose.success and pose.R is None and pose.t is None and pose.reason
 
 
-def test_wrong_arguments_are_named(pair: RenderedPair, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="K1"):
-        estimate_relative_pose(pair.image1, pair.image2, np.eye(2), matcher=SiftMatcher())
-    with pytest.raises(InputError, match="K2"):
-        estimate_relative_pose(
-            pair.image1, pair.image2, pair.K1, 5 * pair.K2, matcher=SiftMatcher()
-        )
-    with pytest.raises(InputError, match="image2"):
-        estimate_relative_pose(pair.image1, np.zeros(7), pair.K1, matcher=SiftMatcher())
-    with pytest.raises(ImageError, match="missing.png"):
-        estimate_relative_pose(tmp_path / "missing.png", pair.image2, pair.K1)
+IMAGE = np.zeros((40, 50, 3), np.uint8)
+K = np.array([[50.0, 0, 24.5], [0, 50, 19.5], [0, 0, 1]])
+SIFT = SiftMatcher()
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher="sift"), "matcher"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher=SIFT, options={}), "options"),
+        (lambda: estimate_relative_pose(None, IMAGE, K, matcher=SIFT), "image1"),
+        (lambda: estimate_relative_pose(IMAGE, np.zeros(7), K, matcher=SIFT), "image2"),
+        (lambda: estimate_relative_pose("missing.png", IMAGE, K), "missing.png"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, "K", matcher=SIFT), "K1"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, np.eye(2), matcher=SIFT), "K1"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, 5 * K, matcher=SIFT), "K2"),
+        (lambda: load_matcher(5), "name"),
+        (lambda: load_matcher("sift", matching={}), "matching"),
+        (lambda: load_matcher("sift", refinement="none"), "refinement"),
+        (lambda: load_matcher("sift", device=0), "device"),
+        (lambda: EstimationOptions(runs="5"), "runs"),
+        (lambda: EstimationOptions(runs=2.5), "runs"),
+        (lambda: EstimationOptions(seed=10**40), "seed"),
+        (lambda: EstimationOptions(verdict=None), "verdict"),
+        (lambda: EstimationOptions(refine="no"), "refine"),
+    ],
+)
+def test_a_wrong_argument_is_named(call: Callable[[], object], named: str) -> None:
+    with pytest.raises((InputError, ImageError), match=rf"^{named}\b"):
+        call()
 
 
 def test_every_public_name_is_there() -> None:

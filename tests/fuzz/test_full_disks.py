@@ -1,0 +1,71 @@
+"""Disks that are full while whole commands run: the system's words, and nothing that is half."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from batch_runs import view_folder
+from fuzz.readers import make_batch
+from multi_view import K_text
+
+FULL = """
+import resource, sys
+from dgc_pose.cli.main import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
+main()
+"""
+BATCH = ("batch", "views", "--out", "out", "--pairs", "exhaustive", "--weights", "sift")
+BATCH += ("--workers", "1", "--runs", "1", "--iterations", "100")
+
+
+def full(folder: Path, size: int, *words: str) -> subprocess.CompletedProcess[str]:
+    """A command whose files cannot become larger than `size` bytes."""
+    command = [sys.executable, "-c", FULL, str(size), *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize(
+    ("size", "output", "words"),
+    [(60_000, "x.db", ("--database", "x.db")), (500, "h/features.h5", ("--hloc", "h"))],
+)
+def test_an_export_onto_a_full_disk_is_one_line(
+    tmp_path: Path, size: int, output: str, words: tuple[str, ...]
+) -> None:
+    """SQLite's and HDF5's errors once ended the process, and left files."""
+    (tmp_path / "batch").mkdir()
+    make_batch(tmp_path / "batch")
+    ended = full(tmp_path, size, "export-colmap", "batch", "--sharing", "cells", *words)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith(f"error: {output}: ") and ended.stderr.count("\n") == 1
+    assert not list(tmp_path.glob("h/*")) and not list(tmp_path.glob("x.db*"))
+
+
+def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> None:
+    view_folder(tmp_path / "views", 2)
+    words = (*BATCH, "--K", K_text())
+    ended = full(tmp_path, 3000, *words)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("error: out/parts/") and ended.stderr.count("\n") == 1
+    again = full(tmp_path, 10**8, *words, "--resume")
+    assert again.returncode == 0, again.stderr
+    names = {"plan.json", "pairs.jsonl", "matches.h5", "summary.json"}
+    assert set(os.listdir(tmp_path / "out")) == names
+
+
+def test_a_temporary_file_without_room_is_told_under_its_own_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It once read as the fault of the input that it is a copy of."""
+    view_folder(tmp_path / "views", 2)
+    (tmp_path / "t").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "t"))
+    (tmp_path / "cameras.txt").write_text("# a camera a line\n" * 1000)
+    ended = full(tmp_path, 10_000, *BATCH, "--K", "cameras.txt")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.count("\n") == 1 and ended.stderr.endswith(": File too large\n")
+    assert f"{tmp_path / 't'}/dgc-pose" in ended.stderr
+    assert os.listdir(tmp_path / "t") == []

@@ -1,0 +1,217 @@
+"""What a stranger's file may not do: run code, lead elsewhere, take memory or time without end."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import sqlite3
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pycolmap
+import pytest
+import torch
+from fuzz.bad_values import png_claiming
+from fuzz.readers import make_batch
+from safetensors.torch import load_file, save_file
+
+from dgc_pose import load_image
+from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.run import read_batch
+from dgc_pose.benchmarks.probability.plan import read_plan
+from dgc_pose.cameras.camera import guess_camera
+from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.pair_list import read_pairs
+from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
+from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
+from dgc_pose.files.inputs import read_bytes
+from dgc_pose.network.config import preset
+from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.serve.cameras import command
+from dgc_pose.training.initialise import initialise_backbone
+
+
+@pytest.fixture(autouse=True)
+def no_hang() -> Iterator[None]:
+    """A test that waits for a pipe fails instead."""
+
+    def give_up(*_: object) -> None:
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(100)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("read", [load_image, read_pairs, read_bytes, read_array, load_network])
+@pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "/proc/kmsg", "folder"])
+def test_only_regular_files_are_opened(read: Callable, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / kind  # an absolute one stays as it is
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    with pytest.raises((DgcPoseError, OSError)) as caught:
+        read(path)
+    assert str(path) in str(caught.value)
+
+
+class _Code:
+    def __reduce__(self) -> tuple:
+        return (os.mkdir, ("executed",))
+
+
+def test_no_pickle_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    torch.save({"a": _Code()}, "w.pth")
+    np.save("a.npy", np.array([_Code()]), allow_pickle=True)
+    np.savez("a.npz", flow=np.array([_Code()], dtype=object))
+    for read, name in ((load_network, "w.pth"), (read_array, "a.npy"), (read_arrays, "a.npz")):
+        with pytest.raises(DgcPoseError, match=name) as caught:
+            read(Path(name))
+        assert "weights_only" not in str(caught.value)
+    assert not Path("executed").exists()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [1, 2],
+        {1: torch.zeros(2)},
+        {"state_dict": 5},
+        {"state_dict": {"a": None}},
+        {"a": torch.zeros(2, dtype=torch.complex64)},
+        {"a": torch.zeros(2, 2).to_sparse()},
+    ],
+    ids=str,
+)
+def test_a_foreign_checkpoint_is_refused(content: object, tmp_path: Path) -> None:
+    path = tmp_path / "w.pth"
+    torch.save(content, path)
+    with pytest.raises(WeightsError, match=r"w\.pth"):
+        load_network(path)
+    net = DGCNet(preset("dgcm-lite0"))
+    with pytest.raises(WeightsError, match=r"w\.pth"):
+        initialise_backbone(path, net, torch.zeros(1, 3, 240, 240))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(np.nan, "not finite"), (np.inf, "not finite"), (1j, "not real")]
+)
+def test_weights_that_are_no_numbers_are_refused(value: complex, words: str, tmp_path: Path):
+    save_weights(DGCNet(preset("dgcm-lite0")), tmp_path / "w.safetensors")
+    state = load_file(tmp_path / "w.safetensors")
+    key = min(state)
+    state[key] = torch.full(state[key].shape, value)
+    save_file(state, tmp_path / "w.safetensors", metadata={"preset": "dgcm-lite0"})
+    with pytest.raises(WeightsError, match=words) as caught:
+        load_network(tmp_path / "w.safetensors")
+    assert key in str(caught.value)
+
+
+def test_a_packed_checkpoint_is_refused(tmp_path: Path) -> None:
+    """Its size once unpacked has no bound."""
+    stream = io.BytesIO()
+    torch.save({"a": torch.zeros(10)}, stream)
+    with zipfile.ZipFile(stream) as old, zipfile.ZipFile(tmp_path / "w.pth", "w", 8) as new:
+        for info in old.infolist():
+            new.writestr(info.filename, old.read(info))
+    with pytest.raises(WeightsError, match="packed"):
+        load_network(tmp_path / "w.pth")
+
+
+def test_an_npy_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
+    header = io.BytesIO()
+    about = {"descr": "<f8", "fortran_order": False, "shape": (2**40, 2**40)}
+    np.lib.format.write_array_header_1_0(header, about)
+    (tmp_path / "a.npy").write_bytes(header.getvalue() + b"0" * 80)
+    with pytest.raises(InputError, match="80 bytes are not those of"):
+        read_array(tmp_path / "a.npy")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("flow.npy", header.getvalue())
+    data = bytearray((tmp_path / "a.npz").read_bytes())
+    place = data.rindex(b"PK\x01\x02") + 24  # the unpacked size in the archive's directory
+    data[place : place + 4] = (ARRAY_BYTES + 1).to_bytes(4, "little")
+    (tmp_path / "a.npz").write_bytes(data)
+    with pytest.raises(InputError, match="too large"):
+        read_arrays(tmp_path / "a.npz")
+
+
+def test_a_guessed_camera_decodes_no_image_that_is_too_large(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(png_claiming(60_000, 50_000))
+    with pytest.raises(ImageError, match="too large: 60000 x 50000"):
+        guess_camera(tmp_path / "a.png")
+
+
+POINTS = "a.png/b.png/keypoints0"
+DAMAGES: dict[str, Callable[[h5py.File, str], object]] = {
+    "link": lambda file, pipe: file.update({POINTS: h5py.ExternalLink(pipe, "/x")}),
+    "raw file": lambda file, pipe: file.create_dataset(
+        POINTS, (8, 2), "f4", external=[(pipe, 0, 64)]
+    ),
+    "texts": lambda file, _: file.create_dataset(POINTS, data=np.array([[b"x", b"y"]] * 8)),
+    "not finite": lambda file, _: file.create_dataset(POINTS, data=np.full((8, 2), np.nan, "f4")),
+    "huge": lambda file, _: file.create_dataset(POINTS, (2**40, 2), "f4", chunks=(64, 2)),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_file_of_matches_leads_nowhere(tmp_path: Path, damage: str) -> None:
+    """HDF5 could follow links to any file: here to a pipe, which would never answer."""
+    make_batch(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with h5py.File(tmp_path / "matches.h5", "r+") as file:
+        del file[POINTS]
+        DAMAGES[damage](file, str(tmp_path / "pipe"))
+    with pytest.raises(InputError, match=r"matches\.h5"):
+        list(read_batch(tmp_path).matches())
+
+
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        f"CREATE VIEW matches AS {ENDLESS}",
+        "ALTER TABLE images ADD COLUMN big AS (zeroblob(1000000000))",
+        "CREATE TRIGGER t AFTER INSERT ON cameras BEGIN DELETE FROM cameras; END",
+    ],
+)
+def test_a_database_that_computes_is_refused(tmp_path: Path, statement: str) -> None:
+    path = tmp_path / "a.db"
+    with pycolmap.Database.open(path):
+        pass
+    with closing(sqlite3.connect(path)) as database:
+        if "VIEW" in statement:
+            database.execute("DROP TABLE matches")
+        database.execute(statement)
+        database.commit()
+    with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
+        read_database(path)
+
+
+@pytest.mark.parametrize("name", ["../x", "/tmp/x", "a/b", "..", "", "a\0b", 5])
+def test_a_plan_names_no_files_elsewhere(tmp_path: Path, name: object) -> None:
+    plan = [{"name": name, "part": "fit", "kind": "list", "path": "a"}]
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    with pytest.raises(InputError, match=r"plan\.json: not a plan \(name must be"):
+        read_plan(tmp_path / "plan.json")
+
+
+def test_a_name_in_the_pages_command_is_no_option() -> None:
+    assert "estimate ./--json=x b.png" in command(("--json=x", "b.png"), [], [])
+
+
+def test_a_number_of_thousands_of_digits_is_refused() -> None:
+    with pytest.raises(InputError, match="--pairs must be"):
+        parse_pair_choice("auto:" + "9" * 5000)
