@@ -28,7 +28,7 @@ from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
 from dgc_pose.benchmarks.homographies import find_homography_pairs
 from dgc_pose.benchmarks.hpatches_lists import read_lists
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.plan import Source
+from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
 from dgc_pose.benchmarks.samples import draw_sample, read_sample, write_sample
 from dgc_pose.benchmarks.scores import PairScore
@@ -327,7 +327,7 @@ def _make_collection(folder: Path) -> None:
 def _read_collection(folder: Path, path: Path) -> None:
     read_sources(folder / "plan.json")
     read_engine(folder, "sift")
-    list(read_collection(folder, "sift", [Source("scene", part="fit", kind="list")]))
+    list(read_collection(folder, "sift", [PlanEntry("scene", part="fit", kind="list")]))
 
 
 def _make_models(folder: Path) -> None:
