@@ -91,8 +91,8 @@ def work_through(
 ) -> Batch:
     """Run the batch that the options describe, with a progress bar on a terminal.
 
-    default_pairs: --pairs of a folder of so many images, if it is not given. Raises InputError for
-    fewer than `least_images`.
+    default_pairs: from the number of images of a folder to its --pairs, if that is absent. Raises
+    InputError for fewer than `least_images`.
     """
     from dgc_pose.batch.calibration import read_calibration
     from dgc_pose.batch.local import local_workers
@@ -101,14 +101,14 @@ def work_through(
     from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import open_source
 
-    opened = open_source(Path(source), inputs.root)
-    for line in opened.left_out:
+    images = open_source(Path(source), inputs.root)
+    for line in images.left_out:
         click.echo(f"warning: {line}", err=True)
-    if len(opened.names) < least_images:
-        raise InputError(f"{source}: {len(opened.names)} images, and a model needs {least_images}")
+    if len(images.names) < least_images:
+        raise InputError(f"{source}: {len(images.names)} images, and a model needs {least_images}")
     pairs = inputs.pairs
-    if pairs is None and opened.pairs is None and default_pairs is not None:
-        pairs = default_pairs(len(opened.names))
+    if pairs is None and images.pairs is None and default_pairs is not None:
+        pairs = default_pairs(len(images.names))
     choice = None if pairs is None else parse_pair_choice(pairs)
     if work.format == "parquet":
         require_pyarrow()
@@ -119,7 +119,7 @@ def work_through(
         start_workers = ray_workers
     with _bars() as progress:
         return run_batch(
-            opened,
+            images,
             read_calibration(inputs.k, inputs.guess_focal),
             choice,
             out,
@@ -132,7 +132,7 @@ def work_through(
 
 
 def batch_options(work: WorkChoice) -> BatchOptions:
-    """How a batch is worked through; a worker for each core unless their number is given."""
+    """The options of the library; by default a worker for each core."""
     from dgc_pose.batch.run import BatchOptions
     from dgc_pose.system.threads import usable_cpus
 
@@ -142,7 +142,7 @@ def batch_options(work: WorkChoice) -> BatchOptions:
 
 
 def report(batch: Batch) -> None:
-    """Print what a batch found, the images that could not be used, and the first warning."""
+    """Print the summary of a batch, the images that could not be used, and the first warning."""
     from dgc_pose.batch.rows import FAILED
 
     summary = batch.summary

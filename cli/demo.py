@@ -1,4 +1,4 @@
-"""`dgc-pose demo`: the bundled pair, its pose estimated beside the known one."""
+"""`dgc-pose demo`: the bundled pair, its estimated pose beside the known pose."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
     "plot_path",
     type=OutputFile(),
     metavar="PATH.png",
-    help="Draw what the pose was found from.",
+    help="Draw inliers, epipolar lines and the warp.",
 )
 def demo(matcher: MatcherOptions, estimation: EstimationOptions, plot_path: str | None) -> int:
-    """Estimate the pose of the bundled pair and print it beside the known one."""
+    """Estimate the pose of the bundled pair and print it beside the known pose."""
     check_picture(plot_path)
     pair = bundled_pair()
     with staged(plot_path) as stage:
@@ -45,13 +45,13 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, plot_path: str 
 
 
 def _beside(pose: RelativePose, pair: Pair) -> str:
-    """The estimated pose (one with R and t) and the known one in two columns, and the errors."""
+    """An estimated pose that has R and t and the known pose in two columns, and the errors."""
     assert pose.R is not None and pose.t is not None
     known = matrix_lines(pair.R) + [vector_line(pair.t / np.linalg.norm(pair.t))]
-    found = matrix_lines(pose.R) + [vector_line(pose.t)]
+    estimated = matrix_lines(pose.R) + [vector_line(pose.t)]
     width = len(known[0])
     lines = [f"     {'estimated':{width}}   {'known':{width}}"]
-    for name, left, right in zip("RRRt", found, known, strict=True):
+    for name, left, right in zip("RRRt", estimated, known, strict=True):
         lines.append(f"  {name}  {left}   {right}")
     lines.append(
         f"errors: rotation {rotation_error_deg(pose.R, pair.R):.2f} deg, "

@@ -34,12 +34,12 @@ def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
     """
     with staged(out) as stage:
         first, second = load_image(image1), load_image(image2)
-        found = matcher.load().match(first, second)
-        dense = found.correspondence_map
+        result = matcher.load().match(first, second)
+        dense = result.correspondence_map
         if dense is None:
             raise InputError(f"--weights {matcher.weights} gives no dense map")
         arrays = {"map": dense.map, "grid": dense.grid, "matchability": dense.matchability}
-        write_npz(stage(out), arrays | matches_arrays(found.matches))
+        write_npz(stage(out), arrays | matches_arrays(result.matches))
     for warning in first.warnings + second.warnings:
         click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{out}: {len(found.matches)} matches of {dense.matchability.size} cells")
+    click.echo(f"{out}: {len(result.matches)} matches of {dense.matchability.size} cells")

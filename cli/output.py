@@ -37,12 +37,12 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
         "probability": pose.probability,
         "alternatives": [
             {
-                "R": _list(one.R),
-                "t": _list(one.t),
-                "num_inliers": one.num_inliers,
-                "probability": one.probability,
+                "R": _list(alternative.R),
+                "t": _list(alternative.t),
+                "num_inliers": alternative.num_inliers,
+                "probability": alternative.probability,
             }
-            for one in pose.alternatives
+            for alternative in pose.alternatives
         ],
         "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
         "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
@@ -73,11 +73,12 @@ def pose_text(pose: RelativePose) -> str:
         )
     if pose.t is not None and pose.probability is not None:
         lines.append(f"probability {_percent(pose.probability)} that R and t are within 10 deg")
-    for one in pose.alternatives:
-        likely = "" if one.probability is None else f", probability {_percent(one.probability)}"
+    for alternative in pose.alternatives:
+        chance = alternative.probability
+        likely = "" if chance is None else f", probability {_percent(chance)}"
         lines.append(
-            f"alternative: rotation angle {rotation_angle_deg(one.R):.2f} deg, t "
-            f"{vector_line(one.t)}, {one.num_inliers} inliers{likely}"
+            f"alternative: rotation angle {rotation_angle_deg(alternative.R):.2f} deg, t "
+            f"{vector_line(alternative.t)}, {alternative.num_inliers} inliers{likely}"
         )
     lines += [f"warning: {warning}" for warning in pose.warnings]
     lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))
@@ -111,7 +112,7 @@ def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
 
 
 def _percent(probability: float) -> str:
-    """Never 0 or 100, which no evidence gives."""
+    """Never 0 or 100 %, which no evidence gives."""
     if probability > 0.995:
         return "over 99 %"
     return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"

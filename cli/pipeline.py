@@ -25,7 +25,7 @@ def run_pipeline(
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> Trace:
-    """Read both images, find their cameras by `resolve`, load the matcher, estimate the pose.
+    """Read both images, get their cameras from `resolve`, load the matcher, estimate the pose.
 
     resolve: raises InputError if a camera does not fit its image. In `seconds` of the pose, `load`
     is the time for images and weights.
@@ -47,9 +47,8 @@ def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:
     if name is None:
         return
     from dgc_pose.viz import plot_pose, save_figure
-    from dgc_pose.viz.figure import picture_format
 
-    save_figure(plot_pose(trace), stage(name), picture_format=picture_format(name))
+    save_figure(plot_pose(trace), stage(name))
 
 
 def check_picture(name: str | None) -> None:

@@ -115,9 +115,9 @@ def _run(web: uvicorn.Server, server: Server, bound: socket.socket, url: str, br
             failed.append(error)
             web.should_exit = True
         except WorkError:
-            pass  # the server has ended; or a request will tell
+            pass  # the server has ended, or a request will fail with this
 
-    # uvicorn ends the server on SIGTERM, and then raises it again for us: leave as after Ctrl-C.
+    # On SIGTERM uvicorn ends the server and raises the signal again: end as after Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     server.start()
     click.echo(f"{url}\nCtrl-C ends the server")

@@ -1,4 +1,4 @@
-"""The command's standard streams: none of them closed, and errors of stdout under its name."""
+"""The standard streams of the command: none is closed, and errors of stdout name it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dgc_pose.files.outputs import writing
 
 
 class _Stdout:
-    """A stream whose OSErrors have the name `stdout`."""
+    """A stream whose OSErrors name `stdout`."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -40,7 +40,7 @@ def standard_streams() -> Iterator[None]:
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # the next file would get this number, and what libraries print
+        except OSError:  # the next file would get this number, and with it what libraries print
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What libraries warn of, as one line each or not at all."""
+"""Warnings: ours as a line each, those of libraries not at all."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class _Lines(logging.Handler):
 
 @contextmanager
 def plain_warnings(*, shown: bool) -> Iterator[None]:
-    """Within the block our own warnings are lines on stderr, and those of libraries are silent.
+    """Within the block our warnings are lines on stderr, and those of libraries are silent.
 
     shown: print the libraries' warnings as well, as Python does. So does PYTHONWARNINGS.
     """

@@ -68,7 +68,7 @@ def write_report(
     with staged(*map(str, paths.values())) as stage:
         files = {name: stage(str(path)) for name, path in paths.items()}
         for name, figure in figures.items():
-            save_figure(figure, files[name], picture_format=name[-3:])
+            save_figure(figure, files[name])
         environment = jinja2.Environment(
             loader=jinja2.FileSystemLoader(_TEMPLATES),
             autoescape=True,

@@ -48,7 +48,7 @@ def replaced(path: str | Path) -> Iterator[Path]:
     """
     target = output_target(path)
     with _workplace(target, path) as folder:
-        file = folder / target.name
+        file = folder / Path(path).name
         yield file
         if file.exists():
             os.replace(file, target)

@@ -33,8 +33,8 @@ def picture_format(path: str | Path) -> str:
     return suffix
 
 
-def save_figure(figure: Figure, path: str | Path, *, picture_format: str = "png") -> None:
-    """Write the figure in the given format, whatever the ending of the path.
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write the figure in the format of the path's ending (see `picture_format`).
 
     Titles and legends are shown as they are: names of files may hold what would be a formula.
     Raises OSError, with the path.
@@ -45,4 +45,4 @@ def save_figure(figure: Figure, path: str | Path, *, picture_format: str = "png"
             text.set_parse_math(False)
             text.set_text(text.get_text().encode("utf-8", "replace").decode())
     with writing(path):
-        figure.savefig(path, format=picture_format, dpi=100)
+        figure.savefig(path, format=picture_format(path), dpi=100)
