@@ -44,11 +44,6 @@ class EfficientNet:
     fine: tuple[PyramidLevel, PyramidLevel]  # levels 0 and 1, computed from the image
     channels: tuple[int, int, int] = (64, 128, 128)  # of levels 2, 3 and 4
 
-    @property
-    def level_channels(self) -> tuple[int, ...]:
-        """Channels of each pyramid level, 0 to 4."""
-        return (*map(_channels, self.fine), *self.channels)
-
 
 @dataclass(frozen=True)
 class DecoderConfig:
@@ -81,11 +76,6 @@ class NetworkConfig:
     align_corners: bool = True
 
     def __post_init__(self) -> None:
-        if len(self.level_channels) != len(LEVEL_SIZES) or len(self.decoders) != len(LEVEL_SIZES):
-            raise InputError("pyramid and decoders must have five levels")
-        for decoder in self.decoders:
-            if len(decoder.channels) != len(decoder.dilations) or not decoder.channels:
-                raise InputError("a decoder needs as many dilations as channels, and at least one")
         if self.any_shape and (
             self.correlation == "local"
             or self.matchability == "network"
@@ -102,8 +92,8 @@ class NetworkConfig:
     def level_channels(self) -> tuple[int, ...]:
         """Channels of each pyramid level, 0 to 4."""
         if isinstance(self.pyramid, EfficientNet):
-            return self.pyramid.level_channels
-        return tuple(map(_channels, self.pyramid))
+            return (*map(output_channels, self.pyramid.fine), *self.pyramid.channels)
+        return tuple(map(output_channels, self.pyramid))
 
     @property
     def any_shape(self) -> bool:
@@ -116,7 +106,7 @@ class NetworkConfig:
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
         """Width and height that an image of `size` (width, height) is resized to for the network.
 
-        In its own shape that has about as many cells as a square of 240 pixels.
+        With `any_shape` there are about as many cells as in a square of 240 pixels.
         """
         if not self.any_shape:
             return INPUT_SIZE, INPUT_SIZE
@@ -146,7 +136,7 @@ class NetworkConfig:
         return 2 * self.level_channels[level] + local + self.map_channels
 
 
-def _channels(level: PyramidLevel) -> int:
+def output_channels(level: PyramidLevel) -> int:
     """Output channels of a level."""
     return [part.channels for part in level if not isinstance(part, Pool)][-1]
 
@@ -207,15 +197,13 @@ def preset(name: str) -> NetworkConfig:
     return replace(config, name=name)
 
 
-def _without_dilation(config: NetworkConfig) -> NetworkConfig:
-    decoders = tuple(replace(d, dilations=(1,) * len(d.dilations)) for d in config.decoders)
-    return replace(config, decoders=decoders)
-
-
 # The paper's ablations (section 5), by the names that `preset` takes behind a "+".
 ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
     "no-l2": lambda config: replace(config, normalise_features=False),
     "flow": lambda config: replace(config, output="displacement"),
-    "no-dilation": _without_dilation,
+    "no-dilation": lambda config: replace(
+        config,
+        decoders=tuple(replace(d, dilations=(1,) * len(d.dilations)) for d in config.decoders),
+    ),
     "local-correlation": lambda config: replace(config, correlation="local"),
 }

@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import EfficientNet
+from dgc_pose.network.config import EfficientNet, output_channels
 from dgc_pose.network.pyramid import plain_level
 
 STEM_CHANNELS = 32
@@ -44,7 +44,7 @@ class EfficientPyramid(nn.Module):
     def __init__(self, config: EfficientNet) -> None:
         super().__init__()
         self.level_0 = plain_level(config.fine[0], 3)
-        self.level_1 = plain_level(config.fine[1], config.level_channels[0])
+        self.level_1 = plain_level(config.fine[1], output_channels(config.fine[0]))
         self.stem = nn.Sequential(_strided(3, STEM_CHANNELS, 3), nn.ReLU6())
         inputs, taken = STEM_CHANNELS, {}
         self.blocks = nn.ModuleList()
@@ -81,7 +81,7 @@ class EfficientPyramid(nn.Module):
 
     def unfreeze(self, levels: int) -> None:
         """Make the coarsest `levels` of the five levels trainable, and freeze the others."""
-        own = (
+        modules = (
             [self.level_0],
             [self.level_1],
             [self.stem, self.blocks[:3], self.lift_3, self.head_2, self.merge_2],
@@ -89,7 +89,7 @@ class EfficientPyramid(nn.Module):
             [self.blocks[5:], self.head_4],
         )
         self.requires_grad_(False)
-        for level in own[len(own) - levels :]:
+        for level in modules[len(modules) - levels :]:
             for module in level:
                 module.requires_grad_(True)
 

@@ -61,10 +61,8 @@ class Correlation:
     evidence: Tensor | None
 
     def detached(self) -> Correlation:
-        """The same, without gradients."""
-        return Correlation(
-            self.coarsest.detach(), None if self.evidence is None else self.evidence.detach()
-        )
+        evidence = None if self.evidence is None else self.evidence.detach()
+        return Correlation(self.coarsest.detach(), evidence)
 
 
 class DGCNet(nn.Module):
@@ -86,27 +84,19 @@ class DGCNet(nn.Module):
         else:
             self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
-            decoder = Decoder(
-                config.decoder_inputs(level), config.decoders[level], config.map_channels
-            )
-            self.add_module(f"reg_{level}", decoder)
+            inputs, outputs = config.decoder_inputs(level), config.map_channels
+            self.add_module(f"reg_{level}", Decoder(inputs, config.decoders[level], outputs))
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
         scales = torch.full((len(config.correlated),), INITIAL_SCALE)
         self.register_buffer("correlation_scales", scales, persistent=config.any_shape)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
-        if self.config.any_shape:
-            if any(side % STRIDE for image in (source, target) for side in image.shape[2:]):
-                raise ValueError(
-                    f"the sides of source and target must be multiples of {STRIDE}, "
-                    f"not {tuple(source.shape)} and {tuple(target.shape)}"
-                )
-        elif source.shape[1:] != (3, INPUT_SIZE, INPUT_SIZE) or target.shape != source.shape:
-            raise ValueError(
-                f"source and target must both be (B, 3, {INPUT_SIZE}, {INPUT_SIZE}), "
-                f"not {tuple(source.shape)} and {tuple(target.shape)}"
-            )
+        sides = {side for image in (source, target) for side in image.shape[2:]}
+        any_shape = self.config.any_shape
+        if any(side % STRIDE for side in sides) if any_shape else sides != {INPUT_SIZE}:
+            needed = f"multiples of {STRIDE}" if any_shape else str(INPUT_SIZE)
+            raise ValueError(f"the sides of source and target must be {needed}, not {sides}")
         return self.decode(self.features(source), self.features(target))
 
     def features(self, image: Tensor) -> list[Tensor]:
@@ -144,7 +134,7 @@ class DGCNet(nn.Module):
 
         finest: cells a side of the last level decoded, for squared images, one of LEVEL_SIZES.
         """
-        states = [self.coarsest(source, target)]
+        states = [self.start(self.correlate(source, target), source[COARSEST], target[COARSEST])]
         warped = source[0]
         last = LEVEL_SIZES.index(finest)
         for level in range(COARSEST - 1, last - 1, -1):
@@ -158,13 +148,6 @@ class DGCNet(nn.Module):
         if self.config.matchability == "network" and last == 0:
             return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
-
-    def coarsest(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
-        """Level 4: (B, 2 or 3, h, w), the map and, with matchability "decoder", the mask logit.
-
-        From the features of both images, as `features` gives them.
-        """
-        return self.start(self.correlate(source, target), source[COARSEST], target[COARSEST])
 
     def correlate(self, source: list[Tensor], target: list[Tensor]) -> Correlation:
         """The correlation of both images' features, as `features` gives them."""
@@ -191,22 +174,29 @@ class DGCNet(nn.Module):
         return scales
 
     def start(self, correlation: Correlation, source: Tensor, target: Tensor) -> Tensor:
-        """The state of level 4, as of `coarsest`, from the correlation and the level's features."""
-        config = self.config
-        grid = _grid(source)
-        inputs = correlation.coarsest
-        batch, _, height, width = inputs.shape
-        start = inputs.new_zeros(batch, config.map_channels, height, width)
-        if not config.any_shape:
-            return self._decode_level(COARSEST, l2_normalise(inputs.relu()), start, grid)
+        """The state of level 4 from the correlation and the level's features: (B, 2 or 3, h, w),
+        the map and, with matchability "decoder", the mask logit."""
+        if self.config.any_shape:
+            state = self.peak(correlation, _grid(source))
+            warped = self.warp(source, state)
+            return self.refine(COARSEST, warped, target, state, grid=_grid(source))
+        scores = correlation.coarsest
+        state = scores.new_zeros(len(scores), self.config.map_channels, *scores.shape[2:])
+        return self._decode_level(COARSEST, l2_normalise(scores.relu()), state, _grid(source))
+
+    def peak(self, correlation: Correlation, grid: tuple[int, int]) -> Tensor:
+        """The state that corrections start from (B, 2 or 3, h2, w2): the peak of the evidence.
+
+        grid: rows and columns of the source at level 4.
+        """
         assert correlation.evidence is not None
         scores = consensus(match_scores(correlation.evidence), PASSES, grid)
         cells, probability = peaks(scores, grid)
-        points = to_normalised(cells.movedim(1, -1), grid[::-1], config.align_corners)
-        start[:, :2] = points.movedim(-1, 1)
-        if config.matchability == "decoder":
-            start[:, 2] = probability.clamp(*PEAK).logit()
-        return self.refine(COARSEST, self.warp(source, start), target, start, grid=grid)
+        points = to_normalised(cells.movedim(1, -1), grid[::-1], self.config.align_corners)
+        parts = [points.movedim(-1, 1)]
+        if self.config.matchability == "decoder":
+            parts.append(probability.clamp(*PEAK).logit()[:, None])
+        return torch.cat(parts, 1)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
@@ -239,12 +229,17 @@ class DGCNet(nn.Module):
         window: the rows and columns of the level that the tensors hold, if training decodes only a
         part of it.
         """
+        grid = grid or (LEVEL_SIZES[level], LEVEL_SIZES[level])
+        features = self.level_features(level, warped, target)
+        return self._decode_level(level, features, previous, grid, window)
+
+    def level_features(self, level: int, warped: Tensor, target: Tensor) -> Tensor:
+        """What the decoder of a level reads beside the previous state: (B, C, H, W)."""
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
         if radius is not None:
             parts.append(local_correlation(l2_normalise(warped), l2_normalise(target), radius))
-        grid = grid or (LEVEL_SIZES[level], LEVEL_SIZES[level])
-        return self._decode_level(level, torch.cat(parts, 1), previous, grid, window)
+        return torch.cat(parts, 1)
 
     def _decode_level(
         self,
@@ -260,8 +255,7 @@ class DGCNet(nn.Module):
             # Corrections are in cells; the mask logit has no unit.
             change = self._regress(level, features, previous)
             cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
-            step = torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
-            return previous + step
+            return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
         identity = self._identity(level, previous, window)
         return identity + self._regress(level, features, previous - identity)
 

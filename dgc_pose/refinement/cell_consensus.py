@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
+from dgc_pose.runtime.correlation import log_softmax
 from dgc_pose.runtime.engine import NativeFeatures
-from dgc_pose.runtime.start import log_softmax
 from dgc_pose.system.threads import in_threads, slices
 
 # As at the coarsest level: Gaussian deviation in source cells, weight of the messages, least one.

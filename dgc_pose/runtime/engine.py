@@ -12,14 +12,11 @@ from dgc_pose.network.config import NetworkConfig
 
 
 class MapFeatures(Protocol):
-    """Features of an image for the dense map: all levels, and the second scale if there is one.
-
-    What else an engine keeps in it is its own. The features of one engine mean nothing to another.
-    """
+    """Features of an image for the dense map; those of an engine mean nothing to another."""
 
     @property
     def nbytes(self) -> int:
-        """Bytes that they take."""
+        """Their size in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +44,8 @@ class NativeFeatures:
 class DecodedMap:
     """The dense map of a pair, on the grid of the level that was asked for."""
 
-    # (H, W, 2) float32, for each cell of the target its x and y in the source, pixels of
-    # the source as it was resized; no NaN
+    # (H, W, 2) float32, x and y in the source of each cell of the target, pixels of the source as
+    # it was resized; no NaN
     points: np.ndarray
     matchability: np.ndarray  # (H, W) float32 in [0, 1]; 1 everywhere for a network without a mask
     size: tuple[int, int]  # (width, height) of the source as it was resized
@@ -57,13 +54,13 @@ class DecodedMap:
 class Engine(Protocol):
     """A frozen network with its weights, run by some library on some device.
 
-    Images are (H, W, 3) uint8 RGB. An engine is deterministic: features of an image do not depend
-    on what was computed before, and may be kept for later pairs.
+    Images are (H, W, 3) uint8 RGB. Features of an image do not depend on what was computed before,
+    and may be kept for later pairs.
     """
 
     @property
     def config(self) -> NetworkConfig:
-        """Of the network."""
+        """The network's."""
 
     @property
     def fingerprint(self) -> str:
@@ -71,24 +68,20 @@ class Engine(Protocol):
 
     @property
     def correlation_scales(self) -> np.ndarray:
-        """(levels,) float32, inverse temperatures of the cosines of the correlated levels, the
-        coarsest first."""
+        """(levels,) float32, inverse temperatures of the correlated levels, coarsest first."""
 
     @property
     def concurrent(self) -> bool:
-        """Whether images are encoded faster by several threads at once than one after the other."""
+        """Whether several threads encode images faster than one."""
 
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         """Features of an image, resized as `config.input_size` says."""
 
     def coarsest(self, features: Any) -> np.ndarray:
-        """(h, w, C) float32, the features of the coarsest level, unit length over the channels.
-
-        features: as `encode` gives them.
-        """
+        """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
 
     def decode(self, source: Sequence[Any], target: Sequence[Any], finest: int) -> list[DecodedMap]:
-        """The map of each pair, from the features of both images as `encode` gives them.
+        """The map of each pair from the features that `encode` gives.
 
         finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
         """

@@ -12,9 +12,9 @@ tests/runtime/test_onnx_engine.py fails until they are.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import onnx
 import torch
@@ -26,85 +26,47 @@ from dgc_pose.network.constants import DEVIATION, MEAN
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, upsample
 from dgc_pose.network.stored import COUNTER
-from dgc_pose.runtime.graphs import (
-    GRAPHS,
-    LEVELS,
-    NATIVE,
-    PRESETS,
-    RESAMPLE,
-    UPSAMPLE,
-    WARP,
-    WEIGHTS,
-    decoder_graph,
-)
+from dgc_pose.runtime import graphs
 
 _OPSET = 20
 _CELLS = (8, 11)  # rows and columns at stride 16 of the example that a graph is traced with
 
 
-class _Image(nn.Module):
-    """The network's input (1, 3, H, W) from an image (H, W, 3) of 0 to 255, float32."""
+class _Function(nn.Module):
+    """A function without weights."""
 
-    def __init__(self) -> None:
+    def __init__(self, function: Callable[..., Tensor]) -> None:
         super().__init__()
-        scale = 1 / (255 * torch.tensor(DEVIATION))[:, None, None]
-        self.register_buffer("scale", scale, persistent=False)
-        shift = -255 * torch.tensor(MEAN)[:, None, None] * scale
-        self.register_buffer("shift", shift, persistent=False)
+        self.function = function
 
-    def forward(self, pixels: Tensor) -> Tensor:
-        planes = pixels.permute(2, 0, 1)[None]
-        return planes * cast(Tensor, self.scale) + cast(Tensor, self.shift)
+    def forward(self, *arguments: Tensor) -> Tensor:
+        return self.function(*arguments)
 
 
 class _Levels(nn.Module):
-    """All levels of an image."""
+    """All levels of an image (H, W, 3) of 0 to 255, float32."""
 
     def __init__(self, net: DGCNet) -> None:
         super().__init__()
-        self.image, self.pyramid = _Image(), net.pyramid
+        scale = 1 / (255 * torch.tensor(DEVIATION))[:, None, None]
+        self.scale = nn.Buffer(scale, persistent=False)
+        self.shift = nn.Buffer(-255 * torch.tensor(MEAN)[:, None, None] * scale, persistent=False)
+        self.pyramid = net.pyramid
+
+    def input(self, pixels: Tensor) -> Tensor:
+        return pixels.permute(2, 0, 1)[None] * self.scale + self.shift
 
     def forward(self, pixels: Tensor) -> list[Tensor]:
-        levels: list[Tensor] = self.pyramid(self.image(pixels))
+        levels: list[Tensor] = self.pyramid(self.input(pixels))
         return levels
 
 
-class _Native(nn.Module):
+class _Native(_Levels):
     """The coarsest three levels of an image, of unit length, channels last, fine to coarse."""
 
-    def __init__(self, net: DGCNet) -> None:
-        super().__init__()
-        self.image, self.pyramid = _Image(), net.pyramid
-
     def forward(self, pixels: Tensor) -> list[Tensor]:
-        levels = self.pyramid.coarse(self.image(pixels))
+        levels = self.pyramid.coarse(self.input(pixels))
         return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
-
-
-class _Upsample(nn.Module):
-    """A state at twice its size."""
-
-    def forward(self, state: Tensor) -> Tensor:
-        return upsample(state)
-
-
-class _Warp(nn.Module):
-    """Source features at the points of a map."""
-
-    def __init__(self, net: DGCNet) -> None:
-        super().__init__()
-        self.align_corners = net.config.align_corners
-
-    def forward(self, source: Tensor, state: Tensor) -> Tensor:
-        grid = state[:, :2].movedim(1, -1)
-        return F.grid_sample(source, grid, align_corners=self.align_corners)
-
-
-class _Resample(nn.Module):
-    """Features resampled to the grid of others."""
-
-    def forward(self, features: Tensor, like: Tensor) -> Tensor:
-        return F.interpolate(features, like.shape[2:], mode="bilinear")
 
 
 class _Decoder(nn.Module):
@@ -126,48 +88,53 @@ def export(name: str, folder: Path) -> None:
     stored = DGCNet(config).eval()
     net = for_inference(stored)
     net.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
-    rows, columns = _CELLS
-    h, w = (torch.export.Dim(side, min=1, max=4096) for side in "hw")
-    u, v = (torch.export.Dim(side, min=1, max=4096) for side in "uv")
+    weights = stored.state_dict()
     folder.mkdir(parents=True, exist_ok=True)
-    graphs: dict[str, list[str]] = {}
+    weights_of: dict[str, list[str]] = {}
 
-    def write(graph: str, module: nn.Module, given: Sequence[Any], shapes: Sequence[Any]) -> None:
-        model = _graph(module.eval(), tuple(given), tuple(shapes))
-        graphs[graph] = _without_weights(model, set(net.state_dict()))
+    def write(graph: str, module: nn.Module, inputs: list[Any], shapes: list[Any]) -> None:
+        model = _graph(module.eval(), tuple(inputs), tuple(shapes))
+        weights_of[graph] = _without_weights(model, set(net.state_dict()))
         onnx.save_model(model, folder / graph)
 
+    def warp(source: Tensor, state: Tensor) -> Tensor:
+        grid = state[:, :2].movedim(1, -1)
+        return F.grid_sample(source, grid, align_corners=config.align_corners)
+
+    def resample(features: Tensor, like: Tensor) -> Tensor:
+        return F.interpolate(features, like.shape[2:], mode="bilinear")
+
+    rows, columns = _CELLS
+    c, d, h, w, u, v = (torch.export.Dim(name, min=1, max=4096) for name in "cdhwuv")
     pixels, sides = torch.rand(STRIDE * rows, STRIDE * columns, 3), {0: STRIDE * h, 1: STRIDE * w}
-    write(LEVELS, _Levels(net), [pixels], [sides])
-    write(NATIVE, _Native(net), [pixels], [sides])
+    write(graphs.LEVELS, _Levels(net), [pixels], [sides])
+    write(graphs.NATIVE, _Native(net), [pixels], [sides])
     features, state = torch.rand(1, 24, 12, 10), torch.rand(1, config.map_channels, 14, 18)
-    c, d = (torch.export.Dim(name, min=1, max=4096) for name in "cd")
-    given = [features, state]
-    write(WARP, _Warp(net), given, [{1: c, 2: u, 3: v}, {2: h, 3: w}])
-    write(UPSAMPLE, _Upsample(), [state], [{2: h, 3: w}])
-    write(RESAMPLE, _Resample(), given, [{1: c, 2: u, 3: v}, {1: d, 2: h, 3: w}])
+    any_features, pair = {1: c, 2: u, 3: v}, [features, state]
+    write(graphs.WARP, _Function(warp), pair, [(any_features, {2: h, 3: w})])
+    write(graphs.UPSAMPLE, _Function(upsample), [state], [({2: h, 3: w},)])
+    write(graphs.RESAMPLE, _Function(resample), pair, [(any_features, {1: d, 2: h, 3: w})])
     for level in range(COARSEST + 1):
         channels = config.level_channels[level]
         window = config.decoder_inputs(level) - 2 * channels - config.map_channels
-        given = [torch.rand(1, part, rows, columns) for part in (channels, channels, window)]
-        cell = torch.rand(1, config.map_channels, 1, 1)
+        parts = [torch.rand(1, part, rows, columns) for part in (channels, channels, window)]
+        previous = torch.rand(1, config.map_channels, rows, columns)
         write(
-            decoder_graph(level),
+            graphs.decoder_graph(level),
             _Decoder(net, level),
-            [given, torch.rand(1, config.map_channels, rows, columns), cell],
-            [[{2: h, 3: w} for _ in given], {2: h, 3: w}, {}],
+            [parts, previous, torch.rand(1, config.map_channels, 1, 1)],
+            [[{2: h, 3: w}] * len(parts), {2: h, 3: w}, {}],
         )
-    shapes = {key: value.shape for key, value in stored.state_dict().items()}
-    shapes = {key: shape for key, shape in shapes.items() if not key.endswith(COUNTER)}
-    text = json.dumps({"stored": shapes, "graphs": graphs}, indent=1)
-    (folder / WEIGHTS).write_text(text + "\n", encoding="utf-8")
+    shapes = {key: value.shape for key, value in weights.items() if not key.endswith(COUNTER)}
+    text = json.dumps({"stored": shapes, "graphs": weights_of}, indent=1)
+    (folder / graphs.WEIGHTS).write_text(text + "\n", encoding="utf-8")
 
 
-def _graph(module: nn.Module, given: tuple[Any, ...], shapes: tuple[Any, ...]) -> onnx.ModelProto:
+def _graph(module: nn.Module, inputs: tuple[Any, ...], shapes: tuple[Any, ...]) -> onnx.ModelProto:
     """The graph of a module, with its weights and without the exporter's notes."""
     program = torch.onnx.export(
         module,
-        given,
+        inputs,
         dynamo=True,
         opset_version=_OPSET,
         dynamic_shapes=shapes,
@@ -199,6 +166,6 @@ def _without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    for one in PRESETS:
-        export(one, GRAPHS / one)
-        print(one)
+    for name in graphs.PRESETS:
+        export(name, graphs.GRAPHS / name)
+        print(name)

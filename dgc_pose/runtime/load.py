@@ -26,10 +26,9 @@ def load_engine(
 ) -> Engine:
     """An engine of shipped weights by name, or of those of a file (see `network.weights`).
 
-    device: "auto", "cpu" or "cuda". runtime: "onnx", ONNX Runtime, which runs weights of the
-    presets with graphs on the CPU and never imports torch; "torch", which runs all; "auto", ONNX
-    Runtime for shipped weights on the CPU and torch for everything else. Without torch, "auto" is
-    ONNX Runtime. half_precision: convolutions in bfloat16, which torch alone does.
+    device: "auto", "cpu" or "cuda". runtime: "onnx" runs weights of the presets with graphs on the
+    CPU and never imports torch; "torch" runs all; "auto" is ONNX Runtime for shipped weights on the
+    CPU, and wherever torch is not installed. half_precision: convolutions in bfloat16, torch alone.
 
     Raises WeightsError if the weights cannot be loaded, InputError if there is no such device, or
     if the runtime is not installed or cannot do what is asked for.
@@ -39,9 +38,8 @@ def load_engine(
         raise InputError(f"ONNX Runtime is used on the CPU, not on {device}: choose torch for that")
     if runtime == "onnx" and half_precision:
         raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
-    if runtime == "auto" and not half_precision and _prefers_onnx(str(weights), path, device):
-        runtime = "onnx"
-    if runtime == "onnx":
+    by_default = runtime == "auto" and not half_precision
+    if runtime == "onnx" or (by_default and _prefers_onnx(str(weights), path, device)):
         from dgc_pose.runtime.onnx_engine import load_onnx_engine
 
         return load_onnx_engine(path)
@@ -88,4 +86,4 @@ def device_type(name: str) -> str:
 
 
 def _may_have_gpu() -> bool:
-    return shutil.which("nvidia-smi") is not None or any(Path(one).exists() for one in _DRIVERS)
+    return shutil.which("nvidia-smi") is not None or any(Path(path).exists() for path in _DRIVERS)

@@ -27,21 +27,17 @@ from dgc_pose.network.config import (
 )
 from dgc_pose.network.constants import PASSES, PEAK
 from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
-from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
-from dgc_pose.runtime.graphs import (
-    GRAPHS,
-    LEVELS,
-    NATIVE,
-    PRESETS,
-    RESAMPLE,
-    UPSAMPLE,
-    WARP,
-    WEIGHTS,
-    decoder_graph,
+from dgc_pose.runtime import graphs
+from dgc_pose.runtime.correlation import (
+    consensus,
+    l2_normalised,
+    local_correlation,
+    match_evidence,
+    match_scores,
+    peaks,
 )
-from dgc_pose.runtime.local_correlation import local_correlation
+from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 from dgc_pose.runtime.session import Session
-from dgc_pose.runtime.start import consensus, l2_normalised, match_evidence, match_scores, peaks
 
 _SCALES = "correlation_scales"  # the one weight that no graph has
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
@@ -88,9 +84,9 @@ class OnnxEngine:
     def encode(self, pixels: np.ndarray) -> OnnxFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
         image = resize(pixels, size).astype(np.float32)
-        levels = self._levels(image)
-        smaller = self._levels(_shrunk(image, SECOND_SIZE / INPUT_SIZE))
-        resample = self._session(RESAMPLE)
+        levels = self._session(graphs.LEVELS)(image)
+        smaller = self._session(graphs.LEVELS)(_shrunk(image, SECOND_SIZE / INPUT_SIZE))
+        resample = self._session(graphs.RESAMPLE)
         levels += [resample(smaller[i], levels[i])[0] for i in self.config.correlated]
         return OnnxFeatures(levels, size)
 
@@ -107,39 +103,40 @@ class OnnxEngine:
 
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         image = resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)).astype(np.float32)
-        fine, middle, coarse = self._session(NATIVE)(image)
+        fine, middle, coarse = self._session(graphs.NATIVE)(image)
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
-
-    def _levels(self, image: np.ndarray) -> list[np.ndarray]:
-        """Levels 0 to 4 of an image (16 h, 16 w, 3) of 0 to 255, float32."""
-        return self._session(LEVELS)(image)
 
     def _decode(self, source: OnnxFeatures, target: OnnxFeatures, finest: int) -> DecodedMap:
         state = self._start(source, target)
         for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
-            previous = state if level == COARSEST else self._session(UPSAMPLE)(state)[0]
-            parts = self._decoder_inputs(level, source, target, previous)
-            rows, columns = source.levels[level].shape[2:]
+            previous = state if level == COARSEST else self._session(graphs.UPSAMPLE)(state)[0]
+            features1, features2 = source.levels[level], target.levels[level]
+            (warped,) = self._session(graphs.WARP)(features1, previous)
+            radius = self.config.decoders[level].local_radius
+            assert radius is not None  # of a preset that has graphs
+            local = local_correlation(l2_normalised(warped[0]), l2_normalised(features2[0]), radius)
             # Corrections are in cells of the source; the mask logit has no unit.
-            cell = np.array([2 / columns, 2 / rows, 1], np.float32)
-            decoder = self._session(decoder_graph(level))
-            (state,) = decoder(*parts, previous, cell[:, None, None][None])
-        return self._decoded(state[0], source.size)
+            rows, columns = features1.shape[2:]
+            cell = np.array([2 / columns, 2 / rows, 1], np.float32)[:, None, None]
+            decoder = self._session(graphs.decoder_graph(level))
+            (state,) = decoder(warped, features2, local[None], previous, cell[None])
+        normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
+        points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2
+        return DecodedMap(points, 1 / (1 + np.exp(-state[0, 2])), source.size)
 
     def _start(self, source: OnnxFeatures, target: OnnxFeatures) -> np.ndarray:
         """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
-        scales1, scales2 = (self._correlated(features) for features in (source, target))
-        (height1, width1), (height2, width2) = grids = tuple(
-            features.levels[COARSEST].shape[2:] for features in (source, target)
-        )
-        pairs = [(scales1[0], scales2[0])]
-        pairs += [(one, scales2[0]) for one in scales1[1:]]
-        pairs += [(scales1[0], one) for one in scales2[1:]]
-        evidence = match_evidence(*pairs[0], self._weights[_SCALES])
-        for pair in pairs[1:]:
-            np.maximum(evidence, match_evidence(*pair, self._weights[_SCALES]), out=evidence)
-        scores = consensus(match_scores(evidence), PASSES, *grids)
-        cells, probability = peaks(scores, (height1, width1))
+        full1, smaller1 = self._correlated(source)
+        full2, smaller2 = self._correlated(target)
+        scales = self.correlation_scales
+        evidence = match_evidence(full1, full2, scales)
+        for pair in ((smaller1, full2), (full1, smaller2)):
+            np.maximum(evidence, match_evidence(*pair, scales), out=evidence)
+        grids = (f.levels[COARSEST].shape[2:] for f in (source, target))
+        (height1, width1), (height2, width2) = grids
+        grid1 = height1, width1
+        scores = consensus(match_scores(evidence), PASSES, grid1, (height2, width2))
+        cells, probability = peaks(scores, grid1)
         points = (2 * cells + 1) / np.array([[width1], [height1]]) - 1
         probability = probability.clip(*PEAK)
         logits = np.log(probability / (1 - probability))
@@ -152,29 +149,13 @@ class OnnxEngine:
         scales = [[levels[level] for level in self.config.correlated], levels[len(LEVEL_SIZES) :]]
         return [[l2_normalised(level[0]) for level in levels] for levels in scales]
 
-    def _decoder_inputs(
-        self, level: int, source: OnnxFeatures, target: OnnxFeatures, previous: np.ndarray
-    ) -> list[np.ndarray]:
-        """What a level's decoder is given besides the previous state."""
-        features1, features2 = source.levels[level], target.levels[level]
-        radius = self.config.decoders[level].local_radius
-        assert radius is not None  # of a preset that has graphs
-        (warped,) = self._session(WARP)(features1, previous)
-        units = l2_normalised(warped[0]), l2_normalised(features2[0])
-        return [warped, features2, local_correlation(*units, radius)[None]]
-
-    def _decoded(self, state: np.ndarray, size: Size) -> DecodedMap:
-        """The map of a state (3, H, W) whose outer edges are -1 and 1."""
-        normalised = np.nan_to_num(state[:2].transpose(1, 2, 0), nan=-2.0)
-        points = ((normalised + 1) * np.array(size, np.float32) - 1) / 2
-        return DecodedMap(points, 1 / (1 + np.exp(-state[2])), size)
-
     def _session(self, graph: str) -> Session:
         key = os.getpid(), graph
         with _MAKING:
             if key not in self._sessions:
-                own = {name: self._weights[name] for name in self._names[graph]}
-                self._sessions[key] = Session(GRAPHS / self.config.name / graph, own)
+                weights = {name: self._weights[name] for name in self._names[graph]}
+                path = graphs.GRAPHS / self.config.name / graph
+                self._sessions[key] = Session(path, weights)
             return self._sessions[key]
 
 
@@ -185,9 +166,9 @@ def load_onnx_engine(path: Path) -> OnnxEngine:
     are no graphs of the preset.
     """
     name, weights = read_safetensors(path, "np")
-    if name not in PRESETS:
+    if name not in graphs.PRESETS:
         raise InputError(
-            f"{path}: there are no ONNX graphs of {name}, only of {', '.join(PRESETS)}; "
+            f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
             f"run it by torch"
         )
     shapes = {key: value.shape for key, value in weights.items()}
@@ -197,9 +178,10 @@ def load_onnx_engine(path: Path) -> OnnxEngine:
 
 
 def _weights_of(name: str) -> dict[str, Any]:
-    """What graphs.py says of WEIGHTS, of a preset."""
-    found: dict[str, Any] = json.loads((GRAPHS / name / WEIGHTS).read_text(encoding="utf-8"))
-    return found
+    """The content of `graphs.WEIGHTS` of a preset."""
+    text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
+    content: dict[str, Any] = json.loads(text)
+    return content
 
 
 def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:

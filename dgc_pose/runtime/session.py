@@ -32,7 +32,9 @@ class Session:
         # Threads that wait for work must not take the processor from other processes.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # The values must outlive the session.
-        self._values = [onnxruntime.OrtValue.ortvalue_from_numpy(one) for one in weights.values()]
+        self._values = [
+            onnxruntime.OrtValue.ortvalue_from_numpy(value) for value in weights.values()
+        ]
         options.add_external_initializers(list(weights), self._values)
         try:
             self._session = onnxruntime.InferenceSession(
@@ -41,20 +43,19 @@ class Session:
                 providers=["CPUExecutionProvider"],
                 enable_fallback=0,  # it would try the same again, and print
             )
-        except Exception as error:  # onnxruntime's errors have no common base of their own
+        except Exception as error:  # onnxruntime's errors have no common base
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
-        self._inputs = [one.name for one in self._session.get_inputs()]
+        self._inputs = [value.name for value in self._session.get_inputs()]
 
     def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """The outputs."""
-        found: list[np.ndarray] = self._session.run(
-            None, dict(zip(self._inputs, arrays, strict=True))
-        )
-        return found
+        inputs = dict(zip(self._inputs, arrays, strict=True))
+        outputs: list[np.ndarray] = self._session.run(None, inputs)
+        return outputs
 
 
 def session_threads() -> int:
     """As many threads as OpenCV uses (`dgc_pose.system.threads`), and as OMP_NUM_THREADS allows."""
-    allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
+    allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

@@ -39,13 +39,12 @@ class TorchFeatures:
 class TorchEngine:
     """A `DGCNet` as an `Engine`, on the device where its weights are.
 
-    weights: 16 hexadecimal digits of the weights, if the network's own are changed, as by
-    `for_inference`; None to compute them.
+    fingerprint: of the weights before `for_inference`; None to compute it.
     """
 
-    def __init__(self, net: DGCNet, weights: str | None = None) -> None:
+    def __init__(self, net: DGCNet, fingerprint: str | None = None) -> None:
         self.net = net.eval().requires_grad_(False)
-        self._weights = weights
+        self._fingerprint = fingerprint
 
     @property
     def config(self) -> NetworkConfig:
@@ -57,7 +56,7 @@ class TorchEngine:
 
     @cached_property
     def fingerprint(self) -> str:
-        return self._weights or network_fingerprint(self.net)
+        return self._fingerprint or network_fingerprint(self.net)
 
     @cached_property
     def correlation_scales(self) -> np.ndarray:
@@ -81,30 +80,25 @@ class TorchEngine:
         groups: dict[tuple[Size, Size], list[int]] = {}
         for index, (first, second) in enumerate(zip(source, target, strict=True)):
             groups.setdefault((first.size, second.size), []).append(index)
-        found: dict[int, DecodedMap] = {}
+        decoded: dict[int, DecodedMap] = {}
         for indices in groups.values():
             maps = self._decode([source[i] for i in indices], [target[i] for i in indices], finest)
-            found |= zip(indices, maps, strict=True)
-        return [found[index] for index in range(len(source))]
+            decoded |= zip(indices, maps, strict=True)
+        return [decoded[index] for index in range(len(source))]
 
     def _decode(
         self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
     ) -> list[DecodedMap]:
         """As `decode`, of images of the same shapes."""
         size = source[0].size
-        first, second = (
-            _stacked([one.levels for one in features]) for features in (source, target)
-        )
-        prediction = self.net.decode(first, second, finest)
+        prediction = self.net.decode(_stacked(source), _stacked(target), finest)
         maps = prediction.maps[-1].movedim(1, -1).float().nan_to_num(-2.0)
         points = to_pixels(maps, size, self.config.align_corners)
         masks = torch.ones(points.shape[:3])
         if prediction.logits:
             masks = prediction.logits[-1][:, 0].float().sigmoid()
-        return [
-            DecodedMap(*one, size)
-            for one in zip(points.cpu().numpy(), masks.cpu().numpy(), strict=True)
-        ]
+        arrays = zip(points.cpu().numpy(), masks.cpu().numpy(), strict=True)
+        return [DecodedMap(*pair, size) for pair in arrays]
 
     @torch.inference_mode()
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
@@ -112,7 +106,7 @@ class TorchEngine:
         fine, middle, coarse = map(_unit, self.net.coarse_features(planes))
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
 
-    def _input(self, pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
+    def _input(self, pixels: np.ndarray, size: Size) -> Tensor:
         return network_input(pixels, size, next(self.net.parameters()).device)
 
 
@@ -142,8 +136,8 @@ def _unit(level: Tensor) -> np.ndarray:
     return np.ascontiguousarray(unit)
 
 
-def _stacked(features: Sequence[list[Tensor]]) -> list[Tensor]:
+def _stacked(images: Sequence[TorchFeatures]) -> list[Tensor]:
     """The features of several images as those of one batch, level by level."""
-    if len(features) == 1:
-        return features[0]
-    return [torch.cat(level) for level in zip(*features, strict=True)]
+    if len(images) == 1:
+        return images[0].levels
+    return [torch.cat(level) for level in zip(*(image.levels for image in images), strict=True)]

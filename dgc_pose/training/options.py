@@ -83,6 +83,8 @@ class TrainingOptions:
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
         if self.fit_decoders is not None and self.schedule.encoder + self.schedule.coarsest > 0:
             raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
+        if self.fit_decoders is not None and not preset(self.network).any_shape:
+            raise InputError(f"fit_decoders needs dgcm-lite0, not {self.network}")
 
     @property
     def network(self) -> str:
