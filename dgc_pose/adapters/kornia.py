@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from dgc_pose.adapters.images import image_of_tensor
 from dgc_pose.errors import InputError
+from dgc_pose.images.image import load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching.matcher import Matcher
 
@@ -16,16 +17,12 @@ from dgc_pose.matching.matcher import Matcher
 class LoFTRShape(nn.Module):
     """Takes `kornia.feature.LoFTR`'s place: the same input and output.
 
-    >>> matcher = LoFTRShape()  # doctest: +SKIP
-    >>> found = matcher({"image0": grey0, "image1": grey1})  # doctest: +SKIP
-    >>> found["keypoints0"], found["keypoints1"], found["confidence"]  # doctest: +SKIP
+    >>> output = LoFTRShape()({"image0": grey0, "image1": grey1})  # doctest: +SKIP
+    >>> output["keypoints0"], output["keypoints1"], output["confidence"]  # doctest: +SKIP
     """
 
     def __init__(self, matcher: Matcher | None = None) -> None:
-        """
-        Args:
-            matcher: by default `load_matcher()`, the shipped network with refinement.
-        """
+        """matcher: by default `load_matcher()`, the shipped network with refinement."""
         super().__init__()
         self.matcher = matcher or load_matcher()
 
@@ -45,18 +42,22 @@ class LoFTRShape(nn.Module):
                 f"image0 and image1 must be batches (N, C, H, W) of one length, not "
                 f"{tuple(images0.shape)} and {tuple(images1.shape)}"
             )
-        points0, points1, confidence, index = [], [], [], []
-        for i, pair in enumerate(zip(images0, images1, strict=True)):
-            names = (f"image0[{i}]", f"image1[{i}]")
-            made = [image_of_tensor(one, name) for one, name in zip(pair, names, strict=True)]
-            matches = self.matcher.match(*made).matches
-            points0.append(torch.from_numpy(matches.points1))
-            points1.append(torch.from_numpy(matches.points2))
-            confidence.append(torch.from_numpy(matches.confidence))
-            index.append(torch.full((len(matches),), i, dtype=torch.long))
+        matches = []
+        for i, (image0, image1) in enumerate(zip(images0, images1, strict=True)):
+            # Clamped: resampling may leave values outside, and `load_image` would rescale them all.
+            tensors = {f"image0[{i}]": image0, f"image1[{i}]": image1}
+            images = (
+                load_image(tensor.float().clamp(0, 1), name) for name, tensor in tensors.items()
+            )
+            matches.append(self.matcher.match(*images).matches)
+        points0, points1, confidence = (
+            torch.from_numpy(np.concatenate([getattr(of_pair, field) for of_pair in matches]))
+            for field in ("points1", "points2", "confidence")
+        )
+        index = np.repeat(np.arange(len(matches)), [len(of_pair) for of_pair in matches])
         return {
-            "keypoints0": torch.cat(points0).to(images0),
-            "keypoints1": torch.cat(points1).to(images0),
-            "confidence": torch.cat(confidence).to(images0),
-            "batch_indexes": torch.cat(index).to(images0.device),
+            "keypoints0": points0.to(images0),
+            "keypoints1": points1.to(images0),
+            "confidence": confidence.to(images0),
+            "batch_indexes": torch.from_numpy(index).to(images0.device),
         }

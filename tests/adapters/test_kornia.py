@@ -20,39 +20,39 @@ def _grey(pixels: np.ndarray) -> Tensor:
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, Tensor]:
+def output() -> dict[str, Tensor]:
     """Of two pairs in one batch."""
     views = [_grey(view.pixels) for view in render_views(3)]
     module = LoFTRShape(load_matcher("sift"))
     return module({"image0": torch.cat(views[:2]), "image1": torch.cat(views[1:])})
 
 
-def test_the_batch_is_that_of_single_pairs(found: dict[str, Tensor]) -> None:
+def test_the_batch_is_that_of_single_pairs(output: dict[str, Tensor]) -> None:
     views = [_grey(view.pixels) for view in render_views(3)]
     for i in range(2):
-        of = found["batch_indexes"] == i
+        of = output["batch_indexes"] == i
         grey = [np.rint(views[i + k][0, 0].numpy() * 255).astype(np.uint8) for k in (0, 1)]
-        images = [Image(np.repeat(one[..., None], 3, -1)) for one in grey]
+        images = [Image(np.repeat(pixels[..., None], 3, -1)) for pixels in grey]
         expected = load_matcher("sift").match(*images).matches
-        np.testing.assert_allclose(found["keypoints0"][of], expected.points1, rtol=1e-6)
-        np.testing.assert_allclose(found["keypoints1"][of], expected.points2, rtol=1e-6)
-        np.testing.assert_allclose(found["confidence"][of], expected.confidence, rtol=1e-5)
-    assert (found["keypoints0"].max(0).values < torch.tensor(SIZE)).all()
+        np.testing.assert_allclose(output["keypoints0"][of], expected.points1, rtol=1e-6)
+        np.testing.assert_allclose(output["keypoints1"][of], expected.points2, rtol=1e-6)
+        np.testing.assert_allclose(output["confidence"][of], expected.confidence, rtol=1e-5)
+    assert (output["keypoints0"].max(0).values < torch.tensor(SIZE)).all()
 
 
-def test_the_output_is_that_of_kornias_loftr(found: dict[str, Tensor]) -> None:
+def test_the_output_is_that_of_kornias_loftr(output: dict[str, Tensor]) -> None:
     """The same keys, dimensions and types as of the real class, without its weights; and kornia's
     own estimate takes the points."""
     kornia = pytest.importorskip("kornia")
     noise = torch.rand(1, 1, 64, 64, generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():
         theirs = kornia.feature.LoFTR(pretrained=None).eval()({"image0": noise, "image1": noise})
-    assert found.keys() == theirs.keys()
+    assert output.keys() == theirs.keys()
     for key, value in theirs.items():
-        assert found[key].ndim == value.ndim, key
-        assert found[key].dtype == value.dtype, key
-    first = found["batch_indexes"] == 0
-    points = [found[f"keypoints{k}"][first][None] for k in (0, 1)]
+        assert output[key].ndim == value.ndim, key
+        assert output[key].dtype == value.dtype, key
+    first = output["batch_indexes"] == 0
+    points = [output[f"keypoints{k}"][first][None] for k in (0, 1)]
     F = kornia.geometry.epipolar.find_fundamental(*points, torch.ones(points[0].shape[:2]))
     distance = kornia.geometry.epipolar.sampson_epipolar_distance(*points, F)
     assert float(distance.median()) < 1

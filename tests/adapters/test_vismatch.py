@@ -28,7 +28,7 @@ class _StandIn(torch.nn.Module):
     @torch.inference_mode()
     def forward(self, img0: torch.Tensor, img1: torch.Tensor) -> dict[str, Any]:
         points0, points1, all0, all1, described0, described1, confidence = self._forward(img0, img1)
-        assert all(one is None for one in (all0, all1, described0, described1))
+        assert all(part is None for part in (all0, all1, described0, described1))
         assert points0.shape == points1.shape == (len(confidence), 2)
         return {
             "matched_kpts0": points0,
@@ -52,15 +52,15 @@ def matcher_class(monkeypatch: pytest.MonkeyPatch) -> Iterator[type]:
 
 def test_matches_are_those_of_the_matcher_alone(matcher_class: type) -> None:
     pixels = [view.pixels for view in render_views(2)]
-    tensors = [torch.from_numpy(one).permute(2, 0, 1).float() / 255 for one in pixels]
+    tensors = [torch.from_numpy(view).permute(2, 0, 1).float() / 255 for view in pixels]
     matcher = matcher_class(matcher=load_matcher("sift"), ransac_iters=500)
     assert matcher.ransac_iters == 500
-    found = matcher(*tensors)
+    result = matcher(*tensors)
     expected = load_matcher("sift").match(*map(Image, pixels)).matches
     assert len(expected) > 100
-    np.testing.assert_allclose(found["matched_kpts0"], expected.points1)
-    np.testing.assert_allclose(found["matched_kpts1"], expected.points2)
-    np.testing.assert_allclose(found["matched_confidences"], expected.confidence)
+    np.testing.assert_allclose(result["matched_kpts0"], expected.points1)
+    np.testing.assert_allclose(result["matched_kpts1"], expected.points2)
+    np.testing.assert_allclose(result["matched_confidences"], expected.confidence)
 
 
 def test_images_without_matches(matcher_class: type) -> None:
