@@ -31,15 +31,6 @@ class PosedViews:
         pose = self.poses[name]
         return -pose[:, :3].T @ pose[:, 3]
 
-    def every(self, step: int) -> PosedViews:
-        """The first view and every `step`-th after it, in the order of the names."""
-        names = sorted(self.poses)[::step]
-        return replace(
-            self,
-            cameras={name: self.cameras[name] for name in names},
-            poses={name: self.poses[name] for name in names},
-        )
-
     def resized(self, scale: float, folder: Path) -> PosedViews:
         """Copies of the images by area means, as PNG in `folder`, with their cameras.
 

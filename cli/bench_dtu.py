@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,17 +11,14 @@ import click
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.dtu_pairs import (
     DESCRIPTIONS,
-    DtuPairs,
     Protocol,
     dtu_pairs,
     protocol_options,
 )
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_csv
 from dgc_pose.benchmarks.dtu.report_page import write_report
-from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
-from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import (
     by_method,
     heading,
@@ -61,9 +58,7 @@ class Experiment:
         None, "Numbers of the scenes; default: all that are found.", metavar="N,N", parse=_numbers
     )
     pairs: str = option(
-        str(PAIRS),
-        "Number of pairs to draw over all scenes, or a list of pairs.",
-        metavar="N|FILE",
+        str(PAIRS), "Number of pairs to draw over all scenes, or a list of pairs.", metavar="N|FILE"
     )
     protocol: Protocol = option(
         "paper", "; ".join(f"{name}: {text}" for name, text in DESCRIPTIONS.items()) + "."
@@ -117,61 +112,47 @@ def bench_dtu(
     views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
     pairs = dtu_pairs(dataset, views, protocol)
     require_images(pairs.pairs)
-    stems = pairs.stems
-
-    def stem(name1: str, name2: str) -> str:
-        return stems[name1, name2]
-
     for directory in stored.values():
-        FileMatcher(directory, stem).require(stems)
+        FileMatcher(directory, pairs.stem).require(pairs.stems)
     passes = load_passes(
         chosen,
         device=run.device,
         runtime=run.runtime,
         stored=stored,
-        stem=stem,
+        stem=pairs.stem,
         keep_features=True,
     )
-    evaluation = Evaluation(pairs, chosen, passes, run.workers, run.pairs_together)
-    for line in _opening(dataset, experiment.pairs, len(views)):
-        click.echo(line)
+    evaluation = run.evaluation(pairs, chosen, passes)
+    click.echo("\n".join(_opening(dataset, experiment.pairs, len(views))))
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
     store = open_store(evaluation, experiment.out, run, settings, samples=True)
     write_pair_csv(out / "pairs.csv", views)
-    work(evaluation, store)
-    _print_savings(evaluation)
-    data = f"DTU in the {dataset.layout} layout, light {folder.light}"
-    table = _write_results(out, pairs, store.scores, _facts(data, pairs, matcher, estimation))
-    click.echo(f"{protocol} protocol: {DESCRIPTIONS[protocol]}")
-    click.echo(heading(estimation))
-    click.echo(
-        "D_e: median symmetric epipolar distance of a pair in pixels of the protocol's images, its "
-        "median\nover pairs, over all pixels and over the pose's matches; pose s: estimating"
-    )
-    click.echo(table)
-    click.echo(f"{out / 'report.html'}: the plots, and every pair with its matches")
-
-
-def _print_savings(evaluation: Evaluation[DtuScore]) -> None:
-    for name, caches in evaluation.passes.caches.items():
-        kept = caches.features
-        if kept.asked:
-            click.echo(
-                f"{name}: {kept.made} encoder passes instead of {kept.asked}, "
-                f"{100 * (1 - kept.made / kept.asked):.0f} % saved"
-            )
-
-
-def _write_results(
-    out: Path, pairs: DtuPairs, scores: Sequence[DtuScore], facts: Mapping[str, str]
-) -> str:
-    """Write summary.json, the figures and the report; returns the table."""
-    summaries = [summarise_epipolar(own) for own in by_method(scores).values()]
-    table = summary_table(summaries)
-    data = {"protocol": pairs.protocol, "run": facts, **summary_data(summaries)}
+    scores = work(evaluation, store)
+    for name, caches in passes.caches.items():
+        if caches.features.asked:
+            made, asked = caches.features.made, caches.features.asked
+            saved = 100 * (1 - made / asked)
+            click.echo(f"{name}: {made} encoder passes instead of {asked}, {saved:.0f} % saved")
+    summaries = [summarise_epipolar(rows) for rows in by_method(scores).values()]
+    facts = {
+        "protocol": f"{protocol}: {DESCRIPTIONS[protocol]}",
+        "data": f"DTU in the {dataset.layout} layout, light {folder.light}",
+        "scenes": ", ".join(map(str, sorted({view.scene for view in views}))),
+        "pairs": str(len(views)),
+        "estimator": heading(estimation).splitlines()[0].removeprefix("estimator "),
+        "matchability": f"{matcher.matching.matchability:g} at least",
+        "seed": str(estimation.seed),
+    }
+    data = {"protocol": protocol, "run": facts, **summary_data(summaries)}
     write_json(out / "summary.json", data)
+    table = summary_table(summaries)
     write_report(out, pairs, scores, facts=facts, table=table)
-    return table
+    click.echo(
+        f"{protocol} protocol: {DESCRIPTIONS[protocol]}\n{heading(estimation)}\n"
+        "D_e: median symmetric epipolar distance of a pair in pixels of the protocol's images, its "
+        "median\nover pairs, over all pixels and over the pose's matches; pose s: estimating\n"
+        f"{table}\n{out / 'report.html'}: the plots, and every pair with its matches"
+    )
 
 
 def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
@@ -186,23 +167,7 @@ def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
         names = ", ".join(f"scan{number}" for number in dataset.left_out)
         lines.append(f"left out with fewer than two views: {names}")
     short = asked.isdigit() and count < int(asked)
-    lines.append(f"{count} pairs" + (f"; {asked} were asked for, there are no more" * short))
-    return lines
-
-
-def _facts(
-    data: str, pairs: DtuPairs, matcher: MatcherOptions, estimation: EstimationOptions
-) -> dict[str, str]:
-    """The run, for people."""
-    return {
-        "protocol": f"{pairs.protocol}: {DESCRIPTIONS[pairs.protocol]}",
-        "data": data,
-        "scenes": ", ".join(map(str, sorted({scene for scene, _, _ in pairs.keys}))),
-        "pairs": str(len(pairs.keys)),
-        "estimator": heading(estimation).splitlines()[0].removeprefix("estimator "),
-        "matchability": f"{matcher.matching.matchability:g} at least",
-        "seed": str(estimation.seed),
-    }
+    return [*lines, f"{count} pairs" + (f"; {asked} were asked for, there are no more" * short)]
 
 
 def _folders(matches: Sequence[str]) -> dict[str, Path]:

@@ -12,7 +12,6 @@ import click
 import numpy as np
 
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
-from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
@@ -40,7 +39,7 @@ from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import shipped
-from dgc_pose.system.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import MAX_SEED, option
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,7 @@ class PairOptions:
         max=10**6,
     )
     photos: Path | None = option(
-        None,
-        "Folder of photographs, as for training; those that training holds back are used.",
+        None, "Folder of photographs, as for training; those that training holds back are used."
     )
     scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
     out: str | None = option(
@@ -72,9 +70,6 @@ class PairOptions:
     json_path: str | None = option(
         None, "Write the summary as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
     def pair_set(self, pair_list: str | None, change: ImageChange) -> PairSet[Any]:
         """The data set. Raises InputError or ImageError if it cannot be made."""
@@ -127,10 +122,8 @@ def bench_pairs(
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
         passes = load_passes(chosen, device=run.device, runtime=run.runtime)
-        evaluation = Evaluation(pairs, chosen, passes, run.workers, run.pairs_together)
-        store = open_store(evaluation, options.out, run)
-        work(evaluation, store)
-        results = by_method(store.scores)
+        evaluation = run.evaluation(pairs, chosen, passes)
+        results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
         summarised = summarise if options.rendered is None else summarise_epipolar
         summaries = [summarised(rows) for rows in results.values()]
         data = json_text(summary_data(summaries))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,18 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation
+from dgc_pose.benchmarks.methods import MatchingPasses, Method
+from dgc_pose.benchmarks.posed_pairs import PairSet
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.errors import InputError
 from dgc_pose.matchers import RUNTIME_HELP, DeviceName
 from dgc_pose.runtime.load import RuntimeName, device_type
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 
 GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
-
-
 # The options of all methods that a specification leaves open.
 METHOD_FIELDS = ("matching", "refinement")  # of `MatcherOptions`
 
@@ -33,7 +33,7 @@ class RunChoice:
 
     workers: int = option(
         1,
-        "Processes that estimate poses; the results are the same for any number.",
+        "Processes that estimate poses; their number changes no result.",
         min=1,
         max=1024,
     )
@@ -47,18 +47,12 @@ class RunChoice:
     device: DeviceName = option("auto", "Where the network runs.")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
 
-    def __post_init__(self) -> None:
-        check_options(self)
-
-    @property
-    def device_type(self) -> str:
-        """ "cpu" or "cuda". Raises InputError if there is no such device."""
-        return device_type(self.device)
-
-    @property
-    def pairs_together(self) -> int:
-        """--batch, by default that of the device."""
-        return self.batch or (GPU_BATCH if self.device_type == "cuda" else 1)
+    def evaluation(
+        self, pairs: PairSet[Score], methods: Sequence[Method], passes: MatchingPasses
+    ) -> Evaluation[Score]:
+        """Without --batch that of the device."""
+        batch = self.batch or (GPU_BATCH if device_type(self.device) == "cuda" else 1)
+        return Evaluation(pairs, methods, passes, self.workers, batch)
 
 
 def open_store(
@@ -76,15 +70,16 @@ def open_store(
         None if out is None else Path(out),
         evaluation.pairs.kind,
         keys_of(evaluation.pairs, [method.name for method in evaluation.methods]),
-        {**(settings or {}), **evaluation.settings(run.device_type)},
+        {**(settings or {}), **evaluation.settings(device_type(run.device))},
         resume=run.resume,
         overwrite=overwrites(),
         samples=samples,
     )
 
 
-def work(evaluation: Evaluation[Score], store: RunStore[Score]) -> None:
-    """Work through the pairs that are not done yet, with a progress bar on a terminal."""
+def work(evaluation: Evaluation[Score], store: RunStore[Score]) -> list[Score]:
+    """Work through the pairs that are not done yet, with a progress bar on a terminal; returns all
+    records."""
     first, total = store.done, len(evaluation.pairs.ids)
     if first:
         click.echo(f"{first} of {total} pairs are done already")
@@ -92,3 +87,4 @@ def work(evaluation: Evaluation[Score], store: RunStore[Score]) -> None:
     with store:
         for scored in tqdm(rows, total=total, initial=first, unit="pair", disable=None):
             store.add(scored)
+    return store.scores

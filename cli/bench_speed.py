@@ -34,7 +34,7 @@ from dgc_pose.network.weights import load_network
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.torch_engine import network_input
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,6 @@ class SpeedOptions:
     json_path: str | None = option(
         None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @click.command()

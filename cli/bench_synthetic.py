@@ -20,7 +20,7 @@ from dgc_pose.benchmarks.synthetic import SETS, listed_set, synthetic_set
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.map_bench import MapBenchOptions, run_map_bench
 from dgc_pose.cli.options import split_names
-from dgc_pose.system.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import MAX_SEED, option
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,6 @@ class SyntheticOptions:
         "With the trainer's changes of light, blur and noise, and with occluders in warped views; "
         "the paper's sets have none of these.",
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @click.command()

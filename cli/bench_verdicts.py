@@ -7,7 +7,6 @@ from pathlib import Path
 
 import click
 
-from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.verdict_pairs import (
     Group,
@@ -22,11 +21,11 @@ from dgc_pose.benchmarks.verdicts import gates_table, groups_table
 from dgc_pose.cli.bench_run import RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.system.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import MAX_SEED, option
 
 
 @dataclass(frozen=True)
-class PairChoice:
+class VerdictPairChoice:
     """Which pairs are judged."""
 
     photos: Path = option(
@@ -52,9 +51,6 @@ class PairChoice:
     misleading: int = option(10, "Misleading pairs of each kind.", min=0, max=10**6)
     seed: int = option(11, "The same seed, the same pairs.", min=0, max=MAX_SEED)
 
-    def __post_init__(self) -> None:
-        check_options(self)
-
     def groups(self) -> list[Group]:
         """Unrelated and true pairs. Raises ImageError or InputError if they cannot be made."""
         groups = [unrelated_photos(self.photos, self.unrelated, self.seed)]
@@ -68,7 +64,7 @@ class PairChoice:
 
 
 @click.command()
-@dataclass_options(PairChoice, "choice")
+@dataclass_options(VerdictPairChoice, "choice")
 @click.option(
     "--method", default=DEFAULT_WEIGHTS, show_default=True, help="One of --methods of bench-pairs."
 )
@@ -79,7 +75,7 @@ class PairChoice:
     help="Write results.csv, each pair as soon as it is done.",
 )
 @dataclass_options(RunChoice, "run")
-def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunChoice) -> None:
+def bench_verdicts(choice: VerdictPairChoice, method: str, out: str | None, run: RunChoice) -> None:
     """Measure verdicts on unrelated pairs, true pairs, and pairs that mislead.
 
     Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
@@ -89,9 +85,7 @@ def bench_verdicts(choice: PairChoice, method: str, out: str | None, run: RunCho
     groups = choice.groups()
     count = sum(len(group.names) for group in groups)
     hard = misleading(choice.photos, choice.misleading, choice.seed)
-    pairs = VerdictPairs([*groups, *hard])
-    evaluation = Evaluation(pairs, methods, passes, run.workers, run.pairs_together)
-    store = open_store(evaluation, out, run)
-    work(evaluation, store)
+    evaluation = run.evaluation(VerdictPairs([*groups, *hard]), methods, passes)
+    scores = work(evaluation, open_store(evaluation, out, run))
     # Gates are not chosen on what misleads.
-    click.echo(f"{groups_table(store.scores)}\n\n{gates_table(store.scores[:count])}")
+    click.echo(f"{groups_table(scores)}\n\n{gates_table(scores[:count])}")

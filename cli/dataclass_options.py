@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import click
 
-from dgc_pose.system.options import OptionInfo, field_types, option_info
+from dgc_pose.system.options import OptionInfo, check_options, field_types, option_info
 
 _FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
 Command = Callable[..., Any]
@@ -36,8 +36,8 @@ def dataclass_options(
     their defaults.
 
     The type decides the option: bool is a switch (--x, or --x/--no-x if it is True by default),
-    Literal a choice, tuple[X, ...] may be given several times. An InputError of `__post_init__`
-    reaches the caller, and thereby the user as one line.
+    Literal a choice, tuple[X, ...] may be given several times. The values are checked by
+    `check_options`, whose InputError reaches the user as one line.
     """
     chosen = dict(_options(cls, argument, only))
 
@@ -95,7 +95,9 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
             arguments[field.name] = values[name]
         elif any(other.startswith(name + "__") for other in values):
             arguments[field.name] = _made(field_types(cls)[field.name][0], values, name)
-    return cls(**arguments)
+    made = cls(**arguments)
+    check_options(made)
+    return made
 
 
 class _Parsed(click.ParamType):

@@ -18,7 +18,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.matchers import DeviceName
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
     from dgc_pose.benchmarks.probability.plan import PlanEntry
@@ -48,9 +48,6 @@ class FitChoice:
     )
     collected: bool = option(False, "Match no further pairs: fit on those that are stored.")
     device: DeviceName = option("auto", "Where the network runs.")
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @click.command()

@@ -26,7 +26,7 @@ from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
 from dgc_pose.matchers import DeviceName
 from dgc_pose.network.stored import shipped
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 from dgc_pose.viz import save_figure
 from dgc_pose.viz.curves import plot_pck, plot_reliability
 from dgc_pose.viz.map_figure import MapPicture, plot_maps
@@ -62,9 +62,6 @@ class MapBenchOptions:
         type=OutputFile(),
     )
     device: DeviceName = option("auto", "Where the network runs.")
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 def run_map_bench(

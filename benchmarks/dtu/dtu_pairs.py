@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Literal
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
@@ -56,13 +57,17 @@ class DtuPairs(FilePairs[DtuScore]):
         ]
         super().__init__(DtuScore, pairs, ids)
 
-    @property
+    @cached_property
     def stems(self) -> dict[tuple[str, str], str]:
         """The names of files of stored matches, by the paths of a pair's images."""
         return {
             (str(pair.path1), str(pair.path2)): f"scan{scene}_{view1}_{view2}"
             for pair, (scene, view1, view2) in zip(self.pairs, self.keys, strict=True)
         }
+
+    def stem(self, path1: str, path2: str) -> str:
+        """See `FileMatcher`."""
+        return self.stems[path1, path2]
 
     def by_key(self, key: ViewKey) -> PosedPair:
         """The pair of (scene, view1, view2)."""

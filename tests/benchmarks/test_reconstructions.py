@@ -55,7 +55,6 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
             _relative(dict(found.poses), a, b), _relative(true, a, b), atol=1e-9
         )
     assert found.cameras["view0.png"].size == SIZE
-    assert sorted(found.every(3).poses) == ["view0.png", "view3.png"]
     lines = path.read_text().splitlines()
     (folder.parent / "broken.txt").write_text("\n".join([lines[0], lines[2]]))
     with pytest.raises(InputError, match="do not connect"):
@@ -128,4 +127,3 @@ def test_the_command(scene: tuple[Path, Path, list[View]], tmp_path: Path) -> No
         assert one["registered"] == 4
         assert one["position_percent"] < 2
     assert "track length" in done.output
-    assert CliRunner().invoke(main, [*arguments, *options, "--every", "3"]).exit_code == 2
