@@ -20,9 +20,7 @@ from dgc_pose.files.arrays import as_numpy, read_array
 from dgc_pose.files.inputs import existing, read_as, read_text
 from dgc_pose.geometry.pixels import rescale
 
-# If the principal point is farther from the middle, as a share of the image's side, K may belong to
-# an image of another size.
-_USUAL_OFFSET = 0.2
+_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
 _MAX_FILE_BYTES = 4096  # of a file with nine numbers
 
 
@@ -75,9 +73,8 @@ class Camera:
 def as_camera(value: Camera | Any, name: str = "K") -> Camera:
     """A camera from a Camera, an array (3, 3), a path, or a text (see `parse_camera`).
 
-    Raises InputError, naming the argument `name`, if the matrix has another shape, is not finite,
-    is singular, or is not upper triangular with positive focal lengths and a last row of 0 0 1, or
-    if the text cannot be read.
+    Raises InputError, naming the argument `name`, unless the matrix is finite, invertible and upper
+    triangular with positive focal lengths and a last row of 0 0 1.
     """
     if isinstance(value, Camera):
         return value
@@ -89,10 +86,10 @@ def as_camera(value: Camera | Any, name: str = "K") -> Camera:
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
     """A camera from a text, as on the command line.
 
-    One of: 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; the path of a text or
-    .npy file with a 3x3 matrix; a COLMAP camera 'MODEL,width,height,parameters...' with COLMAP's
-    principal point, half a pixel more than ours. files: whether the text may be a path; False for a
-    text of a stranger. Raises InputError of one line, naming `name`.
+    The text is 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; or the path of a
+    text or .npy file with a 3x3 matrix; or a COLMAP camera 'MODEL,width,height,parameters...' with
+    COLMAP's principal point, half a pixel more than ours. files: whether the text may be a path;
+    False for a stranger's text. Raises InputError of one line, naming `name`.
     """
     path = existing(text) if files else None
     if path is not None:
@@ -113,9 +110,9 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
 def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, ...]:
     """Check that a camera belongs to an image of `size` (width, height).
 
-    Raises InputError, naming the argument `name`, if the camera's own size is another, or if its
-    principal point lies outside the image. Returns a warning if the principal point lies so far
-    from the middle that K may belong to an image of another size.
+    Raises InputError, naming the argument `name`, if the camera's size differs, or if its principal
+    point lies outside the image. Returns a warning if the principal point lies so far from the
+    middle that K may belong to an image of another size.
     """
     width, height = size
     if camera.size is not None and tuple(camera.size) != (width, height):
@@ -207,8 +204,8 @@ def _read_matrix(path: Path, name: str) -> np.ndarray:
 def _parse_colmap(words: list[str], name: str) -> Camera:
     size, parameters = _floats(words[1:3]), _floats(words[3:])
     if size is None or parameters is None or any(not side.is_integer() for side in size):
-        given = shortened(",".join(words))
-        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {given!r}")
+        text = shortened(",".join(words))
+        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {text!r}")
     try:
         K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
         return Camera(K, (int(size[0]), int(size[1])), distortion)

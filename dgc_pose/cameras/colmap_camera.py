@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError, reason
-from dgc_pose.files.inputs import read_bytes
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.system.stderr import quiet
 
@@ -20,9 +19,8 @@ if TYPE_CHECKING:
 
     from dgc_pose.images.header import Header
 
-# Largest error of a point that is undistorted and distorted again, in focal lengths: a hundredth of
-# a pixel at a focal length of 1000.
-_MAX_ROUND_TRIP = 1e-5
+# Of a point that is undistorted and distorted again, in focal lengths: 0.01 px at a focal of 1000.
+_MAX_ROUND_TRIP_ERROR = 1e-5
 _READ = ("JPEG", "PNG", "TIFF", "BMP", "PPM")  # formats that pycolmap reads
 _EXIF = b"Exif\0\0"  # the start of an EXIF block in JPEG
 
@@ -61,7 +59,7 @@ class Distortion:
         camera.params = parameters.tolist()
         ideal = np.asarray(camera.cam_from_img(np.ascontiguousarray(points)))
         again = np.asarray(camera.img_from_cam(np.column_stack([ideal, np.ones(len(ideal))])))
-        undone = np.abs(again - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP
+        undone = np.abs(again - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP_ERROR
         return np.where(undone[:, None], ideal, np.nan)
 
 
@@ -90,12 +88,12 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 
     Raises ImageError if the image cannot be read.
     """
-    from dgc_pose.images.image import MAX_BYTES, check_header
+    from dgc_pose.images.image import image_header
     from dgc_pose.system.colmap_library import pycolmap
 
+    header = image_header(path)  # its size is checked, as pycolmap decodes the pixels
     try:
-        header = check_header(read_bytes(path, MAX_BYTES, ImageError), path)
-        # pycolmap decodes the pixels; quiet: about odd EXIF data
+        # quiet: about odd EXIF data
         with _readable(path, header) as file, quiet():
             camera = pycolmap.infer_camera_from_image(file)
     except OSError as error:
@@ -108,7 +106,7 @@ def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
 
 @contextmanager
 def _readable(path: Path, header: Header) -> Iterator[Path]:
-    """An image file for pycolmap: another one of the same size and EXIF data, if it does not read
+    """An image file for pycolmap: a blank JPEG of the same size and EXIF data if it does not read
     the format."""
     import PIL.Image
 
@@ -132,12 +130,10 @@ def pixel_matrix(camera: pycolmap.Camera) -> np.ndarray:
 
 def _model(name: str) -> pycolmap.Camera:
     """A camera of this model with arbitrary parameters."""
-    from dgc_pose.system.colmap_library import (
-        pycolmap,  # on first use: only COLMAP's cameras need it
-    )
+    from dgc_pose.system.colmap_library import pycolmap
 
-    known = [known for known in pycolmap.CameraModelId.__members__ if known != "INVALID"]
-    camera = pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1) if name in known else None
-    if camera is None or len(camera.focal_length_idxs()) == 0:
-        raise InputError(f"{name!r} is not a COLMAP model with a focal length, such as OPENCV")
-    return camera
+    if name != "INVALID" and name in pycolmap.CameraModelId.__members__:
+        camera = pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1)
+        if len(camera.focal_length_idxs()):
+            return camera
+    raise InputError(f"{name!r} is not a COLMAP model with a focal length, such as OPENCV")

@@ -25,8 +25,6 @@ _IMAGES, _IMAGE = struct.Struct("<Q"), struct.Struct("<I7dI")  # of images.bin: 
 _POINT = 24  # bytes of a point of an image
 _NAME, _LINE = 4096, 2**16  # the longest name, and line of an image, bytes
 _NOTHING = {".txt": b"", ".bin": struct.pack("<Q", 0)}  # a file of no images or no points
-
-
 _FAILURES = (RuntimeError, ValueError, KeyError, TypeError, ArithmeticError, MemoryError)
 
 
@@ -52,8 +50,8 @@ def find_file(folder: Path, name: str) -> Path | None:
 
 
 def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
-    """The cameras of a cameras.txt or cameras.bin by their number, and the number of the camera of
-    each image, if images.txt or images.bin lies beside it; else none.
+    """The cameras of a cameras.txt or cameras.bin by their id, and the camera id of each image, if
+    images.txt or images.bin lies beside it.
 
     Raises InputError, with the path, if a file cannot be read.
     """
@@ -63,14 +61,14 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
     content = read_bytes(path, TEXT_BYTES)
     with scratch_folder() as folder:
         for name in ("cameras", "images", "points3D"):  # pycolmap reads whole models alone
-            own = content if name == "cameras" else _NOTHING[ending]
-            with writing(folder / f"{name}{ending}"):
-                (folder / f"{name}{ending}").write_bytes(own)
+            file = folder / f"{name}{ending}"
+            with writing(file):
+                file.write_bytes(content if name == "cameras" else _NOTHING[ending])
         model = pycolmap.Reconstruction()
         try:
             with quiet():
                 model.read_text(folder) if ending == ".txt" else model.read_binary(folder)
-            cameras = {int(key): camera_of(own) for key, own in model.cameras.items()}
+            cameras = {int(key): camera_of(camera) for key, camera in model.cameras.items()}
         except (ValueError, RuntimeError, IndexError, MemoryError, OverflowError) as error:
             raise InputError(f"{path}: not COLMAP's cameras ({reason(error)})") from None
     if not cameras:
@@ -87,11 +85,11 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
 
 
 def _read_binary(stream: BinaryIO) -> dict[str, int]:
-    """The number of the camera by image name, from an images.bin."""
-    found: dict[str, int] = {}
+    """The camera id by image name, from an images.bin."""
+    camera_ids: dict[str, int] = {}
     (count,) = _IMAGES.unpack(stream.read(_IMAGES.size))
     for _ in range(count):
-        camera = _IMAGE.unpack(stream.read(_IMAGE.size))[-1]
+        camera_id = _IMAGE.unpack(stream.read(_IMAGE.size))[-1]
         name = b""
         while not name.endswith(b"\0"):
             letter = stream.read(1)
@@ -101,8 +99,8 @@ def _read_binary(stream: BinaryIO) -> dict[str, int]:
         (points,) = _IMAGES.unpack(stream.read(_IMAGES.size))
         if points and not _skipped(stream, _POINT * points):
             raise ValueError("points are missing")
-        found[name[:-1].decode()] = camera
-    return found
+        camera_ids[name[:-1].decode()] = camera_id
+    return camera_ids
 
 
 def _skipped(stream: BinaryIO, count: int) -> bool:
@@ -116,15 +114,15 @@ def _skipped(stream: BinaryIO, count: int) -> bool:
 
 def _read_text(stream: BinaryIO) -> dict[str, int]:
     """The same from an images.txt: two lines an image, the second of its points."""
-    found: dict[str, int] = {}
+    camera_ids: dict[str, int] = {}
     while line := stream.readline(_LINE):
         words = line.decode().strip().split(maxsplit=9)
         if words and not words[0].startswith("#"):
             if len(words) < 10:
                 raise ValueError("an image without a name")
-            found[words[9]] = int(words[8])
+            camera_ids[words[9]] = int(words[8])
             stream.readline()
-    return found
+    return camera_ids
 
 
 def read_database(path: Path) -> DatabaseContent:
@@ -144,7 +142,7 @@ def read_database(path: Path) -> DatabaseContent:
         try:
             _require_plain(copy)
             with quiet(), pycolmap.Database.open(copy) as database:
-                cameras = {own.camera_id: own for own in database.read_all_cameras()}
+                cameras = {camera.camera_id: camera for camera in database.read_all_cameras()}
                 images = database.read_all_images()
             # pycolmap's reader of matches ends the process where a column is of another type.
             with closing(sqlite3.connect(copy)) as plain:
@@ -157,8 +155,8 @@ def read_database(path: Path) -> DatabaseContent:
 
 
 def _require_plain(path: Path) -> None:
-    """Raise ValueError unless a database holds nothing but tables of stored columns: views, virtual
-    tables and generated columns are programs, which need not come to an end."""
+    """Raise ValueError unless a database holds tables of stored columns alone: views, virtual
+    tables and generated columns are programs, which may run for ever."""
     with closing(sqlite3.connect(path)) as database:
         for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
             if kind not in ("table", "index") or str(sql).upper().startswith("CREATE VIRTUAL"):

@@ -1,4 +1,4 @@
-"""The images below a folder, told by their content, and what of the folder is left out."""
+"""The images below a folder, told by their content, and what is left out."""
 
 from __future__ import annotations
 
@@ -33,19 +33,16 @@ def search_images(folder: str | Path) -> FolderImages:
         if failure is not None and path == root:
             raise failure
         name = path.relative_to(root).as_posix()
-        why = _why_not(path, name) if failure is None else _said(failure)
+        why = _why_not(path, name) if failure is None else _system_words(failure)
         if why is None:
             names.append(name)
         else:
             left_out.setdefault(("file" if failure is None else "folder", why), []).append(name)
-    return FolderImages(
-        tuple(sorted(names)),
-        tuple(
-            f"{len(without)} {kind}{'s' * (len(without) > 1)} left out (first: {min(without)}): "
-            f"{why}"
-            for (kind, why), without in left_out.items()
-        ),
+    lines = (
+        f"{len(paths)} {kind}{'s' * (len(paths) > 1)} left out (first: {min(paths)}): {why}"
+        for (kind, why), paths in left_out.items()
     )
+    return FolderImages(tuple(sorted(names)), tuple(lines))
 
 
 def _walk(root: Path) -> Iterator[tuple[Path, OSError | None]]:
@@ -82,11 +79,11 @@ def _why_not(path: Path, name: str) -> str | None:
     try:
         start = read_start(path, START_BYTES, ImageError)
     except OSError as failure:
-        return _said(failure)
+        return _system_words(failure)
     except ImageError:
         return "no regular file"
     return unreadable(start) if start else "empty"
 
 
-def _said(failure: OSError) -> str:
+def _system_words(failure: OSError) -> str:
     return failure.strerror or str(failure)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 # Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
 MAX_PIXELS = 210_000_000
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # of the environment, for another bound
-MAX_BYTES = 2**31 - 1  # of a file; OpenCV counts an encoded image's bytes in a signed 32-bit number
+MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
 _HEADER_BYTES = 2**17  # read first for an image's size alone
 
 
@@ -79,12 +81,12 @@ def load_image(
 
 
 def _read_file(path: Path) -> Image:
-    data = _read_bytes(path)
-    header = check_header(data, path)
-    notes = orientation_notes(header, path)
-    # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-    array = _decoded(data, path, header, cv2.IMREAD_UNCHANGED)
-    try:
+    with _image_errors(path):
+        data = read_bytes(path, MAX_BYTES, ImageError)
+        header = _checked_header(data, path)
+        notes = orientation_notes(header, path)
+        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
+        array = _decoded(data, path, header, cv2.IMREAD_UNCHANGED)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
             rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         else:
@@ -92,10 +94,6 @@ def _read_file(path: Path) -> Image:
                 array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
             rgb = _to_rgb8(array, str(path))
         return Image(rgb, str(path), notes)
-    except InputError as error:
-        raise ImageError(str(error)) from error
-    except MemoryError:
-        raise ImageError(f"{path} needs more memory than there is") from None
 
 
 def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
@@ -105,8 +103,9 @@ def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarr
     file is missing, corrupt, too large or no regular file.
     """
     path = Path(path)
-    data = _read_bytes(path)
-    return _decoded(data, path, check_header(data, path), flags)
+    with _image_errors(path):
+        data = read_bytes(path, MAX_BYTES, ImageError)
+        return _decoded(data, path, _checked_header(data, path), flags)
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -116,15 +115,31 @@ def image_size(path: str | Path) -> tuple[int, int]:
 
 def image_header(path: Path) -> Header:
     """The header of an image file. Raises ImageError, with the path."""
-    try:
-        # Pixels may lie before the header, in a TIFF, and much else in a photograph.
-        header = read_header(_read_bytes(path, _HEADER_BYTES), complete=False)
-    except ImageError:
-        raise
-    except Exception:
-        return check_header(_read_bytes(path), path)
+    with _image_errors(path):
+        try:
+            start = read_start(path, _HEADER_BYTES, ImageError)
+            header = read_header(start, complete=False)
+        except ImageError:
+            raise
+        except Exception:  # in a TIFF the pixels may lie before the header
+            return _checked_header(read_bytes(path, MAX_BYTES, ImageError), path)
     check_pixel_count(*header.size, path)
     return header
+
+
+@contextmanager
+def _image_errors(path: Path) -> Iterator[None]:
+    """Turn the errors of the reading of an image into ImageErrors with the path."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise ImageError(f"{path} does not exist") from None
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        raise ImageError(f"{path} needs more memory than there is") from None
+    except InputError as error:
+        raise ImageError(str(error)) from error
 
 
 def max_pixels() -> int:
@@ -145,24 +160,6 @@ def check_pixel_count(width: int, height: int, path: Path) -> None:
         )
 
 
-def _read_bytes(path: Path, start: int | None = None) -> bytes:
-    """All of a file, or the first `start` bytes."""
-    try:
-        if start is not None:
-            data = read_start(path, start, ImageError)
-        else:
-            data = read_bytes(path, MAX_BYTES, ImageError)
-    except FileNotFoundError:
-        raise ImageError(f"{path} does not exist") from None
-    except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
-    except MemoryError:
-        raise ImageError(f"{path} needs more memory than there is") from None
-    if not data:
-        raise ImageError(f"{path} is empty")
-    return data
-
-
 def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
     """Pixels in the order BGR. Of HEIC 8-bit colours without alpha, whatever the flags."""
     array: np.ndarray | None
@@ -173,10 +170,10 @@ def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
             with quiet():
                 array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except MemoryError:
-        raise ImageError(f"{path} needs more memory than there is") from None
+        raise
     except cv2.error as error:
         if error.code == cv2.Error.STS_NO_MEM:
-            raise ImageError(f"{path} needs more memory than there is") from None
+            raise MemoryError from None
         raise ImageError(f"{path} is corrupt: {error.err}") from None
     except Exception as error:  # of libheif
         raise ImageError(f"{path} is corrupt: {reason(error)}") from error
@@ -194,12 +191,14 @@ def _decoded_heif(data: bytes) -> np.ndarray:
     return cv2.cvtColor(decoded, cv2.COLOR_GRAY2BGR) if grey else decoded[:, :, :3].copy()
 
 
-def check_header(data: bytes, path: Path) -> Header:
-    """What an encoded image says of itself, after a check of its size, before it is decoded.
+def _checked_header(data: bytes, path: Path) -> Header:
+    """The header of an encoded image of a file, whose size is checked before it is decoded.
 
-    Raises ImageError, with the path, if it has too many pixels, a header that cannot be read, or is
-    no image of a format that is read.
+    Raises ImageError, with the path, if the file is empty, has too many pixels or a header that
+    cannot be read, or is no image of a format that is read.
     """
+    if not data:
+        raise ImageError(f"{path} is empty")
     try:
         header = read_header(data)
     except UnreadableFormatError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import sys
 from importlib import metadata, resources
 from importlib.util import find_spec
@@ -16,29 +17,13 @@ from dgc_pose.version import build, version
 Facts = dict[str, dict[str, str]]  # by heading, then by name
 
 LIBRARIES = (
-    "numpy",
-    "scipy",
-    "opencv-python-headless",
-    "pillow",
-    "poselib",
-    "pycolmap",
-    "onnxruntime",
-    "torch",
-    "safetensors",
-    "matplotlib",
-    "click",
-    "starlette",
-    "uvicorn",
+    *("numpy", "scipy", "opencv-python-headless", "pillow", "poselib", "pycolmap", "onnxruntime"),
+    *("torch", "safetensors", "matplotlib", "click", "starlette", "uvicorn"),
 )
-# Environment variables that change threads, devices or where files are found.
+# Environment variables that change threads, devices or the size of images.
 VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OMP_WAIT_POLICY",
-    "GOMP_SPINCOUNT",
-    "MKL_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-    "CUDA_VISIBLE_DEVICES",
+    *("OMP_NUM_THREADS", "OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "MKL_NUM_THREADS"),
+    *("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM", "CUDA_VISIBLE_DEVICES"),
     "DGC_POSE_MAX_PIXELS",
 )
 ABSENT = "not installed"
@@ -77,13 +62,11 @@ def _machine() -> dict[str, str]:
 def _processor() -> str:
     """The processor's name; Linux has it in a file, other systems in `platform`."""
     try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
-            for line in lines:
-                if line.startswith("model name"):
-                    return line.split(":", 1)[1].strip()
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     except OSError:
-        pass
-    return platform.processor() or platform.machine()
+        text = ""
+    name = re.search(r"^model name\s*:\s*(.*)", text, re.MULTILINE)
+    return name[1] if name else platform.processor() or platform.machine()
 
 
 def _memory() -> str:
@@ -102,40 +85,35 @@ def _library(name: str) -> str:
 
 def _weights() -> dict[str, str]:
     """Each file of weights with its size and the first digits of its sha256."""
-    folder = resources.files("dgc_pose") / "weights"
-    files = sorted(Path(str(folder)).iterdir()) if folder.is_dir() else []
-    found = {}
-    for file in files:
-        if file.suffix in (".safetensors", ".onnx"):
-            data = file.read_bytes()
-            digest = hashlib.sha256(data).hexdigest()[:16]
-            found[file.name] = f"{len(data) / 1e6:.1f} MB, sha256 {digest}"
-    return found
+    facts = {}
+    for file in sorted(Path(str(resources.files("dgc_pose") / "weights")).glob("*.safetensors")):
+        data = file.read_bytes()
+        digest = hashlib.sha256(data).hexdigest()[:16]
+        facts[file.name] = f"{len(data) / 1e6:.1f} MB, sha256 {digest}"
+    return facts
 
 
 def _devices() -> dict[str, str]:
-    found = {"onnxruntime": _providers()} if find_spec("onnxruntime") else {}
+    facts = {}
+    if find_spec("onnxruntime"):
+        from dgc_pose.system.onnx_library import onnxruntime
+
+        facts["onnxruntime"] = ", ".join(onnxruntime.get_available_providers())
     if not find_spec("torch"):
-        return found | {"torch": ABSENT}
+        return facts | {"torch": ABSENT}
     import torch
 
     if not torch.cuda.is_available():
-        return found | {"torch": "cpu"}
+        return facts | {"torch": "cpu"}
     cards = (torch.cuda.get_device_properties(n) for n in range(torch.cuda.device_count()))
     names = [f"{card.name}, {card.total_memory / 2**30:.0f} GiB" for card in cards]
-    return found | {"torch": f"cuda {torch.version.cuda}: " + "; ".join(names)}
-
-
-def _providers() -> str:
-    from dgc_pose.system.onnx_library import onnxruntime
-
-    return ", ".join(onnxruntime.get_available_providers())
+    return facts | {"torch": f"cuda {torch.version.cuda}: " + "; ".join(names)}
 
 
 def _threads() -> dict[str, str]:
     import cv2
 
-    found = {"OpenCV": str(cv2.getNumThreads())}
+    facts = {"OpenCV": str(cv2.getNumThreads())}
     if "torch" in sys.modules:
-        found["torch"] = str(sys.modules["torch"].get_num_threads())
-    return found
+        facts["torch"] = str(sys.modules["torch"].get_num_threads())
+    return facts
