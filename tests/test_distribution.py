@@ -72,17 +72,10 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> Release:
     return Release(sdist, build(source, "wheel"), run(*git, "rev-parse", "HEAD"))
 
 
-@pytest.fixture(scope="module")
-def wheel_files(release: Release) -> set[str]:
-    return set(zipfile.ZipFile(release.wheel).namelist())
-
-
-def test_nothing_but_dgc_pose_is_installed_at_the_top(wheel_files: set[str]) -> None:
-    top = {name.split("/")[0] for name in wheel_files if ".dist-info/" not in name}
-    assert top == {"dgc_pose"}
-
-
-def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(wheel_files: set[str]) -> None:
+def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(release: Release) -> None:
+    """And nothing beside the package at the top."""
+    wheel_files = set(zipfile.ZipFile(release.wheel).namelist())
+    assert {name.split("/")[0] for name in wheel_files if ".dist-info/" not in name} == {"dgc_pose"}
     expected = {"dgc_pose/py.typed", "dgc_pose/build.txt"}
     for folder, package in MAPPED.items():
         target = package.replace(".", "/")
@@ -118,10 +111,10 @@ def interpreter(number: str) -> str | None:
     root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
     installed = sorted(root.glob(f"versions/{number}.*/bin/python{number}"))
     on_path = shutil.which(f"python{number}")
-    for found in (*map(str, installed), *([on_path] if on_path else [])):
+    for path in (*map(str, installed), *([on_path] if on_path else [])):
         # pyenv puts a program of each name on the path, which may lead to nothing.
-        if subprocess.run([found, "-c", ""], capture_output=True).returncode == 0:
-            return found
+        if subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
+            return path
     return None
 
 
@@ -132,22 +125,11 @@ def installed(python: str, wheel: Path, folder: Path) -> Path:
     else:
         run(python, "-m", "venv", "--without-pip", folder)
     own = folder / "bin" / "python"
-    command = (
-        "-m",
-        "pip",
-        "--python",
-        own,
-        "install",
-        "-q",
-        "--no-deps",
-        "--no-index",
-        "--no-compile",
-    )
-    run(sys.executable, *command, wheel)
+    flags = ("-q", "--no-deps", "--no-index", "--no-compile")
+    run(sys.executable, "-m", "pip", "--python", own, "install", *flags, wheel)
     return own
 
 
-@pytest.mark.skipif(os.name == "nt", reason="environments have other folders there")
 @pytest.mark.parametrize("number", PYTHONS)
 def test_every_python_installs_the_wheel_and_runs_the_command(
     release: Release, tmp_path: Path, number: str
@@ -166,14 +148,14 @@ def test_every_python_installs_the_wheel_and_runs_the_command(
         else:
             shutil.copy(origin, tmp_path / "needed" / origin.name)
     needed = str(tmp_path / "needed")
-    (found,) = (tmp_path / "env").glob("lib/python*/site-packages/dgc_pose")
+    (package,) = (tmp_path / "env").glob("lib/python*/site-packages/dgc_pose")
     # Every module is written in this version's language.
     code = (
         "import ast, pathlib, sys\n"
         "files = list(pathlib.Path(sys.argv[1]).rglob('*.py'))\n"
         "print(sum(ast.parse(file.read_bytes()) is not None for file in files))"
     )
-    assert int(run(own, "-c", code, found, cwd=tmp_path)) > 150
+    assert int(run(own, "-c", code, package, cwd=tmp_path)) > 150
     script = tmp_path / "env" / "bin" / "dgc-pose"
     text = run(script, "--version", cwd=tmp_path, PYTHONPATH=needed)
     shown, build_of = text.removeprefix("dgc-pose ").removesuffix(")").split(" (build ")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import configparser
-import importlib
 import re
 import subprocess
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import requires
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = {"jinja2", "matplotlib", "pycolmap", "scipy", "torch"}  # of the light set
@@ -19,44 +19,33 @@ MAPPED = {"dgc_pose": "dgc_pose", "cli": "dgc_pose.cli", "benchmarks": "dgc_pose
 
 
 @pytest.fixture(scope="module")
-def options() -> configparser.SectionProxy:
+def setup() -> configparser.ConfigParser:
     parser = configparser.ConfigParser()
     parser.read(ROOT / "setup.cfg")
-    return parser["options"]
+    return parser
 
 
-def packages_on_disk() -> set[str]:
-    found = set()
+def pins(file: str) -> dict[str, str]:
+    """The version of each distribution that a file of pins names."""
+    pairs = re.findall(r"^([\w.-]+)==([^\s+]+)", (ROOT / file).read_text(), re.MULTILINE)
+    return {name.lower().replace("_", "-"): version for name, version in pairs}
+
+
+def requirements(lines: str) -> list[Requirement]:
+    return [
+        Requirement(line)
+        for line in lines.splitlines()
+        if line.strip() and not line.startswith("#")
+    ]
+
+
+def test_every_folder_of_modules_is_a_listed_package(setup: configparser.ConfigParser) -> None:
+    packages = set()
     for folder, package in MAPPED.items():
-        for module in (ROOT / folder).rglob("*.py"):
-            inside = module.parent.relative_to(ROOT / folder).parts
-            found.add(".".join((package, *inside)))
-    return found
-
-
-def test_every_package_is_listed_and_every_listed_one_exists(
-    options: configparser.SectionProxy,
-) -> None:
-    assert set(options["packages"].split()) == packages_on_disk()
-
-
-def test_every_package_is_a_package() -> None:
-    for folder in MAPPED:
         for module in (ROOT / folder).rglob("*.py"):
             assert (module.parent / "__init__.py").is_file(), f"{module.parent} has no __init__.py"
-
-
-def test_the_console_script_is_the_click_command() -> None:
-    (script,) = entry_points(group="console_scripts", name="dgc-pose")
-    assert script.value == "dgc_pose.cli.main:main"
-    assert callable(script.load())
-
-
-def test_mapped_packages_are_imported_from_their_folders() -> None:
-    for folder, package in MAPPED.items():
-        module = importlib.import_module(package)
-        assert module.__file__ is not None
-        assert Path(module.__file__).resolve().parent.name == folder.split(".")[-1]
+            packages.add(".".join((package, *module.parent.relative_to(ROOT / folder).parts)))
+    assert set(setup["options"]["packages"].split()) == packages
 
 
 def test_mapped_folders_are_no_top_level_packages() -> None:
@@ -74,70 +63,40 @@ def test_importing_the_ground_brings_nothing_heavy(module: str) -> None:
     assert run_elsewhere(code) == "[]"
 
 
-@pytest.mark.parametrize(
-    "module", ["images.image", "matches", "metrics", "geometry", "estimation", "cameras.camera"]
-)
-def test_the_rooms_below_the_network_do_not_import_torch(module: str) -> None:
-    assert run_elsewhere(f"import sys, dgc_pose.{module}; print('torch' in sys.modules)") == "False"
+def test_the_rooms_below_the_network_do_not_import_torch() -> None:
+    rooms = ("images.image", "matches", "metrics", "geometry", "estimation", "cameras.camera")
+    names = ", ".join(f"dgc_pose.{room}" for room in rooms)
+    assert run_elsewhere(f"import sys, {names}; print('torch' in sys.modules)") == "False"
 
 
 def test_constraints_pin_every_dependency_within_its_range(
-    options: configparser.SectionProxy,
+    setup: configparser.ConfigParser,
 ) -> None:
-    from packaging.requirements import Requirement
-
-    pins = {}
-    for line in (ROOT / "constraints.txt").read_text().splitlines():
-        if line and not line.startswith("#"):
-            name, version = line.split("==")
-            pins[name.lower()] = version
-    parser = configparser.ConfigParser()
-    parser.read(ROOT / "setup.cfg")
-    extras = parser["options.extras_require"]
-    # mkdocs and its plug-ins build the documentation alone.
-    wanted = "\n".join([options["install_requires"], *(extras[name] for name in extras)])
-    requirements = [Requirement(line) for line in wanted.split("\n") if line.strip()]
-    assert len(requirements) > 10
-    for requirement in requirements:
-        assert requirement.specifier.contains(pins[requirement.name]), requirement
+    extras = setup["options.extras_require"].values()
+    wanted = requirements("\n".join([setup["options"]["install_requires"], *extras]))
+    assert len(wanted) > 10
+    for requirement in wanted:
+        assert requirement.specifier.contains(pins("constraints.txt")[requirement.name])
+    assert pins("constraints-hashes.txt") == pins("constraints.txt")
 
 
 def test_the_light_set_is_what_is_needed_without_torch_colmap_and_figures(
-    options: configparser.SectionProxy,
+    setup: configparser.ConfigParser,
 ) -> None:
     """With what those packages need in turn: it is installed with --no-deps."""
-    from importlib.metadata import requires
-
-    from packaging.requirements import Requirement
-
-    def pins(file: str) -> dict[str, str]:
-        lines = (ROOT / file).read_text().splitlines()
-        named = [line.split("==") for line in lines if line and not line.startswith("#")]
-        return {name.lower().replace("_", "-"): version for name, version in named}
-
     light, constraints = pins("requirements-light.txt"), pins("constraints.txt")
     assert {name: constraints[name] for name in light} == light
-    lines = [*options["install_requires"].splitlines(), "starlette", "uvicorn"]
-    direct = [Requirement(line) for line in lines if line.strip() and not line.startswith("#")]
-    waiting = [one for one in direct if one.name not in LEFT_OUT]
+    direct = requirements(setup["options"]["install_requires"] + "\nstarlette\nuvicorn")
+    waiting = [requirement for requirement in direct if requirement.name not in LEFT_OUT]
     assert len(waiting) == len(direct) - len(LEFT_OUT)
     needed = set()
     while waiting:
         name = waiting.pop().name.lower().replace("_", "-")
         if name not in needed:
             needed.add(name)
-            found = map(Requirement, requires(name) or [])
-            waiting += [r for r in found if r.marker is None or r.marker.evaluate({"extra": ""})]
+            further = map(Requirement, requires(name) or [])
+            waiting += [r for r in further if r.marker is None or r.marker.evaluate({"extra": ""})]
     assert needed == set(light)
-
-
-def test_the_pins_by_hash_are_those_of_the_constraints() -> None:
-    def pinned(name: str) -> dict[str, str]:
-        lines = (ROOT / name).read_text().splitlines()
-        pairs = [line.split()[0].split("==") for line in lines if re.match(r"[\w.-]+==", line)]
-        return {key.lower().replace("_", "-"): version.split("+")[0] for key, version in pairs}
-
-    assert pinned("constraints-hashes.txt") == pinned("constraints.txt")
 
 
 def run_elsewhere(code: str) -> str:

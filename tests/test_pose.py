@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -144,10 +142,3 @@ def test_every_public_name_is_there() -> None:
         assert getattr(dgc_pose, name) is not None
     with pytest.raises(AttributeError, match="nothing_such"):
         dgc_pose.nothing_such  # noqa: B018
-
-
-def test_importing_the_package_imports_no_torch() -> None:
-    code = "import sys, dgc_pose; print('torch' in sys.modules)"
-    command = [sys.executable, "-c", code]
-    answer = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert answer.stdout.strip() == "False"

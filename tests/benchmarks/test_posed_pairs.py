@@ -8,7 +8,7 @@ import dense_scene
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from verdict_folder import write_photos
+from photos import write_photos
 
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from good_evidence import GOOD_EVIDENCE
-from verdict_folder import write_photos
+from photos import write_photos
 
 from dgc_pose.benchmarks import verdict_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from photo_folder import write_photos
+from photos import write_photos
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
@@ -14,7 +14,9 @@ from dgc_pose.network.weights import load_network
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_photos(tmp_path_factory.mktemp("photos"))
+    folder = tmp_path_factory.mktemp("photos")
+    write_photos(folder, 40)
+    return folder
 
 
 def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import click
 import dense_scene
-import verdict_folder
 from fuzz.damage import png_chunk
 from fuzz.readers import make_batch
+from photos import write_photos
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main
@@ -58,7 +58,7 @@ def make_files(folder: Path) -> None:
         (folder / name).write_bytes(bytes(range(256)) * 8)
     (folder / "huge.png").write_bytes(png_claiming(60_000, 50_000))
     (folder / "claims.png").write_bytes(png_claiming(4, 4, chunk=2**31 - 10))
-    verdict_folder.write_photos(folder / "photos", 24)
+    write_photos(folder / "photos", 24)
     for name in ("dir", "batch", "run"):
         (folder / name).mkdir()
     make_batch(folder / "batch")

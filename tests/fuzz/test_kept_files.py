@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import verdict_folder
 from command_line import assert_refused, contents, run
 from fuzz.readers import make_batch
+from photos import write_photos
 
 from dgc_pose.batch.plan import read_plan
 from dgc_pose.batch.store import PartStore
@@ -91,7 +91,7 @@ def test_copies_for_a_benchmark_never_replace_the_images(tmp_path: Path) -> None
 
 def test_a_second_writer_of_a_batch_is_refused(tmp_path: Path) -> None:
     words = ("--pairs", "sequential:1", "--K", "90,90,48,40", "--weights", "sift")
-    verdict_folder.write_photos(tmp_path / "photos", 2)
+    write_photos(tmp_path / "photos", 2)
     (tmp_path / "out").mkdir()
     with only_writer(tmp_path / "out"):
         assert_refused(

@@ -8,7 +8,7 @@ from pathlib import Path
 import depth_folder
 import pytest
 import torch
-from photo_folder import drawn_photos
+from photos import drawn_photos
 from pretend_gpu import DEVICE, MixedDevicesError, Pretended, pretended_gpu
 
 from dgc_pose.network.config import preset

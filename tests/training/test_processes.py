@@ -11,7 +11,7 @@ from pathlib import Path
 import joint_run
 import pytest
 import torch
-from photo_folder import drawn_photos
+from photos import drawn_photos
 from torch import nn
 
 from dgc_pose.errors import InputError

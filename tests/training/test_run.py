@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 from map_nets import SMALL
-from photo_folder import drawn_photos
+from photos import drawn_photos
 from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
