@@ -15,7 +15,7 @@ from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.probability.report import judged, reliability_figure, report_text
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.probability import MatchKind, match_kind, models_of
+from dgc_pose.estimation.probability import MatchKind, match_kind, parse_models
 
 _DEFAULTS = EstimationOptions()
 WORDS = {
@@ -57,7 +57,7 @@ def fit_all(
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
     text = models_text({kind: fit_model(rows, kind) for kind, rows in by_kind.items()}, engines)
-    models = models_of(text, "the fit")
+    models = parse_models(text)
     reported = {
         kind: [judged(row, models[kind]) for row in rows if row.part == "report"]
         for kind, rows in by_kind.items()

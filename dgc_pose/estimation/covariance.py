@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from dgc_pose.estimation.chi_square import chi_square_quantile
 from dgc_pose.estimation.model import Model, error_scale
 from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -47,9 +46,9 @@ def pose_covariance(problem: TwoViewProblem, model: Model) -> np.ndarray | None:
     for shift in _SHIFTS:
         sums = _membership(inliers.points2, shift).T @ terms
         count = len(sums)
-        own, gradient = sums[:, :25].reshape(-1, 5, 5), sums[:, 25:, None]
+        left_out, gradient = sums[:, :25].reshape(-1, 5, 5), sums[:, 25:, None]
         try:
-            moves = np.linalg.solve((1 + _RIDGE) * total - own, gradient)[:, :, 0]
+            moves = np.linalg.solve((1 + _RIDGE) * total - left_out, gradient)[:, :, 0]
         except np.linalg.LinAlgError:
             return None
         covariances.append((count - 1) / count * moves.T @ moves)
@@ -59,18 +58,52 @@ def pose_covariance(problem: TwoViewProblem, model: Model) -> np.ndarray | None:
     return covariance if np.isfinite(covariance).all() else None
 
 
-def error_radius_deg(covariance: np.ndarray, share: float = 0.9) -> float:
-    """Quantile of the length of a Gaussian vector of angles, covariance (3, 3) in rad^2.
+def error_radii_deg(covariance: np.ndarray | None) -> tuple[float | None, float | None]:
+    """`error_radius_deg` of the rotation and of the translation of a pose's covariance (6, 6)."""
+    if covariance is None:
+        return None, None
+    return error_radius_deg(covariance[:3, :3]), error_radius_deg(covariance[3:, 3:])
 
-    Degrees, at most 180. The squared length is approximated by a scaled chi-square of the same mean
+
+def error_radius_deg(covariance: np.ndarray) -> float:
+    """The length that a Gaussian vector of angles, covariance (3, 3) in rad^2, stays below nine
+    times in ten. Degrees, at most 180.
+
+    The squared length is approximated by a scaled chi-square of the same mean
     and variance (Satterthwaite 1946), which is exact for a single axis and for equal ones.
     """
     eigenvalues = np.linalg.eigvalsh(covariance).clip(min=0)
     mean, squares = eigenvalues.sum(), (eigenvalues**2).sum()
     if mean == 0:
         return 0.0
-    quantile = squares / mean * chi_square_quantile(mean**2 / squares, share)
+    quantile = squares / mean * _chi_square_90(mean**2 / squares)
     return min(math.degrees(math.sqrt(quantile)), 180.0)
+
+
+def _chi_square_90(freedom: float) -> float:
+    """The value that a chi-square variable stays below nine times in ten, by Newton's method.
+
+    freedom: degrees, above 0, at most some hundred. The import of SciPy takes longer than a pose.
+    """
+    half = value = freedom / 2
+    for _ in range(100):  # about six are needed
+        slope = math.exp((half - 1) * math.log(value) - value - math.lgamma(half))
+        # Left of the mode a step may lead below 0.
+        following = max(value - (_incomplete_gamma(half, value) - 0.9) / slope, value / 8)
+        if abs(following - value) <= 1e-14 * value:
+            break
+        value = following
+    return 2 * following
+
+
+def _incomplete_gamma(a: float, x: float) -> float:
+    """The regularised lower incomplete gamma function P(a, x), by its series (DLMF 8.7.1)."""
+    term = total = math.exp(a * math.log(x) - x - math.lgamma(a + 1))
+    while term > 1e-17 * total:
+        a += 1
+        term *= x / a
+        total += term
+    return total
 
 
 def error_slopes(
@@ -101,7 +134,7 @@ def error_slopes(
 def _membership(points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
     """Membership (N, B), 0 or 1, of points (N, 2) in square blocks, empty blocks left out."""
     low, high = points.min(0), points.max(0)
-    # Slightly more than the span, or the farthest point would get a block of its own.
+    # Slightly more than the span, or the farthest point would be alone in a block.
     side = max((1 + 1e-9) * float((high - low).max()), np.finfo(float).tiny) / BLOCKS
     column, row = np.floor((points - low) / side + shift).astype(int).T
     block = column + (BLOCKS + 1) * row

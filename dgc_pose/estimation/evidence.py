@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
-from dgc_pose.estimation.covariance import error_radius_deg
+from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.rivals import DISTINCT_DEG
@@ -81,9 +81,8 @@ def gather(
     covariance: of its pose, see `pose_covariance`. runs: the models of the RANSAC runs. rivals:
     other models that explain matches. map_problem: an even sample of the dense map.
     """
-    threshold = problem.threshold
-    kept = model.inliers
-    inliers = problem.subset(kept)
+    threshold, is_inlier = problem.threshold, model.inliers
+    inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
     chance = chance_ratio(problem, model.E)
     rotation = robust_rotation(inliers)
@@ -94,37 +93,34 @@ def gather(
     rotated = problem.subset(explained)
     across = epipolar_angles(rotated.points1, rotated.points2, model.E)
     angles = triangulation_angles_deg(inliers.points1, inliers.points2, model.R)
+    rotation_90, translation_90 = error_radii_deg(covariance)
     return Evidence(
         num_inliers=model.count,
-        inlier_ratio=float(kept.mean()),
+        inlier_ratio=float(is_inlier.mean()),
         chance_ratio=chance,
         log10_false_alarms=log10_false_alarms(len(problem), model.count, chance),
-        cheirality_ratio=float(model.in_front[kept].mean()) if kept.any() else 0.0,
+        cheirality_ratio=_mean(model.in_front[is_inlier]),
         rotation=rotation,
         num_rotation_inliers=len(rotated),
         rotation_share=len(rotated) / count,
         # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
-        strict_rotation_share=float((motion[kept] < np.sqrt(2) * threshold).sum() / count),
+        strict_rotation_share=float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count),
         parallax=_parallax(motion[explained], across, _MIN_ERROR * threshold),
-        median_triangulation_angle_deg=float(np.median(angles)) if len(angles) else 0.0,
+        median_triangulation_angle_deg=_median(angles),
         homography_ratio=homography_ratio,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=_occupied_cells(inliers),
         key_points=problem.key_points,
-        jackknife_rotation_90_deg=(
-            None if covariance is None else error_radius_deg(covariance[:3, :3])
-        ),
-        jackknife_translation_90_deg=(
-            None if covariance is None else error_radius_deg(covariance[3:, 3:])
-        ),
+        jackknife_rotation_90_deg=rotation_90,
+        jackknife_translation_90_deg=translation_90,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         hull_cells=_hull_cells(inliers),
         depth_spread=_depth_spread(problem.subset(model.inliers_in_front), model),
         confidence=_median(inliers.confidence),
-        run_agreement=_run_agreement(model, runs),
+        run_agreement=_mean([run.angle_to(model.R, model.t) <= DISTINCT_DEG for run in runs]),
         rotation_angle_deg=rotation_angle_deg(model.R),
-        rival_ratio=max((one.count_in_front for one in rivals), default=0)
+        rival_ratio=max((rival.count_in_front for rival in rivals), default=0)
         / max(model.count_in_front, 1),
         **_map_evidence(map_problem, model),
     )
@@ -137,17 +133,16 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     whichever are more, until they stay the same. The identity for fewer than two matches.
     """
     rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
-    kept = np.ones(len(rays1), dtype=bool)
+    near = np.ones(len(rays1), dtype=bool)
     R = np.eye(3)
     for _ in range(_ROTATION_ROUNDS):
-        if kept.sum() < 2:
+        if near.sum() < 2:
             break
-        R = aligning_rotation(rays1[kept], rays2[kept])
+        R = aligning_rotation(rays1[near], rays2[near])
         distance = np.linalg.norm(rays1 @ R.T - rays2, axis=1)
-        following = distance <= max(2 * problem.threshold, float(np.median(distance)))
-        if np.array_equal(following, kept):
+        before, near = near, distance <= max(2 * problem.threshold, float(np.median(distance)))
+        if np.array_equal(near, before):
             break
-        kept = following
     return R
 
 
@@ -177,13 +172,6 @@ def _depth_spread(inliers: TwoViewProblem, model: Model) -> float:
     return float(high - low)
 
 
-def _run_agreement(model: Model, runs: Sequence[Model]) -> float:
-    """Share of the runs whose pose is that of the model; 1 without runs."""
-    if not runs:
-        return 1.0
-    return float(np.mean([run.angle_to(model.R, model.t) <= DISTINCT_DEG for run in runs]))
-
-
 def _map_evidence(problem: TwoViewProblem | None, model: Model) -> dict[str, float]:
     """What a dense map says of a model, by the names of the fields."""
     if problem is None or not len(problem):
@@ -204,6 +192,10 @@ def _map_evidence(problem: TwoViewProblem | None, model: Model) -> dict[str, flo
 
 def _median(values: np.ndarray) -> float:
     return float(np.median(values)) if len(values) else 0.0
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(np.mean(values)) if len(values) else 0.0
 
 
 def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:

@@ -14,9 +14,9 @@ class VerdictOptions:
     Raises InputError, naming the field, for a value out of range.
     """
 
-    # None, or matches that no probability is fitted for (key points): the gates below decide.
-    # Otherwise they only name the reason of a failure; those of matches, of false alarms, of a
-    # rotation, of a line and of the cameras decide in either case.
+    # If this is None, and for key points, for which no probability is fitted, the gates below
+    # decide. Otherwise the probability decides, and the gates name the reason of a failure; only
+    # those of too few matches, false alarms, a rotation, a line and the cameras always hold.
     min_probability: float | None = option(
         0.5,
         "Least probability, that R and t are both within 10 degrees, of a success.",
@@ -27,22 +27,20 @@ class VerdictOptions:
     min_matches: int = 20  # distinct, finite matches
     min_inliers: int = 15
     min_inlier_ratio: float = 0.15  # of all matches
-    # Decimal logarithm of the number of models with so many inliers expected in random matches: it
-    # accounts for RANSAC's free choice of a model.
+    # Decimal logarithm of the expected number of models with so many inliers in random matches.
     max_log10_false_alarms: float = -2.0
-    # Inlier ratio, over that of the same model on the same points paired wrongly. Errors of dense
-    # matches are correlated among neighbours, which the expected number above does not know.
+    # Inlier ratio, over that of the same model on the same points paired wrongly. It accounts for
+    # errors that neighbouring matches have in common, the expected number above does not.
     chance_factor: float = 3.0
-    # Grid cells, 1/24 of the longer side wide, that inliers of a dense map must occupy: unrelated
-    # images have similar patches, each of which gives dozens of matches. Does not apply to key
-    # points, which are found independently.
+    # Grid cells, 1/24 of the longer side wide, that inliers of a dense map must occupy: one similar
+    # patch in unrelated images gives dozens of matches. It is not asked of key points.
     min_occupied_cells: int = 20
     min_cheirality: float = 0.6  # share of inliers in front of both cameras
     # "rotation_only": matches that a rotation explains, over the inliers, at least this, and a
     # parallax below `min_parallax`.
     rotation_share: float = 0.8
     # "rotation_only" for any parallax: share of inliers that a rotation explains within the
-    # epipolar threshold. Errors of dense matches are smooth and resemble a translation.
+    # epipolar threshold. Smooth errors of dense matches resemble a translation.
     strict_rotation_share: float = 0.9
     # Motion left by a rotation, over the epipolar error, that counts as a translation; more for few
     # matches.

@@ -12,17 +12,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from dgc_pose.errors import InputError, reason
 from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 1  # of the file
 MatchKind = Literal["network", "matches", "key_points"]
-_SHIPPED = "probability.json"
 _MOST_REASONS = 3
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
 
@@ -34,118 +32,103 @@ def match_kind(evidence: Evidence) -> MatchKind:
     return "matches" if evidence.map_agreement is None else "network"
 
 
-@dataclass(frozen=True)
-class Feature:
-    """A number made of the evidence; the logistic model is linear in it."""
+class Feature(NamedTuple):
+    """A number made of the evidence e; the logistic model is linear in it."""
 
     value: Callable[[Evidence], float]
     sign: int  # of its weight: 1 if more of it speaks for the pose, -1 if against
-    words: Callable[[Evidence], str]  # what speaks against a pose that has little, or much, of it
+    against: str  # what speaks against a pose that has little, or much, of it; formatted with e
+
+    def words(self, evidence: Evidence) -> str:
+        """`against` for this evidence."""
+        return self.against.format(e=evidence).replace("%", " %")
 
 
 def _log(value: float | None, low: float, high: float) -> float:
     return math.log(min(max(high if value is None else value, low), high))
 
 
-# Ranges cut off what cannot change the answer any more, so that the model never extrapolates.
+# Each value is cut off where more of it says no more, so that the model never extrapolates.
 FEATURES: Mapping[str, Feature] = {
-    "inliers": Feature(
-        lambda e: _log(e.num_inliers, 5, 2000), 1, lambda e: f"only {e.num_inliers} inliers"
-    ),
+    "inliers": Feature(lambda e: _log(e.num_inliers, 5, 2000), 1, "only {e.num_inliers} inliers"),
     "inlier_ratio": Feature(
-        lambda e: e.inlier_ratio,
-        1,
-        lambda e: f"only {100 * e.inlier_ratio:.0f} % of the matches are inliers",
+        lambda e: e.inlier_ratio, 1, "only {e.inlier_ratio:.0%} of the matches are inliers"
     ),
     "over_chance": Feature(
         lambda e: _log(e.inlier_ratio / max(e.chance_ratio, 1e-6), 1, 100),
         1,
-        lambda e: f"wrong matches have {100 * e.chance_ratio:.0f} % inliers as well",
+        "wrong matches have {e.chance_ratio:.0%} inliers as well",
     ),
     "false_alarms": Feature(
-        lambda e: _log(-e.log10_false_alarms, 1, 5000),
-        1,
-        lambda e: "so many inliers could be chance",
+        lambda e: _log(-e.log10_false_alarms, 1, 5000), 1, "so many inliers could be chance"
     ),
     "cheirality": Feature(
         lambda e: e.cheirality_ratio,
         1,
-        lambda e: f"only {100 * e.cheirality_ratio:.0f} % lie in front of both cameras",
+        "only {e.cheirality_ratio:.0%} lie in front of both cameras",
     ),
     "occupied_cells": Feature(
         lambda e: _log(e.occupied_cells, 3, 400),
         1,
-        lambda e: f"the inliers lie in only {e.occupied_cells} grid cells",
+        "the inliers lie in only {e.occupied_cells} grid cells",
     ),
     "hull": Feature(
         lambda e: _log(e.hull_cells, 2, 400),
         1,
-        lambda e: f"the inliers cover only {e.hull_cells:.0f} grid cells",
+        "the inliers cover only {e.hull_cells:.0f} grid cells",
     ),
     "rotation_error": Feature(
         lambda e: _log(e.jackknife_rotation_90_deg, 0.02, 60),
         -1,
-        lambda e: "the inliers hardly determine the rotation",
+        "the inliers hardly determine the rotation",
     ),
     "translation_error": Feature(
         lambda e: _log(e.jackknife_translation_90_deg, 0.05, 120),
         -1,
-        lambda e: "the inliers hardly determine the translation",
+        "the inliers hardly determine the translation",
     ),
-    "residual": Feature(
-        lambda e: e.residual,
-        -1,
-        lambda e: "the inliers do not agree closely",
-    ),
+    "residual": Feature(lambda e: e.residual, -1, "the inliers do not agree closely"),
     "threshold": Feature(
-        lambda e: _log(e.threshold_cells, 0.01, 0.5),
-        -1,
-        lambda e: "the matches are inaccurate",
+        lambda e: _log(e.threshold_cells, 0.01, 0.5), -1, "the matches are inaccurate"
     ),
-    "parallax": Feature(
-        lambda e: _log(e.parallax, 0.7, 40), 1, lambda e: "there is little parallax"
-    ),
+    "parallax": Feature(lambda e: _log(e.parallax, 0.7, 40), 1, "there is little parallax"),
     "rotation_share": Feature(
-        lambda e: min(e.rotation_share, 1.0),
-        -1,
-        lambda e: "a rotation alone explains most matches",
+        lambda e: min(e.rotation_share, 1.0), -1, "a rotation alone explains most matches"
     ),
     "triangulation": Feature(
         lambda e: _log(e.median_triangulation_angle_deg, 0.2, 30),
         1,
-        lambda e: f"small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)",
+        "small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)",
     ),
     "homography": Feature(
         lambda e: e.homography_ratio,
         -1,
-        lambda e: f"one homography explains {100 * e.homography_ratio:.0f} % of the inliers",
+        "one homography explains {e.homography_ratio:.0%} of the inliers",
     ),
-    "depth_spread": Feature(
-        lambda e: min(e.depth_spread, 1.0), 1, lambda e: "the inliers have little depth"
-    ),
-    "confidence": Feature(lambda e: e.confidence, 1, lambda e: "the matched patches are not alike"),
+    "depth_spread": Feature(lambda e: min(e.depth_spread, 1.0), 1, "the inliers have little depth"),
+    "confidence": Feature(lambda e: e.confidence, 1, "the matched patches are not alike"),
     "run_agreement": Feature(
         lambda e: e.run_agreement,
         1,
-        lambda e: f"only {100 * e.run_agreement:.0f} % of the RANSAC runs found this pose",
+        "only {e.run_agreement:.0%} of the RANSAC runs found this pose",
     ),
     "rival": Feature(
         lambda e: min(e.rival_ratio, 1.0),
         -1,
-        lambda e: f"another pose has {100 * e.rival_ratio:.0f} % as many inliers",
+        "another pose has {e.rival_ratio:.0%} as many inliers",
     ),
     "matchability": Feature(
-        lambda e: e.map_matchability or 0.0, 1, lambda e: "the dense map is hardly matchable"
+        lambda e: e.map_matchability or 0.0, 1, "the dense map is hardly matchable"
     ),
     "map_agreement": Feature(
         lambda e: e.map_agreement or 0.0,
         1,
-        lambda e: f"only {100 * (e.map_agreement or 0):.0f} % of the dense map agrees with it",
+        "only {e.map_agreement:.0%} of the dense map agrees with it",
     ),
     "map_over_chance": Feature(
         lambda e: (e.map_agreement or 0.0) - (e.map_chance or 0.0),
         1,
-        lambda e: "the dense map agrees with it no more than by chance",
+        "the dense map agrees with it no more than by chance",
     ),
 }
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
@@ -155,8 +138,8 @@ OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 class ErrorModel:
     """The error that nine right poses in ten stay below, from the jackknife's: a power of it.
 
-    Small errors of the jackknife are the most optimistic, since errors that neighbouring matches
-    have in common do not show in it.
+    The jackknife underestimates small errors most: it does not show what the errors of neighbouring
+    matches have in common.
     """
 
     slope: float
@@ -191,8 +174,8 @@ class ProbabilityModel:
         return 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
 
     def against(self, evidence: Evidence) -> list[str]:
-        """What speaks against the pose, most first: features by the log-odds that they cost, beside
-        those of a typical right pose."""
+        """What speaks against the pose: the features that cost most log-odds, compared with their
+        medians over right poses, most first."""
         costs = {
             name: weight * (self.reference[name] - FEATURES[name].value(evidence))
             for name, weight in self.weights.items()
@@ -214,40 +197,19 @@ class ProbabilityModel:
 @cache
 def shipped_models() -> Mapping[str, ProbabilityModel]:
     """The models of the package, by kind of matches."""
-    return models_of(files("dgc_pose.estimation").joinpath(_SHIPPED).read_text("utf-8"), _SHIPPED)
+    file = files("dgc_pose.estimation").joinpath("probability.json")
+    return parse_models(file.read_text("utf-8"))
 
 
-def models_of(text: str, name: str) -> Mapping[str, ProbabilityModel]:
-    """Models from JSON. Raises InputError, with the name, if it does not hold models."""
-    try:
-        data = json.loads(text)
-        if data["format"] != FORMAT:
-            raise ValueError(f"format {data['format']}, not {FORMAT}")
-        return {kind: _model(values) for kind, values in data["models"].items()}
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{name}: not a model of the probability ({reason(error)})") from None
-
-
-def _model(values: Mapping[str, Any]) -> ProbabilityModel:
-    weights = _numbers(values["weights"], FEATURES)
-    rotation, translation = (
-        ErrorModel(_finite(part["slope"]), _finite(part["intercept"]))
-        for part in (values["rotation_error"], values["translation_error"])
-    )
-    reference = _numbers(values["reference"], weights)
-    if set(reference) != set(weights):
-        raise ValueError("features without a reference")
-    return ProbabilityModel(weights, _finite(values["intercept"]), reference, rotation, translation)
-
-
-def _numbers(values: object, known: Mapping[str, object]) -> dict[str, float]:
-    if not isinstance(values, dict) or not set(values) <= set(known):
-        raise ValueError("unknown features")
-    return {str(name): _finite(value) for name, value in values.items()}
-
-
-def _finite(value: Any) -> float:
-    found = float(value)
-    if not math.isfinite(found):
-        raise ValueError("weights that are not finite")
-    return found
+def parse_models(text: str) -> Mapping[str, ProbabilityModel]:
+    """The models in the JSON that `dgc-pose fit-probability` writes, by kind of matches."""
+    return {
+        kind: ProbabilityModel(
+            values["weights"],
+            values["intercept"],
+            values["reference"],
+            ErrorModel(**values["rotation_error"]),
+            ErrorModel(**values["translation_error"]),
+        )
+        for kind, values in json.loads(text)["models"].items()
+    }

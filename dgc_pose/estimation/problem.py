@@ -24,7 +24,7 @@ class TwoViewProblem:
     threshold: float  # Sampson distance below which a match is an inlier, in the points' unit
     cells: tuple[float, float]  # sides of a grid cell in images 1 and 2, in the points' unit
     seed: int  # of every random draw
-    index: np.ndarray  # (N,) int, the row of each match among the matches given
+    index: np.ndarray  # (N,) int, the row of each match in `Matches`
     confidence: np.ndarray  # (N,) of each match, 0 to 1
     key_points: bool = False  # whether the matches are independent detections
     warnings: tuple[str, ...] = ()  # what was dropped, and why
@@ -75,14 +75,14 @@ class TwoViewProblem:
     def __len__(self) -> int:
         return len(self.points1)
 
-    def subset(self, kept: np.ndarray) -> TwoViewProblem:
-        """The same problem with some of its matches. kept: (N,) bool."""
+    def subset(self, chosen: np.ndarray) -> TwoViewProblem:
+        """The same problem with some of its matches. chosen: (N,) bool."""
         return replace(
             self,
-            points1=self.points1[kept],
-            points2=self.points2[kept],
-            index=self.index[kept],
-            confidence=self.confidence[kept],
+            points1=self.points1[chosen],
+            points2=self.points2[chosen],
+            index=self.index[chosen],
+            confidence=self.confidence[chosen],
         )
 
 

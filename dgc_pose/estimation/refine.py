@@ -13,16 +13,11 @@ _MIN_KEPT = 0.98  # of the inliers, or the fit is rejected
 
 
 def refine(problem: TwoViewProblem, model: Model) -> Model:
-    """The model after fits with the threshold as the scale of the loss, until the inliers stay the
-    same.
-
-    The inliers are chosen anew after each fit; three fits at most.
-    """
+    """The model after at most three fits with the threshold as the scale of the loss, until the
+    inliers, chosen anew after each fit, stay the same."""
     for _ in range(_ROUNDS):
-        found = refit(problem, model)
-        converged = np.array_equal(found.inliers, model.inliers)
-        model = found
-        if converged:
+        before, model = model, refit(problem, model)
+        if np.array_equal(model.inliers, before.inliers):
             break
     return model
 
@@ -43,9 +38,9 @@ def refit(problem: TwoViewProblem, model: Model, *, adapt_scale: bool = False) -
     for _ in range(_ROUNDS if adapt_scale else 1):
         scale = error_scale(inliers, R, t) if adapt_scale else problem.threshold
         R, t = refine_pose(inliers.points1, inliers.points2, R, t, scale)
-    found = Model.of_pose(problem, R, t)
+    fitted = Model.of_pose(problem, R, t)
     if not adapt_scale:
         # The epipolar error does not depend on the sign of the translation; the depths do.
         opposite = Model.of_pose(problem, R, -t)
-        found = max((found, opposite), key=lambda m: (m.count, m.count_in_front))
-    return found if found.count >= _MIN_KEPT * model.count else model
+        fitted = max((fitted, opposite), key=lambda m: (m.count, m.count_in_front))
+    return fitted if fitted.count >= _MIN_KEPT * model.count else model

@@ -48,34 +48,50 @@ def estimate_pose(
     check_type(camera2, Camera, "camera2")
     problem = TwoViewProblem.of(matches, camera1, camera2, options)
     inliers = np.zeros(len(matches), dtype=bool)
-    no_model = partial(
+    failure = partial(
         RelativePose, inliers=inliers, num_matches=len(problem), warnings=problem.warnings
     )
     if len(problem) < options.verdict.min_matches:
         reason = f"only {len(problem)} matches; a verdict needs {options.verdict.min_matches}"
-        return no_model("too_few_matches", reason)
+        return failure("too_few_matches", reason)
     runs = sampled_models(problem, options)
     if not runs:
-        return no_model("no_model", f"no essential matrix was found for {len(problem)} matches")
+        return failure("no_model", f"no essential matrix was found for {len(problem)} matches")
 
     model, homography = _refined(problem, runs[0], options)
     others = rivals(problem, model, runs, homography, options)
-    of_map = None
+    map_problem = None
     if map_matches is not None:
-        own = replace(options, threshold_px=None)  # that of the matches is not the map's
-        of_map = TwoViewProblem.of(map_matches, camera1, camera2, own)
-    look = partial(_looked_at, problem, homography_ratio=homography[0], runs=runs, of_map=of_map)
-    found = look(model, rivals=others)
-    against = () if found.judge is None else found.judge.against(found.evidence)
-    verdict = judge(found.evidence, options.verdict, found.probability, against)
+        # A threshold in pixels is that of the matches, not of the map.
+        map_options = replace(options, threshold_px=None)
+        map_problem = TwoViewProblem.of(map_matches, camera1, camera2, map_options)
+
+    def assess(model: Model, rivals: Sequence[Model]) -> _Assessed:
+        covariance = pose_covariance(problem, model)
+        evidence = gather(
+            problem,
+            model,
+            homography[0],
+            covariance,
+            runs=runs,
+            rivals=rivals,
+            map_problem=map_problem,
+        )
+        logistic = shipped_models().get(match_kind(evidence))
+        return _Assessed(model, evidence, covariance, logistic)
+
+    best = assess(model, others)
+    against = () if best.logistic is None else best.logistic.against(best.evidence)
+    verdict = judge(best.evidence, options.verdict, best.probability, against)
 
     inliers[problem.index] = model.inliers
     known = STATUSES[verdict.status]
-    rotation = found.evidence.rotation if known.rotation_alone else None
+    rotation = best.evidence.rotation if known.rotation_alone else None
     least = options.verdict.alternative_share * model.count_in_front
-    alternatives = [
-        look(other, rivals=[model]) for other in others if other.count_in_front >= least
-    ]
+    alternatives = _alternatives(
+        [assess(other, [model]) for other in others if other.count_in_front >= least],
+        best.probability,
+    )
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
@@ -83,68 +99,49 @@ def estimate_pose(
         num_matches=len(problem),
         R=model.R if known.has_t else rotation,
         t=model.t if known.has_t else None,
-        covariance=found.calibrated_covariance if known.has_t else None,
-        evidence=found.evidence,
-        probability=0.0 if known.rotation_alone else found.probability,
-        alternatives=_alternatives(alternatives, found.probability),
+        covariance=best.calibrated_covariance if known.has_t else None,
+        evidence=best.evidence,
+        probability=0.0 if known.rotation_alone else best.probability,
+        alternatives=alternatives,
         warnings=problem.warnings + verdict.warnings + _warnings(len(alternatives)),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """A model with its evidence, and the model of the probability that applies to it."""
+class _Assessed:
+    """A model with its evidence, and the logistic model of its probability if there is one."""
 
     model: Model
     evidence: Evidence
     covariance: np.ndarray | None
-    judge: ProbabilityModel | None
+    logistic: ProbabilityModel | None
 
     @property
     def probability(self) -> float | None:
-        return None if self.judge is None else self.judge.probability(self.evidence)
+        return None if self.logistic is None else self.logistic.probability(self.evidence)
 
     @property
     def calibrated_covariance(self) -> np.ndarray | None:
-        if self.covariance is None or self.judge is None:
+        if self.covariance is None or self.logistic is None:
             return self.covariance
-        return self.judge.calibrated(self.covariance, self.evidence)
+        return self.logistic.calibrated(self.covariance, self.evidence)
 
 
-def _looked_at(
-    problem: TwoViewProblem,
-    model: Model,
-    *,
-    homography_ratio: float,
-    runs: Sequence[Model],
-    rivals: Sequence[Model],
-    of_map: TwoViewProblem | None,
-) -> _Found:
-    covariance = pose_covariance(problem, model)
-    evidence = gather(
-        problem,
-        model,
-        homography_ratio,
-        covariance,
-        runs=runs,
-        rivals=rivals,
-        map_problem=of_map,
-    )
-    return _Found(model, evidence, covariance, shipped_models().get(match_kind(evidence)))
-
-
-def _alternatives(found: Sequence[_Found], probability: float | None) -> tuple[Alternative, ...]:
-    """At most one of several poses is right: what the first leaves over is all that they share."""
-    total = sum(one.probability or 0.0 for one in found)
+def _alternatives(
+    others: Sequence[_Assessed], probability: float | None
+) -> tuple[Alternative, ...]:
+    """At most one of all poses is right: the alternatives share what the probability of the first
+    pose leaves of 1."""
+    total = sum(other.probability or 0.0 for other in others)
     share = 1.0 if probability is None else min(1.0, (1 - probability) / max(total, 1e-9))
     return tuple(
         Alternative(
-            one.model.R,
-            one.model.t,
-            one.model.count,
-            None if one.probability is None else share * one.probability,
+            other.model.R,
+            other.model.t,
+            other.model.count,
+            None if other.probability is None else share * other.probability,
         )
-        for one in found
+        for other in others
     )
 
 

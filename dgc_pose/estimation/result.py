@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dgc_pose.estimation.covariance import error_radius_deg
+from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.status import STATUSES, Status
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -106,9 +106,9 @@ class RelativePose:
     @property
     def rotation_error_90_deg(self) -> float | None:
         """Nine times in ten the error of R is below; None without a covariance."""
-        return None if self.covariance is None else error_radius_deg(self.covariance[:3, :3])
+        return error_radii_deg(self.covariance)[0]
 
     @property
     def translation_error_90_deg(self) -> float | None:
         """Nine times in ten the angle between t and the true direction is below; None likewise."""
-        return None if self.covariance is None else error_radius_deg(self.covariance[3:, 3:])
+        return error_radii_deg(self.covariance)[1]

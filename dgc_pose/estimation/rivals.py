@@ -42,22 +42,22 @@ def rivals(
     in front of both cameras first.
 
     runs: the models of the runs. homography: the share of the model's inliers that it explains, and
-    H (3, 3). Their inliers need not be many: at least a third of the model's before refinement.
+    H (3, 3). Before refinement a rival has at least 0.3 of the model's inliers.
     """
     least = max(_WORTH_REFINING * model.count_in_front, 1)
-    found: list[Model] = []
+    distinct = [model]
     for candidate in _candidates(problem, model, runs, homography, options):
-        if candidate.count_in_front < least or _known(candidate, [model, *found]):
+        if candidate.count_in_front < least or _known(candidate, distinct):
             continue
-        # Refined first: what is no minimum of its own is a bad fit of the same pose.
+        # A bad fit of a pose that is known becomes that pose.
         refined = refine(problem, candidate) if options.refine else candidate
-        if not _known(refined, [model, *found]):
-            found.append(refined)
-    # Between a relief and its reversal there is a valley of poses, down which a fit would go back.
+        if not _known(refined, distinct):
+            distinct.append(refined)
+    # The reversal is not refined: the fit could lead back to the model.
     reversal = mirrored(problem, model)
-    if reversal is not None and not _known(reversal, [model, *found]):
-        found.append(reversal)
-    return sorted(found, key=lambda other: -other.count_in_front)
+    if reversal is not None and not _known(reversal, distinct):
+        distinct.append(reversal)
+    return sorted(distinct[1:], key=lambda rival: -rival.count_in_front)
 
 
 def mirrored(problem: TwoViewProblem, model: Model) -> Model | None:
@@ -69,11 +69,11 @@ def mirrored(problem: TwoViewProblem, model: Model) -> Model | None:
     """
     inliers = problem.subset(model.inliers_in_front)
     depth, _ = depths(inliers.points1, inliers.points2, model.R, model.t)
-    known = (depth > 0) & (depth < _FARTHEST)
-    if not known.any():
+    near = (depth > 0) & (depth < _FARTHEST)
+    if not near.any():
         return None
-    middle = homogeneous(np.median(inliers.points1[known], axis=0)[None])[0]
-    middle = middle * np.median(depth[known])
+    middle = homogeneous(np.median(inliers.points1[near], axis=0)[None])[0]
+    middle = middle * np.median(depth[near])
     M1, M2 = (_reflection(point) for point in (middle, model.R @ middle + model.t))
     return Model.of_pose(problem, M2 @ model.R @ M1, -M2 @ model.t)
 
@@ -81,8 +81,8 @@ def mirrored(problem: TwoViewProblem, model: Model) -> Model | None:
 def _reflection(direction: np.ndarray) -> np.ndarray:
     """The reflection (3, 3) that reverses a direction (3,)."""
     unit = direction / np.linalg.norm(direction)
-    found: np.ndarray = np.eye(3) - 2 * np.outer(unit, unit)
-    return found
+    reflection: np.ndarray = np.eye(3) - 2 * np.outer(unit, unit)
+    return reflection
 
 
 def _candidates(
@@ -98,8 +98,8 @@ def _candidates(
         yield from planar_models(problem, H)
     left = problem.subset(~model.inliers)
     if len(left) >= max(_LEAST_LEFT, _WORTH_REFINING * model.count_in_front):
-        for found in sampled_models(left, replace(options, runs=1))[:1]:
-            yield Model.of_pose(problem, found.R, found.t)
+        for second in sampled_models(left, replace(options, runs=1))[:1]:
+            yield Model.of_pose(problem, second.R, second.t)
 
 
 def _known(candidate: Model, models: Iterable[Model]) -> bool:

@@ -56,31 +56,28 @@ def judge(
 
 
 def _chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
-    count, ratio, chance = evidence.num_inliers, evidence.inlier_ratio, evidence.chance_ratio
-    least = max(options.min_inlier_ratio, options.chance_factor * chance)
-    if _random(evidence, options) or count < options.min_inliers or ratio < least:
-        return _too_few(evidence)
-    cells = evidence.occupied_cells
-    if not evidence.key_points and cells < options.min_occupied_cells:
-        reason = (
-            f"the {count} inliers lie in only {cells} grid cells; unrelated images with a few "
-            f"similar patches have as many"
-        )
-        return Verdict("chance_inliers", reason)
-    return None
-
-
-def _random(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
-    """Whether random matches would have as many inliers of some model."""
-    likely = evidence.log10_false_alarms > options.max_log10_false_alarms
-    return _too_few(evidence) if likely else None
-
-
-def _too_few(evidence: Evidence) -> Verdict:
-    count, ratio, chance = evidence.num_inliers, evidence.inlier_ratio, evidence.chance_ratio
+    """Whether unrelated images could have such inliers."""
+    least = max(options.min_inlier_ratio, options.chance_factor * evidence.chance_ratio)
+    few = evidence.num_inliers < options.min_inliers or evidence.inlier_ratio < least
+    if verdict := _random(evidence, options, few):
+        return verdict
+    if evidence.key_points or evidence.occupied_cells >= options.min_occupied_cells:
+        return None
     reason = (
-        f"only {count} matches ({100 * ratio:.1f} %) agree on an essential matrix, which could "
-        f"be chance: so do {100 * chance:.1f} % of wrong matches with the same model"
+        f"the {evidence.num_inliers} inliers lie in only {evidence.occupied_cells} grid cells; "
+        "unrelated images with a few similar patches have as many"
+    )
+    return Verdict("chance_inliers", reason)
+
+
+def _random(evidence: Evidence, options: VerdictOptions, few: bool = False) -> Verdict | None:
+    """Whether random matches would have as many inliers of some model. few: so they would."""
+    if not few and evidence.log10_false_alarms <= options.max_log10_false_alarms:
+        return None
+    reason = (
+        f"only {evidence.num_inliers} matches ({100 * evidence.inlier_ratio:.1f} %) agree on an "
+        "essential matrix, which could be chance: so do "
+        f"{100 * evidence.chance_ratio:.1f} % of wrong matches with the same model"
     )
     return Verdict("chance_inliers", reason)
 
@@ -111,8 +108,7 @@ def _behind(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
 
 
 def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
-    behind = _behind(evidence, options)
-    if behind is not None:
+    if behind := _behind(evidence, options):
         return behind
     error = evidence.jackknife_rotation_90_deg
     if error is not None and error > options.max_rotation_error_deg:

@@ -12,13 +12,12 @@ from good_evidence import GOOD_EVIDENCE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dgc_pose.errors import InputError
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.probability import (
     FEATURES,
     match_kind,
-    models_of,
+    parse_models,
     shipped_models,
 )
 from dgc_pose.estimation.verdict import judge
@@ -38,7 +37,7 @@ def _text(**changes: object) -> str:
 
 
 def _model():
-    return models_of(_text(), "test")["network"]
+    return parse_models(_text())["network"]
 
 
 def _worse(**changes: object) -> Evidence:
@@ -125,25 +124,6 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
     assert match_kind(GOOD_EVIDENCE) == "network"
     assert match_kind(_worse(map_agreement=None)) == "matches"
     assert match_kind(_worse(map_agreement=None, key_points=True)) == "key_points"
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "no JSON",
-        "[]",
-        '{"models": {}}',
-        '{"format": 2, "models": {}}',
-        _text(weights={"unheard": 1.0}),
-        _text(weights={"inliers": math.nan}),
-        _text(rotation_error=None),
-        _text(intercept="much"),
-        _text(reference={}),
-    ],
-)
-def test_a_text_that_is_no_model_is_refused_by_its_name(text: str) -> None:
-    with pytest.raises(InputError, match="model.json: not a model of the probability"):
-        models_of(text, "model.json")
 
 
 def test_the_package_s_own_file_can_be_read() -> None:

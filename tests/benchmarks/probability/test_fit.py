@@ -31,7 +31,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.probability import FEATURES, models_of
+from dgc_pose.estimation.probability import FEATURES, parse_models
 from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
@@ -132,7 +132,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
 def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
     out, sources = stored
     found = fit_all(out, ["sift"], sources, OPTIONS)
-    models = models_of(found.models, "fit")
+    models = parse_models(found.models)
     assert set(models) == {"key_points"}
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
@@ -183,7 +183,7 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
 def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
     data = _records(1000, 0, "fit")
     text = json.dumps({"format": 1, "models": {"network": fit_model(data, "network")}})
-    model = models_of(text, "fit")["network"]
+    model = parse_models(text)["network"]
     fresh = [judged(one, model) for one in _records(1500, 2, "report")]
     probability = np.array([one.probability for one in fresh])
     right = np.array([one.record.right for one in fresh])
