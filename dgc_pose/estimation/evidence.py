@@ -194,7 +194,7 @@ def _median(values: np.ndarray) -> float:
     return float(np.median(values)) if len(values) else 0.0
 
 
-def _mean(values: np.ndarray) -> float:
+def _mean(values: np.ndarray | Sequence[bool]) -> float:
     return float(np.mean(values)) if len(values) else 0.0
 
 

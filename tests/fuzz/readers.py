@@ -38,8 +38,6 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.colmap.export import pair_geometries
-from dgc_pose.estimation.probability import FEATURES, FORMAT, models_of
-from dgc_pose.files.inputs import read_text
 from dgc_pose.images.image import Image, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.matching.files import FileMatcher
@@ -330,15 +328,6 @@ def _read_collection(folder: Path, path: Path) -> None:
     list(read_collection(folder, "sift", [PlanEntry("scene", part="fit", kind="list")]))
 
 
-def _make_models(folder: Path) -> None:
-    part = {"slope": -0.3, "intercept": 0.5}
-    weights = dict.fromkeys(FEATURES, 0.5)
-    model = {"weights": weights, "intercept": 1.0, "reference": weights}
-    model |= {"rotation_error": part, "translation_error": part}
-    data = {"format": FORMAT, "models": {"network": model}}
-    (folder / "probability.json").write_text(json.dumps(data))
-
-
 def _make_requests(folder: Path) -> None:
     opencv = "OPENCV,10,8,9,9,5,4,0.1,0,0,0"
     requests = ({"kind": "k", "k1": "9,9,4,3", "k2": ""}, {"kind": "k", "k1": opencv, "k2": opencv})
@@ -384,6 +373,5 @@ READERS: dict[str, tuple[Make, Read]] = {
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
     "batch parts": (_make_parts, _read_part),
     "collections": (_make_collection, _read_collection),
-    "models": (_make_models, lambda _, path: models_of(read_text(path), str(path))),
     "requests": (_make_requests, _read_request),
 }
