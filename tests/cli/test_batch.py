@@ -12,12 +12,11 @@ import numpy as np
 import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
-from click.testing import CliRunner
+from command_line import assert_refused, run
 from multi_view import SIZE, K, K_text
 
 from dgc_pose.batch.run import read_batch
 from dgc_pose.cameras.colmap_files import read_database
-from dgc_pose.cli.main import main
 from dgc_pose.matching.sift import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
@@ -42,17 +41,6 @@ CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY NOT NULL, rows INT
 PRAGMA user_version = 3800;
 """
 _PINHOLE = 1  # COLMAP's number of the model
-
-
-def assert_refused(arguments: Sequence[object], *reasons: str) -> None:
-    """One line that holds the reasons, and exit code 2."""
-    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert done.exit_code == 2, done.output
-    lines = done.stderr.splitlines()
-    assert len(lines) == 1, done.stderr
-    assert done.stdout == ""
-    for reason in reasons:
-        assert reason in lines[0]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +78,7 @@ def test_too_few_images(
     for i in range(count):
         (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
     options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    assert_refused([command, folder, *options], str(folder), reason, "a pair needs two")
+    assert_refused(run(command, folder, *options), str(folder), reason, "a pair needs two")
     assert not out.exists()
 
 
@@ -102,16 +90,16 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(folder / "a.png"), whole)
     cv2.imwrite(str(folder / "b.png"), whole[:150])
     options = ["--out", out, "--pairs", "exhaustive", *SIFT]
-    assert_refused(["batch", folder, *options], "no camera for a.png", "--K")
+    assert_refused(run("batch", folder, *options), "no camera for a.png", "--K")
     reason = "one K for images of several sizes (240x150 and 240x180)"
-    assert_refused(["batch", folder, *options, "--K", K_text()], reason)
+    assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()
     table = tmp_path / "K.csv"
     table.write_text(
         f"name,fx,fy,cx,cy,width,height\na.png,{K_text()},240,180\nb.png,{K_text()},240,150\n"
     )
     (folder / "notes.txt").write_text("of the day")
-    done = CliRunner().invoke(main, [*map(str, ["batch", folder, *options, "--K", table])])
+    done = run("batch", folder, *options, "--K", table)
     assert done.exit_code == 0, done.output
     left_out = "1 file left out (first: notes.txt): not an image of a known format"
     assert f"warning: {left_out}\n" in done.stderr
@@ -137,7 +125,7 @@ def test_a_K_for_another_size(photos: Path, tmp_path: Path, kind: str) -> None:
         path.write_text(f'{{{shared}, "frames": [{{"file_path": "{names[0]}"}}]}}')
     out = tmp_path / "out"
     options = ["--out", out, "--pairs", "exhaustive", "--K", path, *SIFT]
-    assert_refused(["batch", photos, *options], str(path), "view0.png", "480", "240")
+    assert_refused(run("batch", photos, *options), str(path), "view0.png", "480", "240")
     assert not out.exists()
 
 
@@ -166,9 +154,7 @@ def test_a_database_of_an_older_version_is_read_and_stays_as_it_is(
     found = read_database(path)
     assert found.names == ("view0.png", "view1.png", "view2.png")
     np.testing.assert_allclose(found.cameras["view0.png"].K, K)
-    done = CliRunner().invoke(
-        main, [*map(str, ["batch", path, "--root", photos, "--out", out, *SIFT])]
-    )
+    done = run("batch", path, "--root", photos, "--out", out, *SIFT)
     assert done.exit_code == 0, done.output
     assert [(row.name1, row.name2) for row in read_batch(out).rows] == [("view0.png", "view1.png")]
     assert path.read_bytes() == before
@@ -191,7 +177,7 @@ def test_a_database_of_another_layout(photos: Path, tmp_path: Path) -> None:
         database.close()
         before = path.read_bytes()
         arguments = ["batch", path, "--root", photos, "--out", out, "--K", K_text(), *SIFT]
-        assert_refused(arguments, str(path), reason)
+        assert_refused(run(*arguments), str(path), reason)
         assert path.read_bytes() == before
         assert not out.exists()
 
@@ -202,10 +188,10 @@ def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Pa
     _old_database(path, ["view0.png", "other.png"])
     before = path.read_bytes()
     arguments = ["export-colmap", finished, "--database", path, "--sharing", "cells"]
-    assert_refused(arguments, f"{path} is there already", "--overwrite")
+    assert_refused(run(*arguments), f"{path} is there already", "--overwrite")
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
-    done = CliRunner().invoke(main, [*map(str, arguments), "--overwrite"])
+    done = run(*arguments, "--overwrite")
     assert done.exit_code == 0, done.output
     with pycolmap.Database.open(path) as database:
         names = {image.name for image in database.read_all_images()}
@@ -219,14 +205,14 @@ def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
     path.write_bytes(path.read_bytes()[:length])
     database, hloc = tmp_path / "x.db", tmp_path / "hloc"
     for target in (["--database", database], ["--hloc", hloc]):
-        assert_refused(["export-colmap", copied, *target], str(path))
+        assert_refused(run("export-colmap", copied, *target), str(path))
     assert not database.exists() and not hloc.exists()
     # The batch of a reconstruction that is to be resumed.
     out.mkdir()
     copied.rename(out / "batch")
     photos = read_batch(out / "batch").plan.root
     options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
-    done = CliRunner().invoke(main, [*map(str, ["reconstruct", photos, *options])])
+    done = run("reconstruct", photos, *options)
     assert done.exit_code == 2, done.output
     assert "matches.h5" in done.stderr.splitlines()[-1]
     assert [path.name for path in out.iterdir()] == ["batch"]
@@ -244,7 +230,7 @@ def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
             exif[0x0112] = 6
             image.save(folder / f"{number}.jpg", exif=exif)
     options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    done = CliRunner().invoke(main, [*map(str, ["batch", folder, *options])])
+    done = run("batch", folder, *options)
     assert done.exit_code == 0, done.output
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"warning: {folder / '0.jpg'}: EXIF orientation 6 is not applied")
@@ -257,7 +243,7 @@ def test_two_photographs_are_refused_before_they_are_matched(photos: Path, tmp_p
     for i in range(2):
         (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
     assert_refused(
-        ["reconstruct", folder, "--out", out, "--K", K_text(), *SIFT],
+        run("reconstruct", folder, "--out", out, "--K", K_text(), *SIFT),
         f"{folder}: 2 images, and a model needs 3",
     )
     assert not out.exists()
@@ -266,7 +252,7 @@ def test_two_photographs_are_refused_before_they_are_matched(photos: Path, tmp_p
 def test_a_batch_of_another_precision_is_not_resumed(photos: Path, finished: Path) -> None:
     options = ["--out", finished, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
     assert_refused(
-        ["batch", photos, *options, "--half-precision"], "had the option half_precision false"
+        run("batch", photos, *options, "--half-precision"), "had the option half_precision false"
     )
 
 
@@ -278,7 +264,7 @@ def test_failed_pairs_are_told(
 
     monkeypatch.setattr(SiftMatcher, "match", fail)
     options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    done = CliRunner().invoke(main, [*map(str, ["batch", photos, *options])])
+    done = run("batch", photos, *options)
     assert done.exit_code == 0 and "0 poses of 3 pairs (failed 3)" in done.stdout
     assert done.stderr == (
         "3 pairs failed (first: view0.png view1.png: LinAlgError: singular): "

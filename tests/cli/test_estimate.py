@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import os
 
+import command_line
 import cv2
 import dense_scene
 import numpy as np
@@ -12,25 +13,9 @@ from click.testing import CliRunner
 from dgc_pose.cli.main import main
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
-KEYS = [
-    "status",
-    "success",
-    "R",
-    "t",
-    "quaternion_wxyz",
-    "E",
-    "num_matches",
-    "num_inliers",
-    "inlier_ratio",
-    "median_triangulation_angle_deg",
-    "rotation_error_90_deg",
-    "translation_error_90_deg",
-    "covariance",
-    "probability",
-    "alternatives",
-    "warnings",
-    "seconds",
-]
+KEYS = """status success R t quaternion_wxyz E num_matches num_inliers inlier_ratio
+    median_triangulation_angle_deg rotation_error_90_deg translation_error_90_deg covariance
+    probability alternatives warnings seconds""".split()
 # Later ones override these.
 FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000", "--refine", "none")
 
@@ -62,12 +47,8 @@ def estimate(*arguments, k=("--K", dense_scene.K_TEXT)):
 
 
 def assert_refused(result, folder, *words):
-    """Exit 2, one line, and the folder as it was."""
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
-    for word in words:
-        assert word in result.stderr
+    """One line, and the folder as it was."""
+    command_line.assert_refused(result, *words)
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
 
 
@@ -145,12 +126,6 @@ def test_matching_options_reach_the_matcher(folder, network):
     assert json.loads(result.stdout)["num_matches"] == 0
 
 
-def test_the_threshold_and_the_seed_may_be_chosen(folder, network):
-    result = estimate("--json", "-", "--threshold", "1", "--seed", "4")
-    assert result.exit_code == 0
-    assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.5
-
-
 def test_noise_has_no_pose(folder, network):
     network(dense_scene.noise_map())
     result = estimate("--json", "-", "--plot", "p.png")
@@ -188,12 +163,6 @@ def test_each_image_can_have_its_own_camera(folder, network):
     assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.05
 
 
-def test_a_colmap_camera_is_half_a_pixel_further(folder, network):
-    ours = json.loads(estimate("--json", "-").stdout)
-    theirs = estimate("--json", "-", k=("--K", "PINHOLE,320,240,300,300,160,120"))
-    assert json.loads(theirs.stdout)["R"] == ours["R"]
-
-
 def test_a_focal_length_is_guessed_only_on_demand(folder, network):
     assert_refused(estimate(k=()), folder, "image 1 has no K", "--guess-focal")
     assert_refused(estimate(k=("--K1", dense_scene.K_TEXT)), folder, "image 2 has no K")
@@ -206,10 +175,7 @@ def test_a_focal_length_is_guessed_only_on_demand(folder, network):
 @pytest.mark.parametrize(
     "k, words",
     [
-        (("--K", "300,300,159.5"), "--K"),
         (("--K", "nosuch.txt"), "nosuch.txt"),
-        (("--K", "-300,300,159.5,119.5"), "--K"),
-        (("--K", "nan,300,159.5,119.5"), "--K"),
         (("--K", "PINHOLE,640,480,600,600,320,240"), "640"),
         (("--K", dense_scene.K_TEXT, "--K2", "300,300,900,119.5"), "--K2"),
         (("--K", "one.png"), "one.png"),
@@ -220,29 +186,13 @@ def test_a_bad_camera_is_refused(folder, network, k, words):
     assert_refused(estimate(*outputs, k=k), folder, words)
 
 
-@pytest.mark.parametrize("content", [None, b"", b"not an image", b"\x89PNG\r\n\x1a\n\x00\x00"])
-def test_a_bad_image_is_refused(folder, network, content):
-    (folder / "two.png").unlink()
-    if content is not None:
-        (folder / "two.png").write_bytes(content)
-    listing = sorted(os.listdir(folder))
-    result = estimate("--json", "p.json", "--plot", "p.png")
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
-    assert "two.png" in result.stderr
-    assert sorted(os.listdir(folder)) == listing
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
-        (("--matches", "nowhere/m.npz"), "nowhere/m.npz"),
-        (("--plot", "nowhere/p.png"), "nowhere/p.png"),
         (("--json", "."), "."),
         (("--json", "p", "--matches", "p"), "same file"),
         (("--plot", "p.txt"), "p.txt"),
-        (("--plot", "plain"), "plain"),
         (("--matchability", "1.5"), "matchability"),
         (("--runs", "0"), "runs"),
         (("--iterations", "-5"), "iterations"),
@@ -255,16 +205,9 @@ def test_unusable_options_are_refused(folder, network, arguments, words):
     assert_refused(estimate("--json", "p.json", *arguments), folder, words)
 
 
-def test_missing_weights_are_refused(folder):
-    result = estimate("--weights", "nosuch.safetensors", "--json", "p.json")
-    assert_refused(result, folder, "nosuch.safetensors")
-
-
-def test_a_file_that_holds_no_weights_is_refused(folder):
-    result = estimate("--weights", "one.png", "--json", "p.json")
-    assert_refused(result, folder, "one.png")
-
-
-def test_cuda_where_there_is_none_is_refused(folder, monkeypatch):
+@pytest.mark.parametrize(
+    "option", ["--weights=nosuch.safetensors", "--weights=one.png", "--device=cuda"]
+)
+def test_weights_and_devices_that_are_not_there_are_refused(folder, monkeypatch, option):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    assert_refused(estimate("--device", "cuda", "--json", "p.json"), folder, "cuda")
+    assert_refused(estimate(option, "--json", "p.json"), folder, option.partition("=")[2])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from click.testing import CliRunner
+from command_line import assert_refused
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.config import preset
@@ -76,8 +77,5 @@ def test_weights_from_a_file(tmp_path, monkeypatch):
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
-    result = match(*arguments)
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
-    assert words in result.stderr
+    assert_refused(match(*arguments), words)
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]

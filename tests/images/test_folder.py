@@ -49,6 +49,7 @@ def test_what_is_left_out_is_counted_by_its_reason(
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(_HEIC)
     (tmp_path / "notes.txt").write_text("of the day")
+    _save(tmp_path / os.fsdecode("h\xfctte.png".encode("latin-1")))
     (tmp_path / "cameras.bin").write_bytes(bytes(64))
     (tmp_path / "b.jpg").touch()
     (tmp_path / "gone.jpg").symlink_to(tmp_path / "nowhere")
@@ -58,6 +59,7 @@ def test_what_is_left_out_is_counted_by_its_reason(
     assert sorted(found.left_out) == [
         "1 file left out (first: b.jpg): empty",
         "1 file left out (first: gone.jpg): No such file or directory",
+        "1 file left out (first: h\udcfctte.png): a name that is not UTF-8",
         "1 file left out (first: pipe): no regular file",
         "2 files left out (first: cameras.bin): not an image of a known format",
         "3 files left out (first: 1.heic): HEIC, which needs pillow-heif: pip install pillow-heif",

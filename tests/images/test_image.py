@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from dgc_pose.errors import DgcPoseError, ImageError, InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.image import Image, image_size, load_image, read_pixels, resize
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
@@ -123,11 +123,6 @@ def test_grey_alpha_and_palette_files_become_rgb(
     np.testing.assert_array_equal(load_image(path).pixels, expected)
 
 
-def test_the_path_may_hold_any_character(tmp_path: Path, rgb: np.ndarray) -> None:
-    path = save(tmp_path / "été 图 50%.png", rgb)
-    np.testing.assert_array_equal(load_image(path).pixels, rgb)
-
-
 @pytest.mark.parametrize("suffix", FORMATS)
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.95])
 def test_a_truncated_file_is_refused(
@@ -137,26 +132,6 @@ def test_a_truncated_file_is_refused(
     data = path.read_bytes()
     path.write_bytes(data[: max(2, int(len(data) * share))])
     with pytest.raises(ImageError, match=r"short\."):
-        load_image(path)
-
-
-def test_a_damaged_png_is_refused_and_nothing_is_printed(
-    tmp_path: Path, rgb: np.ndarray, capfd: pytest.CaptureFixture
-) -> None:
-    path = save(tmp_path / "damaged.png", rgb)
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 0xFF
-    path.write_bytes(data)
-    with pytest.raises(ImageError, match=r"damaged\.png"):
-        load_image(path)
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize("content", [b"hello", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"\0" * 999])
-def test_a_file_that_is_no_image_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "text.jpg"
-    path.write_bytes(content)
-    with pytest.raises(ImageError, match=r"text\.jpg"):
         load_image(path)
 
 
@@ -266,21 +241,6 @@ def test_heic_without_its_package_is_not_corrupt(
         load_image(path)
     needs = "is HEIC, which needs pillow-heif: pip install pillow-heif"
     assert str(caught.value) == f"{path} {needs}"
-
-
-MAGIC = (b"", b"\xff\xd8\xff\xe1", b"P5 3 ", b"BM", b"II*\0", b"GIF89a", b"RIFF")
-
-
-@given(st.binary(max_size=200), st.sampled_from(MAGIC))
-def test_junk_is_read_or_refused_but_raises_nothing_else(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes, start: bytes
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "junk"
-    path.write_bytes(start + content)
-    try:
-        assert load_image(path).pixels.ndim == 3
-    except ImageError as error:
-        assert "junk" in str(error) and "\n" not in str(error)
 
 
 def test_missing_empty_and_folder(tmp_path: Path) -> None:
@@ -437,10 +397,6 @@ def test_an_image_is_returned_as_it_is(rgb: np.ndarray) -> None:
 def test_an_image_holds_8_bit_rgb_alone(pixels: np.ndarray) -> None:
     with pytest.raises(InputError, match="mine: pixels"):
         Image(pixels, "mine")
-
-
-def test_input_errors_are_value_errors() -> None:
-    assert issubclass(InputError, ValueError) and issubclass(ImageError, DgcPoseError)
 
 
 def test_resize_follows_the_half_pixel_rule() -> None:
