@@ -11,12 +11,21 @@ import torch
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from dgc_pose.benchmarks.table import aligned
+from dgc_pose.benchmarks.table import table
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 
 _MATRIX = 2048  # rows and columns of the matrix product that the machine's rate is taken from
+
+_COLUMNS = {
+    "network": "{0.network}",
+    "way": "{0.way}",
+    "ms": "{0.milliseconds:.1f}",
+    "times faster": "{0.times_faster:.2f}",
+    "over floor": "{0.over_floor:.2f}",
+    "apart px": "{0.apart_px:.1e}",
+}
 
 
 @dataclass(frozen=True)
@@ -29,6 +38,10 @@ class Forward:
     times_faster: float  # than torch's eager pass: median of the ratios of each repetition
     over_floor: float  # its seconds over those of its multiply-adds at the machine's rate
     apart_px: float  # median distance of its map from the eager one's, pixels of 240 x 240
+
+    @property
+    def milliseconds(self) -> float:
+        return 1000 * self.seconds
 
 
 def multiply_adds(net: DGCNet) -> tuple[int, int]:
@@ -93,13 +106,4 @@ def time_forwards(
 
 def forwards_text(forwards: Sequence[Forward]) -> str:
     """The ways to run the networks as a table with aligned columns."""
-    rows = [("network", "way", "ms", "times faster", "over floor", "apart px")]
-    for run in forwards:
-        ratios = f"{run.times_faster:.2f}", f"{run.over_floor:.2f}", f"{run.apart_px:.1e}"
-        rows.append((run.network, run.way, milliseconds(run.seconds), *ratios))
-    return aligned(rows)
-
-
-def milliseconds(seconds: float) -> str:
-    """Seconds as milliseconds with one decimal."""
-    return f"{1000 * seconds:.1f}"
+    return table(_COLUMNS, forwards)

@@ -4,11 +4,16 @@ Three layouts are read, in a folder and in the folders right below it:
 - HPatches: sequences `v_*` of 1.ppm to 6.ppm with H_1_2 to H_1_6 (no illumination, `i_*`);
 - VGG's affine-covariant sets: img1 to img6 with H1to2p to H1to6p;
 - annotated pairs: NAME_A, NAME_B and NAME_H.txt.
-A matrix H maps pixels of the first image to the second, x2 ~ H x1.
+A matrix H maps pixels of the first image to the second, x2 ~ H x1. The DGC-Net authors' lists of
+HPatches pairs, hpatches_1_2.csv to hpatches_1_6.csv, are read too: a line is
+`obj,im1,im2,Him,Wim,H11,...,H33`, the images <root>/<obj>/<k>.ppm, height and width of image 1, and
+the homography from im1 to im2 at full size.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +24,7 @@ import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.inputs import read_text
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import load_image, resize
 from dgc_pose.network.config import INPUT_SIZE
@@ -28,6 +33,9 @@ from dgc_pose.synthesis.map_pairs import MapPairs
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
 _MATRIX_BYTES = 2**16  # of a file with nine numbers
+# Columns of the DGC-Net authors' lists
+_MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
+_COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 
 
@@ -79,6 +87,27 @@ def find_homography_pairs(root: str | Path) -> HomographySet:
             f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
         )
     return HomographySet(pairs, tuple(pair for pair in named if isinstance(pair, str)))
+
+
+def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
+    """The pairs of all five lists; those whose images are not below `root` are `missing`.
+
+    Raises InputError, with the path and the line, if a list is missing or a line malformed.
+    """
+    pairs: list[HomographyPair] = []
+    missing: list[str] = []
+    for k, viewpoint in enumerate(VIEWPOINTS, start=2):
+        path = Path(folder) / f"hpatches_1_{k}.csv"
+        if not path.is_file():
+            raise InputError(f"{path}: no such list; there are five, hpatches_1_2 to hpatches_1_6")
+        for pair in _read_list(path, Path(root), viewpoint):
+            if pair.path1.is_file() and pair.path2.is_file():
+                pairs.append(pair)
+            else:
+                missing.append(pair.name)
+    if not pairs:
+        raise InputError(f"{root}: holds no image of the {len(missing)} pairs listed in {folder}")
+    return HomographySet(tuple(pairs), tuple(missing))
 
 
 def load_pair(pair: HomographyPair) -> MapPairs:
@@ -180,3 +209,26 @@ def _image(stem: Path) -> Path | None:
     """The image file of that name, whatever its suffix."""
     paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
     return next((path for path in paths if path.is_file()), None)
+
+
+def _read_list(path: Path, root: Path, viewpoint: str) -> list[HomographyPair]:
+    text = io.StringIO(read_text(path, "a list of pairs"), newline="")
+    with read_as("a list of pairs", path):
+        reader = csv.DictReader(text)
+        absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+        if absent:
+            raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
+        return [_list_pair(row, f"{path}:{reader.line_num}", root, viewpoint) for row in reader]
+
+
+def _list_pair(row: dict[str, str], where: str, root: Path, viewpoint: str) -> HomographyPair:
+    if any(row[name] is None for name in _COLUMNS):
+        raise InputError(f"{where}: {len(_COLUMNS)} fields are needed")
+    try:
+        H = np.array([float(row[name]) for name in _MATRIX]).reshape(3, 3)
+        size1 = (int(float(row["Wim"])), int(float(row["Him"])))
+    except (ValueError, OverflowError) as error:
+        raise InputError(f"{where}: {error}") from None
+    path1, path2 = (root / row["obj"] / f"{row[name]}.ppm" for name in ("im1", "im2"))
+    name = f"{row['obj']} {row['im1']}-{row['im2']}"
+    return HomographyPair(name, viewpoint, path1, path2, check_matrix(H, where), size1)

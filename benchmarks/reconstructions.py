@@ -15,7 +15,7 @@ from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.run import BatchOptions, run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.posed_views import PosedViews
-from dgc_pose.benchmarks.table import aligned
+from dgc_pose.benchmarks.table import table
 from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
@@ -30,6 +30,21 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics.pose import rotation_error_deg
 
 COLMAP_SIFT = "colmap-sift"
+_COLUMNS = {
+    "method": "{0.method}",
+    "images": "{0.images}",
+    "registered": "{0.registered}",
+    "R med deg": "{0.rotation_median_deg:.3f}",
+    "position rms": "{0.position_rms:.4g}",
+    "med": "{0.position_median:.4g}",
+    "% of extent": "{0.position_percent:.3f}",
+    "points": "{0.points}",
+    "track length": "{0.mean_track_length:.2f}",
+    "reprojection px": "{0.reprojection_error_px:.3f}",
+    "pairs": "{0.pairs}",
+    "poses": "{0.poses}",
+    "seconds": "{0.seconds:.0f}",
+}
 
 
 @dataclass(frozen=True)
@@ -156,22 +171,4 @@ def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str])
 
 def score_table(scores: Sequence[ReconstructionScore]) -> str:
     """A line a method."""
-    heading = (
-        *("method", "images", "registered", "R med deg", "position rms", "med", "% of extent"),
-        *("points", "track length", "reprojection px", "pairs", "poses", "seconds"),
-    )
-    rows = [
-        (
-            *(score.method, str(score.images), str(score.registered)),
-            f"{score.rotation_median_deg:.3f}",
-            f"{score.position_rms:.4g}",
-            f"{score.position_median:.4g}",
-            f"{score.position_percent:.3f}",
-            str(score.points),
-            f"{score.mean_track_length:.2f}",
-            f"{score.reprojection_error_px:.3f}",
-            *(str(score.pairs), str(score.poses), f"{score.seconds:.0f}"),
-        )
-        for score in scores
-    ]
-    return aligned([heading, *rows])
+    return table(_COLUMNS, scores)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.forwards import milliseconds, multiply_adds
+from dgc_pose.benchmarks.forwards import multiply_adds
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.cameras.camera import Camera, check_size, parse_camera
 from dgc_pose.cameras.pair_list import bundled_pair
@@ -35,6 +35,11 @@ from dgc_pose.refinement import Refiner
 SIZE = (1600, 1200)  # of the bundled pair, enlarged
 TOTAL, SIFT_TOTAL = "dgc-pose, in all", "sift, in all"
 _UPRIGHT = "the map, without rotations"
+_ESTIMATION = EstimationOptions()
+_NAMES = (
+    *("read", "encoder", "decoders", "map in pixels", "rotated tries", "selection", "refinement"),
+    *("pose", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL),
+)
 
 Value = TypeVar("Value")
 Seconds = dict[str, float]
@@ -42,7 +47,7 @@ Seconds = dict[str, float]
 
 @dataclass(frozen=True)
 class Setup:
-    """What is measured: two images with their cameras, a matcher and the estimator's options."""
+    """What is measured: two images with their cameras, and a matcher."""
 
     path1: Path
     path2: Path
@@ -50,7 +55,6 @@ class Setup:
     camera2: Camera
     dense: DenseMatcher
     refiner: Refiner  # of `dense`
-    estimation: EstimationOptions = field(default_factory=EstimationOptions)
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ def time_stages(setup: Setup) -> Seconds:
         return result
 
     def pose(matches: Matches) -> object:
-        return estimate_pose(matches, setup.camera1, setup.camera2, setup.estimation)
+        return estimate_pose(matches, setup.camera1, setup.camera2, _ESTIMATION)
 
     dense, refiner = setup.dense, setup.refiner
     paths = (setup.path1, setup.path2)
@@ -123,8 +127,6 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
         "decoders": decoders / fastest,
         "pose": median["poselib alone"],
     }
-    names = ["read", "encoder", "decoders", "map in pixels", "rotated tries", "selection"]
-    names += ["refinement", "pose", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL]
     return [
         Stage(
             name,
@@ -132,7 +134,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
             median[name] / median[SIFT_TOTAL if name.startswith("sift") else TOTAL],
             floors.get(name),
         )
-        for name in names
+        for name in _NAMES
     ]
 
 
@@ -164,26 +166,25 @@ def stages_text(timed: Sequence[Stage]) -> str:
     """The stages as a table with aligned columns."""
     rows = [("stage", "ms", "share", "floor ms", "over floor")]
     for stage in timed:
-        floor = stage.floor_seconds
-        beside = ("", "")
-        if floor is not None:
-            beside = (milliseconds(floor), f"{stage.seconds / floor:.2f}")
-        rows.append((stage.name, milliseconds(stage.seconds), f"{stage.share:.0%}", *beside))
+        floor = ("", "")
+        if stage.floor_seconds is not None:
+            over = stage.seconds / stage.floor_seconds
+            floor = (f"{1000 * stage.floor_seconds:.1f}", f"{over:.2f}")
+        rows.append((stage.name, f"{1000 * stage.seconds:.1f}", f"{stage.share:.0%}", *floor))
     return aligned(rows)
 
 
 def _poselib_alone(setup: Setup, matches: Matches) -> Callable[[], None]:
     """PoseLib's runs on all the matches, with the options' iterations and threshold."""
-    options = setup.estimation
-    problem = TwoViewProblem.of(matches, setup.camera1, setup.camera2, options)
+    problem = TwoViewProblem.of(matches, setup.camera1, setup.camera2, _ESTIMATION)
 
     def run() -> None:
-        for seed in run_seeds(options) if len(problem) >= MINIMAL else ():
+        for seed in run_seeds(_ESTIMATION) if len(problem) >= MINIMAL else ():
             essential_matrix(
                 problem.points1,
                 problem.points2,
                 threshold=problem.threshold,
-                iterations=options.iterations,
+                iterations=_ESTIMATION.iterations,
                 seed=seed,
             )
 

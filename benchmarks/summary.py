@@ -9,17 +9,29 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.benchmarks.scores import MapScore, PoseScore, Score
-from dgc_pose.benchmarks.table import aligned, decimals
+from dgc_pose.benchmarks.table import decimals, table
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import finite_data
 from dgc_pose.metrics import pose_auc
 
-COLUMNS = (
-    *("method", "pairs", "failures", "R med", "t med", "t folded"),
-    *("AUC@5", "AUC@10", "AUC@20", "s/pair"),
-)
-EPIPOLAR_COLUMNS = (*COLUMNS, "D_e all", "D_e conf", "matches", "pose s")
+_COLUMNS = {
+    "method": "{0.method}",
+    "pairs": "{0.pairs}",
+    "failures": "{0.failures} ({0.failed_percent:.1f} %)",
+    "R med": "{0.median_rotation_deg:.2f}",
+    "t med": "{0.median_translation_deg:.2f}",
+    "t folded": "{0.median_translation_folded_deg:.2f}",
+    **{f"AUC@{limit}": f"{{0.auc{limit}:.1f}}" for limit in (5, 10, 20)},
+    "s/pair": "{0.seconds_per_pair:.2f}",
+}
+_EPIPOLAR_COLUMNS = {
+    **_COLUMNS,
+    "D_e all": "{0.median_epipolar_text}",
+    "D_e conf": "{0.median_epipolar_confident_px:.2f}",
+    "matches": "{0.matches_per_pair:.0f}",
+    "pose s": "{0.pose_seconds_per_pair:.3f}",
+}
 
 
 @dataclass(frozen=True)
@@ -37,18 +49,9 @@ class MethodSummary:
     auc20: float
     seconds_per_pair: float  # mean time to match and estimate, without reading the images
 
-    def cells(self) -> tuple[str, ...]:
-        """A row of `COLUMNS`."""
-        return (
-            self.method,
-            str(self.pairs),
-            f"{self.failures} ({100 * self.failures / self.pairs:.1f} %)",
-            f"{self.median_rotation_deg:.2f}",
-            f"{self.median_translation_deg:.2f}",
-            f"{self.median_translation_folded_deg:.2f}",
-            *(f"{auc:.1f}" for auc in (self.auc5, self.auc10, self.auc20)),
-            f"{self.seconds_per_pair:.2f}",
-        )
+    @property
+    def failed_percent(self) -> float:
+        return 100 * self.failures / self.pairs
 
 
 @dataclass(frozen=True)
@@ -62,15 +65,9 @@ class EpipolarSummary(MethodSummary):
     match_seconds_per_pair: float  # mean
     pose_seconds_per_pair: float  # mean
 
-    def cells(self) -> tuple[str, ...]:
-        """A row of `EPIPOLAR_COLUMNS`."""
-        return (
-            *super().cells(),
-            decimals(self.median_epipolar_px, 2),
-            f"{self.median_epipolar_confident_px:.2f}",
-            f"{self.matches_per_pair:.0f}",
-            f"{self.pose_seconds_per_pair:.3f}",
-        )
+    @property
+    def median_epipolar_text(self) -> str:
+        return decimals(self.median_epipolar_px, 2)
 
 
 def by_method(scores: Iterable[Score]) -> dict[str, list[Score]]:
@@ -154,4 +151,4 @@ def heading(options: EstimationOptions) -> str:
 def summary_table(summaries: Sequence[MethodSummary]) -> str:
     """The summaries, all of one class, as a table; angles in degrees, AUC in percent."""
     epipolar = isinstance(summaries[0], EpipolarSummary)
-    return aligned([EPIPOLAR_COLUMNS if epipolar else COLUMNS, *(s.cells() for s in summaries)])
+    return table(_EPIPOLAR_COLUMNS if epipolar else _COLUMNS, summaries)

@@ -12,22 +12,14 @@ from itertools import chain
 from pathlib import Path
 
 import torch
-from torch import Tensor
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.benchmarks.published import SYNTHETIC
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
+from dgc_pose.synthesis import options as synthesis
 from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.synthesis.options import (
-    PAPER_AFFINE,
-    PAPER_AFFINE_TPS,
-    PAPER_HOMOGRAPHY,
-    PairOptions,
-    PhotometricOptions,
-    SceneOptions,
-    WarpOptions,
-)
+from dgc_pose.synthesis.options import PairOptions, PhotometricOptions, SceneOptions, WarpOptions
 from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos, load_held_back
 from dgc_pose.synthesis.random_pairs import make_pairs
@@ -37,9 +29,9 @@ from dgc_pose.synthesis.warps import FAR
 
 # By name, the paper's ranges; the scenes beside them are ray-cast.
 _WARPS: dict[str, WarpOptions] = {
-    "affine": PAPER_AFFINE,
-    "affine-tps": PAPER_AFFINE_TPS,
-    "homography": PAPER_HOMOGRAPHY,
+    "affine": synthesis.PAPER_AFFINE,
+    "affine-tps": synthesis.PAPER_AFFINE_TPS,
+    "homography": synthesis.PAPER_HOMOGRAPHY,
 }
 _SCENES = "scenes"
 SETS = (*_WARPS, _SCENES)
@@ -62,8 +54,7 @@ def synthetic_set(
     is held back.
     """
     for name in names:
-        if name not in SETS:
-            raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")
+        _require_set(name)
     if not names:
         raise InputError("no sets named")
     photos = load_held_back(root, PHOTO_SIDE)
@@ -81,8 +72,7 @@ def synthetic_cases(
     changed: with the trainer's photometric changes, and its occluders in warped views. Raises
     InputError for a name that is none of SETS.
     """
-    if name not in SETS:
-        raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")
+    _require_set(name)
     generator = torch.Generator().manual_seed(1000 * seed + SETS.index(name))
     if name == _SCENES:
         made = _scenes(photos, generator, changed)
@@ -91,18 +81,12 @@ def synthetic_cases(
     done = 0
     while done < pairs:
         batch = next(made)
-        kept = min(len(batch.map), pairs - done)
-        names = tuple(
-            f"{name} {done + index}" + ", past its horizon" * beyond
-            for index, beyond in enumerate(_beyond_horizon(batch)[:kept])
-        )
-        yield MapCase(name, names, batch.chosen(slice(kept)))
-        done += kept
-
-
-def _beyond_horizon(pairs: MapPairs) -> list[bool]:
-    """For each pair, whether the target shows the plane's horizon, which no real view does."""
-    return (pairs.map >= FAR).flatten(1).any(1).tolist()
+        chosen = batch.chosen(slice(min(len(batch.map), pairs - done)))
+        # The target may show the plane's horizon, which no real view does.
+        horizons = (chosen.map >= FAR).flatten(1).any(1).tolist()
+        names = [f"{name} {done + k}" + ", past its horizon" * h for k, h in enumerate(horizons)]
+        yield MapCase(name, tuple(names), chosen)
+        done += len(names)
 
 
 def listed_set(path: str | Path, root: str | Path) -> MapSet:
@@ -141,7 +125,8 @@ def _scenes(photos: Photos, generator: torch.Generator, changed: bool) -> Iterat
     scenes = SceneOptions(rotation_deg=ROTATION_DEG, supersample=2)
     while True:
         views = render_pairs(photos.textures, _BATCH, INPUT_SIZE, generator, scenes)
-        angle = _rotation_deg(views.cam2_from_cam1[:, :, :3])
+        cosine = (views.cam2_from_cam1.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
+        angle = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
         kept = (angle >= ROTATION_DEG[0]) & (angle <= ROTATION_DEG[1])
         images = [views.image1, views.image2]
         if changed:
@@ -150,7 +135,6 @@ def _scenes(photos: Photos, generator: torch.Generator, changed: bool) -> Iterat
         yield MapPairs(images[0], images[1], views.map, views.visible).chosen(kept)
 
 
-def _rotation_deg(R: Tensor) -> Tensor:
-    """Angles (B,) of rotations (B, 3, 3), degrees."""
-    cosine = (R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
-    return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
+def _require_set(name: str) -> None:
+    if name not in SETS:
+        raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+
+def table(columns: Mapping[str, str], rows: Iterable[object]) -> str:
+    """A line for each row below the headings; a column's text, such as "{0.seconds:.2f}", is
+    formatted with the row."""
+    cells = ([text.format(row) for text in columns.values()] for row in rows)
+    return aligned([[*columns], *cells])
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:

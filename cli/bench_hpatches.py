@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import click
 
-from dgc_pose.benchmarks.homographies import find_homography_pairs, homography_set
-from dgc_pose.benchmarks.hpatches_lists import read_lists
+from dgc_pose.benchmarks.homographies import find_homography_pairs, homography_set, read_lists
 from dgc_pose.benchmarks.map_report import (
     HEADING,
     Scores,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dgc_pose.benchmarks.dtu import mvsnet, neus, raw
+from dgc_pose.benchmarks.dtu import layouts
 from dgc_pose.benchmarks.dtu.scene import LIGHTS, DtuScene, SceneReader, read_scene
 from dgc_pose.errors import InputError
 
@@ -16,9 +16,9 @@ Find = Callable[[Path, str], SceneReader | None]
 
 # How each layout is found, and what is expected of it.
 _LAYOUTS: dict[Layout, tuple[Find, str]] = {
-    "raw": (raw.find, raw.EXPECTED),
-    "mvsnet": (mvsnet.find, mvsnet.EXPECTED),
-    "neus": (neus.find, neus.EXPECTED),
+    "raw": (layouts.find_raw, layouts.RAW),
+    "mvsnet": (layouts.find_mvsnet, layouts.MVSNET),
+    "neus": (layouts.find_neus, layouts.NEUS),
 }
 
 

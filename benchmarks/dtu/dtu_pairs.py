@@ -15,7 +15,7 @@ from typing import Literal
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
-from dgc_pose.benchmarks.posed_pairs import FilePairs, PosedPair
+from dgc_pose.benchmarks.posed_pairs import FilePairs
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
@@ -68,10 +68,6 @@ class DtuPairs(FilePairs[DtuScore]):
     def stem(self, path1: str, path2: str) -> str:
         """See `FileMatcher`."""
         return self.stems[path1, path2]
-
-    def by_key(self, key: ViewKey) -> PosedPair:
-        """The pair of (scene, view1, view2)."""
-        return self.pair(self.keys.index(key))
 
     def seed(self, number: int) -> tuple[int, ...]:
         return self.keys[number]

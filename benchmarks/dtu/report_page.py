@@ -9,8 +9,6 @@ import jinja2
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
 from dgc_pose.benchmarks.dtu.page_data import data_uri, page_data
-from dgc_pose.benchmarks.dtu.worst import plot_worst, worst_pairs
-from dgc_pose.benchmarks.samples import method_file_name, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.files.outputs import save_text, staged
@@ -18,6 +16,7 @@ from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
 PAGE = "report.html"
+WORST = 10  # pairs of each method that have pictures first
 PICTURED = 300  # pairs with pictures in the page: more make a file that opens slowly
 _TEMPLATES = Path(__file__).parent / "templates"
 _CAPTIONS = {
@@ -37,10 +36,10 @@ def write_report(
     table: str,
     pictured: int = PICTURED,
 ) -> list[Path]:
-    """Write all pictures of a finished run and its page into `out`; each appears whole.
+    """Write the figures of a finished run and its page into `out`; each appears whole.
 
-    rotation, translation and epipolar as .png and .svg, motion.png, worst-METHOD.png for each
-    method, and report.html, which needs none of the others.
+    rotation, translation and epipolar as .png and .svg, motion.png, and report.html, which needs
+    none of the others.
 
     Args:
         out: the folder of the run, which holds the samples of matches.
@@ -57,11 +56,6 @@ def write_report(
     histograms = plot_histograms(errors, pairs.protocol)
     figures = {f"{name}.{kind}": histograms[name] for name in histograms for kind in ("png", "svg")}
     figures["motion.png"] = plot_against_motion(errors)
-    for method, of_method in methods.items():
-        worst = worst_pairs(of_method)
-        shown = [pairs.by_key((row.scene, row.view1, row.view2)) for row in worst]
-        samples = [read_sample(out, row.key) for row in worst]
-        figures[f"worst-{method_file_name(method)}.png"] = plot_worst(worst, shown, samples)
     chosen = pictured_pairs(methods, pictured)
     data = page_data(out, pairs, methods, chosen)
     paths = {name: out / name for name in (*figures, PAGE)}
@@ -92,11 +86,16 @@ def write_report(
 def pictured_pairs(methods: Mapping[str, Sequence[DtuScore]], count: int) -> frozenset[ViewKey]:
     """The pairs that the page has pictures of, at most `count`: the worst of each method, then from
     the start of the list."""
-    worst = [worst_pairs(rows) for rows in methods.values()]
+    worst = [sorted(rows, key=_rank)[:WORST] for rows in methods.values()]
     by_rank = [rows[rank] for rank in range(max(map(len, worst))) for rows in worst]
     in_order = [*by_rank, *next(iter(methods.values()))]
     keys = [(row.scene, row.view1, row.view2) for row in in_order]
     return frozenset(list(dict.fromkeys(keys))[:count])
+
+
+def _rank(row: DtuScore) -> tuple[object, ...]:
+    """The larger of rotation and folded translation error first, infinite without a pose."""
+    return -max(row.rotation_error_deg, row.translation_folded_deg), row.key
 
 
 def _picture_uri(name: str, file: Path) -> str:

@@ -4,8 +4,7 @@ import homography_scene as scene
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.homographies import VIEWPOINTS, load_pair
-from dgc_pose.benchmarks.hpatches_lists import read_lists
+from dgc_pose.benchmarks.homographies import VIEWPOINTS, load_pair, read_lists
 from dgc_pose.errors import InputError
 
 

@@ -25,8 +25,7 @@ from dgc_pose.batch.store import PartStore, read_part
 from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
-from dgc_pose.benchmarks.homographies import find_homography_pairs
-from dgc_pose.benchmarks.hpatches_lists import read_lists
+from dgc_pose.benchmarks.homographies import find_homography_pairs, read_lists
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
