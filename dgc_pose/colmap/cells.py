@@ -43,7 +43,7 @@ def merge_by_cells(
 
 def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: SharingOptions) -> np.ndarray:
     """The key points (N, 2) of an image."""
-    points = np.concatenate([p.points1 if p.row.name1 == name else p.points2 for p in pairs])
+    points = np.concatenate([p.towards(name)[2] for p in pairs])
     scores = np.concatenate([p.scores for p in pairs])
     pair = np.repeat(np.arange(len(pairs)), [len(p.scores) for p in pairs])
     cells = np.floor((points + 0.5) / options.cell).astype(np.int64)

@@ -46,7 +46,14 @@ def write_database(
             # Without a transaction of pycolmap, whose end terminates the process when a disk is
             # full. There is nothing to undo: the file has not taken its name.
             with quiet(), pycolmap.Database.open(temporary) as database:
-                _write(database, names, cameras, shared, rows)
+                ids = _write_images(database, names, cameras)
+                for name, points in shared.key_points.items():
+                    database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))
+                for pair, index in shared.pairs.items():
+                    id1, id2 = (ids[name] for name in pair)
+                    database.write_matches(id1, id2, index)
+                    geometry = two_view_geometry(rows[pair], index)
+                    database.write_two_view_geometry(id1, id2, geometry)
         except RuntimeError as error:
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
@@ -55,30 +62,15 @@ def write_database(
             Path(f"{path}{ending}").unlink(missing_ok=True)
 
 
-def _write(
-    database: pycolmap.Database,
-    names: Sequence[str],
-    cameras: Mapping[str, Camera],
-    shared: SharedMatches,
-    rows: Mapping[Names, PairRow],
-) -> None:
-    ids = _write_images(database, names, cameras)
-    for name, points in shared.key_points.items():
-        database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))
-    for pair, index in shared.pairs.items():
-        id1, id2 = (ids[name] for name in pair)
-        database.write_matches(id1, id2, index)
-        database.write_two_view_geometry(id1, id2, two_view_geometry(rows[pair], index))
-
-
 def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeometry:
     """COLMAP's two-view geometry of a row of a status in `CONFIGURATIONS`.
 
     matches: (M, 2) uint32, indices of key points, all of them inliers.
     """
     geometry = pycolmap.TwoViewGeometry()
-    name = CONFIGURATIONS[row.status]
-    geometry.config = getattr(pycolmap.TwoViewGeometryConfiguration, name)
+    geometry.inlier_matches = matches
+    configurations = pycolmap.TwoViewGeometryConfiguration
+    geometry.config = getattr(configurations, CONFIGURATIONS[row.status])
     if row.R is not None:
         R = np.reshape(row.R, (3, 3))
         t = np.zeros(3) if row.t is None else np.array(row.t)
@@ -87,7 +79,6 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
             geometry.E = essential_from_pose(R, t)
     if row.median_triangulation_angle_deg is not None and row.t is not None:
         geometry.tri_angle = float(np.radians(row.median_triangulation_angle_deg))
-    geometry.inlier_matches = matches
     return geometry
 
 
@@ -126,13 +117,8 @@ def _write_images(
     for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
         camera.has_prior_focal_length = not cameras[name].guessed_focal
-        key = (
-            camera.model.name,
-            camera.has_prior_focal_length,
-            camera.width,
-            camera.height,
-            *camera.params.tolist(),
-        )
+        size = (camera.width, camera.height)
+        key = (camera.model.name, camera.has_prior_focal_length, *size, *camera.params.tolist())
         if key not in camera_ids:
             camera_ids[key] = camera.camera_id = database.write_camera(camera)
             rig = pycolmap.Rig(rig_id=camera_ids[key])

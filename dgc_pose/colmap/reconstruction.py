@@ -78,19 +78,16 @@ def _require_model(expected: pycolmap.Reconstruction, folder: Path, path: Path) 
         written = pycolmap.Reconstruction(folder)
     except (RuntimeError, ValueError) as error:
         raise DgcPoseError(f"{path}: what was written cannot be read: {reason(error)}") from error
-    for count in ("num_images", "num_points3D"):
-        counts = getattr(written, count)(), getattr(expected, count)()
-        if counts[0] != counts[1]:
-            raise DgcPoseError(
-                f"{path}: {count} is {counts[0]} in what was written, not {counts[1]}"
-            )
+    counts, wanted = ((m.num_images(), m.num_points3D()) for m in (written, expected))
+    if counts != wanted:
+        raise DgcPoseError(f"{path}: {counts} images and points were written, not {wanted}")
 
 
 def require_model_folder(folder: Path) -> None:
     """Raise InputError unless this is a folder of nothing but a model's files, or not there."""
-    if not folder.exists():
+    if folder.is_dir() and _MODEL_FILES.issuperset(path.stem for path in folder.iterdir()):
         return
-    if not folder.is_dir() or any(path.stem not in _MODEL_FILES for path in folder.iterdir()):
+    if folder.exists():
         raise InputError(f"{folder}: holds other files than those of a model, and is kept")
 
 

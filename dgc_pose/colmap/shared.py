@@ -33,6 +33,12 @@ class PairGeometry:
     def names(self) -> Names:
         return self.row.name1, self.row.name2
 
+    def towards(self, name: str) -> tuple[str, np.ndarray, np.ndarray]:
+        """The name of the other image, the points in it, and those in the image `name`."""
+        if name == self.row.name2:
+            return self.row.name1, self.points1, self.points2
+        return self.row.name2, self.points2, self.points1
+
 
 @dataclass(frozen=True, eq=False)
 class SharedMatches:

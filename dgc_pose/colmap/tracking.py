@@ -82,11 +82,15 @@ def _tracks_of(
     """The corners (N, 2) of an image, and where each pair has them."""
     image = load(name)
     grey = _grey(image)
-    matches_of_pairs = [_towards(pair, name) for pair in pairs]
-    corners = _choose(grey, image.size, matches_of_pairs, per_image)
+    matches_of_pairs = []  # with the image `name` as image 2
+    for pair in pairs:
+        _, points1, points2 = pair.towards(name)
+        raw = Matches(points1, points2, pair.scores, pair.row.error_px or 1.0)
+        matches_of_pairs.append(consistent(raw, _NEIGHBOURS))
+    corners = _choose(grey, matches_of_pairs, per_image)
     tracks = []
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
-        other = pair.row.name2 if pair.row.name1 == name else pair.row.name1
+        other, *_ = pair.towards(name)
         start = _predicted(corners, matches, _REACH * max(image.size))
         if len(start.index) == 0:
             continue
@@ -104,26 +108,12 @@ def _tracks_of(
             points1, points2 = points2, points1
         tolerance = _MAX_ERROR_PX * max(1.0, scale)
         good &= fits_pose(pair.row, cameras, points1, points2, tolerance)
-        index, zncc = aligned.index[good], aligned.zncc[good]
-        tracks.append(Track(other, index, aligned.points1[good], zncc))
+        arrays = (aligned.index, aligned.points1, aligned.zncc)
+        tracks.append(Track(other, *(array[good] for array in arrays)))
     return corners, tracks
 
 
-def _towards(pair: PairGeometry, name: str) -> LocalMatches:
-    """The consistent matches of a pair, with the image `name` as image 2."""
-    points1, points2 = pair.points1, pair.points2
-    if pair.row.name1 == name:
-        points1, points2 = points2, points1
-    error = pair.row.error_px or 1.0
-    return consistent(Matches(points1, points2, pair.scores, error), _NEIGHBOURS)
-
-
-def _choose(
-    grey: np.ndarray,
-    size: tuple[int, int],
-    matches_of_pairs: Sequence[LocalMatches],
-    most: int,
-) -> np.ndarray:
+def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: int) -> np.ndarray:
     """At most so many corners (N, 2), evenly spread: of each block the one near matches of the most
     pairs, then the strongest."""
     parts = []
@@ -140,7 +130,7 @@ def _choose(
     strength[corner] = rows[:, 2]
     points = rows[np.sort(first), :2]
     rank = np.argsort(np.argsort(strength)) / len(strength)  # below 1: support decides first
-    return points[spread(points, support + rank, size, most)]
+    return points[spread(points, support + rank, grey.shape[::-1], most)]
 
 
 def _predicted(corners: np.ndarray, matches: LocalMatches, reach: float) -> LocalMatches:
@@ -190,13 +180,12 @@ class _Builder:
         for track, index in zip(tracks, indices, strict=True):
             self._add_matches((name, track.name), key_point[track.corner], index, track.zncc)
         # Two images that share a corner of a third are matched there too, if they are a pair.
-        for (track1, index1), (track2, index2) in combinations(
-            zip(tracks, indices, strict=True), 2
-        ):
-            if (track1.name, track2.name) in self._rows:
-                self._add_common(track1, index1, track2, index2)
-            elif (track2.name, track1.name) in self._rows:
-                self._add_common(track2, index2, track1, index1)
+        for placed in combinations(zip(tracks, indices, strict=True), 2):
+            names = tuple(track.name for track, _ in placed)
+            if names in self._rows:
+                self._add_common(*placed[0], *placed[1])
+            elif names[::-1] in self._rows:
+                self._add_common(*placed[1], *placed[0])
 
     def result(self) -> SharedMatches:
         pairs = {}

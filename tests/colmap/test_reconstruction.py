@@ -55,11 +55,10 @@ def _assert_true(model: SparseModel, views: list[View], max_deg: float, max_shar
         R = model.poses[names[j]][:, :3] @ model.poses[names[i]][:, :3].T
         assert rotation_error_deg(R, views[j].R @ views[i].R.T) < max_deg
     true = np.stack([view.centre for view in views])
-    found = np.stack([model.centre(name) for name in names])
-    similarity = pycolmap.estimate_sim3d(found, true)
+    centres = np.stack([model.centre(name) for name in names])
+    similarity = pycolmap.estimate_sim3d(centres, true)
     assert similarity is not None
-    matrix = similarity.matrix()
-    error = np.linalg.norm(found @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
+    error = np.linalg.norm([similarity * centre for centre in centres] - true, axis=1)
     assert error.max() < max_share * np.linalg.norm(true[-1] - true[0])
 
 
@@ -151,44 +150,25 @@ def _assert_hloc_reads(folder: Path, database: bytes) -> None:
                 assert matches0.dtype == np.int32
                 assert group["matching_scores0"].dtype == np.float16
                 index = np.flatnonzero(matches0 != -1)
-                found = np.stack([index, matches0[index]], -1)
-                found = found[:, ::-1] if reverse else found
+                matched = np.stack([index, matches0[index]], -1)[:, :: -1 if reverse else 1]
                 stored = exported.read_matches(ids[name0], ids[name1])
-                assert len(found) > 50
-                assert {*map(tuple, found.tolist())} == {*map(tuple, stored.tolist())}
+                assert len(matched) > 50
+                assert {*map(tuple, matched.tolist())} == {*map(tuple, stored.tolist())}
 
 
-def test_nothing_to_reconstruct(
-    views: tuple[Path, list[View]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A batch without a pose, and two images that make no model; COLMAP's log is not shown, and no
     file of it is left."""
-    out = tmp_path / "pair"
-    two = tmp_path / "pairs.txt"
-    two.write_text("view0.png view1.png\n")
-    from dgc_pose.batch.calibration import read_calibration
-    from dgc_pose.batch.run import BatchOptions, run_batch
-    from dgc_pose.batch.source import open_source
-    from dgc_pose.estimation import EstimationOptions
-    from dgc_pose.matchers import MatcherOptions
-
-    pair = run_batch(
-        open_source(two, views[0]),
-        read_calibration(K_text()),
-        None,
-        out,
-        matcher=MatcherOptions("sift"),
-        estimation=EstimationOptions(runs=1, iterations=300),
-        options=BatchOptions(),
-    )
+    view_folder(tmp_path / "two", 2)
+    pair = run_sift(tmp_path / "two", tmp_path / "pair")
     with pytest.raises(MappingError, match="incremental mapper made no model"):
         reconstruct(pair, tmp_path / "model")
     assert capfd.readouterr() == ("", "")
     assert not list(Path(tempfile.gettempdir()).glob(f".*.log.*.{os.getpid()}"))
-    rows = (out / "pairs.jsonl").read_text().replace('"ok"', '"no_model"')
-    (out / "pairs.jsonl").write_text(rows)
+    rows = tmp_path / "pair" / "pairs.jsonl"
+    rows.write_text(rows.read_text().replace('"ok"', '"no_model"'))
     with pytest.raises(InputError, match="has a pose"):
-        reconstruct(read_batch(out), tmp_path / "model")
+        reconstruct(read_batch(tmp_path / "pair"), tmp_path / "model")
 
 
 @pytest.mark.parametrize("sharing", ["tracks", "cells"])
