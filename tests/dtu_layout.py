@@ -14,10 +14,11 @@ from demo_scene import demo_scene
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras
 from dgc_pose.synthesis.render.procedural import procedural_textures
-from dgc_pose.synthesis.render.raycast import Lighting, cast, describe, shade
+from dgc_pose.synthesis.render.raycast import cast, describe, shade
 
 SIZE = (160, 120)
 # DTU's camera at a tenth of its size.
@@ -73,9 +74,8 @@ def rendered_scan(degrees: tuple[float, ...] = (-20.0, -8.0, 0.0, 7.0, 18.0)) ->
         )
         hits = cast(scene, cameras, cameras.pixels())
         surface = describe(scene, cameras, hits)
-        colours = shade(
-            scene, cameras, hits, surface, bank, light=scene.light, lighting=Lighting(0.4, 0.3)
-        )
+        options = SceneOptions(shading=0.4, shadow=0.3)
+        colours = shade(scene, cameras, hits, surface, bank, light=scene.light, options=options)
         pixels = (colours[0].T * 255).round().clamp(0, 255).byte()
         views[number] = view
         images[number] = pixels.reshape(SIZE[1], SIZE[0], 3).numpy()

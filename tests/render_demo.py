@@ -9,29 +9,22 @@ import numpy as np
 from demo_scene import demo_scene, demo_textures
 from PIL import Image
 
-from dgc_pose.synthesis.render.raycast import Lighting
+from dgc_pose.synthesis.options import SceneOptions
+from dgc_pose.synthesis.render.overlap import Candidate
 from dgc_pose.synthesis.render.rendered_pairs import render_views
 from dgc_pose.synthesis.render.scene_pair import RenderedPair, as_arrays
 
 IMAGE_NAMES = ("image1.jpg", "image2.jpg")
 LIST_NAME = "pair.txt"
 _JPEG_QUALITY = 90
-_LIGHTING = Lighting(shading=0.45, shadow=0.4)
+_LIGHTING = SceneOptions(shading=0.45, shadow=0.4)
 
 
 def render_demo(*, supersample: int = 2) -> RenderedPair:
     """The demo pair with its exact geometry; metres."""
-    scene, first, second = demo_scene()
-    pairs = render_views(
-        scene,
-        first,
-        second,
-        demo_textures(),
-        lights=(scene.light, scene.light),
-        lighting=_LIGHTING,
-        supersample=supersample,
-    )
-    return as_arrays(pairs)
+    views = Candidate(*demo_scene())
+    lights = views.scene.light, views.scene.light
+    return as_arrays(render_views(views, demo_textures(), lights, _LIGHTING, supersample))
 
 
 def pair_line(pair: RenderedPair) -> str:

@@ -13,8 +13,7 @@ from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.statistics import normalise
-from dgc_pose.synthesis.level_truth import level_truth
-from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.map_pairs import MapPairs, level_truth
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ Batch = TypeVar("Batch")
 def combined(parts: Sequence[Batch], combine: Callable[[list[Tensor]], Tensor]) -> Batch:
     """A dataclass of the parts' tensors, each combined; other fields are the first part's."""
     first: Any = parts[0]
-    names = [one.name for one in fields(first) if isinstance(getattr(first, one.name), Tensor)]
+    names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), Tensor)]
     tensors = {name: combine([getattr(part, name) for part in parts]) for name in names}
     result: Batch = replace(first, **tensors)
     return result

@@ -75,8 +75,6 @@ def hold_back(
     frames: Sequence[PosedFrame], share: float = 0.1
 ) -> tuple[Sequence[PosedFrame], Sequence[PosedFrame]]:
     """The frames that train, and the last `share` of the sequence, which validates."""
-    if not 0 < share < 1:
-        raise InputError(f"share must lie between 0 and 1, not {share}")
     first = len(frames) - round(share * len(frames))
     return frames[:first], frames[first:]
 

@@ -1,4 +1,4 @@
-"""Batches of image pairs with their true maps."""
+"""Batches of image pairs with their true maps, at the finest level and at coarser ones."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import torch
 from torch import Tensor
 
 from dgc_pose.synthesis.batches import changed
+
+# Cells whose four central pixels map this far apart (pixels) straddle two surfaces: not valid.
+_STRADDLES_PX = 6.0
 
 
 @dataclass(frozen=True)
@@ -33,3 +36,31 @@ class MapPairs:
     def chosen(self, which: slice | Tensor) -> MapPairs:
         """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
         return changed(self, lambda values: values[which])
+
+
+def level_truth(truth: Tensor, valid: Tensor, cells: int) -> tuple[Tensor, Tensor]:
+    """The true map at a level, (B, cells, cells, 2) pixels at the cells' centres, and the mask of
+    valid cells.
+
+    truth: (B, S, S, 2) pixels; valid: (B, S, S). The centre of a cell of s > 1 pixels lies between
+    its four central pixels: its truth is their mean, valid if all are and lie on one surface.
+    """
+    stride = truth.shape[1] // cells
+    if stride == 1:
+        return truth, valid
+    central = _central_pixels(truth, stride)
+    spread = (central.amax(0) - central.amin(0)).amax(-1)
+    whole = level_known(valid, cells)
+    return central.mean(0), whole & (spread < max(_STRADDLES_PX, 2.0 * stride / 4))
+
+
+def level_known(known: Tensor, cells: int) -> Tensor:
+    """Cells (B, cells, cells) whose central pixels are all known, of known pixels (B, S, S)."""
+    stride = known.shape[1] // cells
+    return known if stride == 1 else _central_pixels(known, stride).all(0)
+
+
+def _central_pixels(values: Tensor, stride: int) -> Tensor:
+    """The four pixels around the cells' centres: (B, S, S, ...) to (4, B, cells, cells, ...)."""
+    rows = columns = (stride // 2 - 1, stride // 2)
+    return torch.stack([values[:, y::stride, x::stride] for y in rows for x in columns])

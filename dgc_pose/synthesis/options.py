@@ -105,9 +105,6 @@ class SceneOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        for name in ("quads", "boxes", "ellipsoids", "tries", "supersample"):
-            if not isinstance(getattr(self, name), int):
-                raise InputError(f"{name} must be an integer, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from dgc_pose.network.net import Correlation, DGCNet, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.network.statistics import normalise
 from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.level_truth import level_known, level_truth
-from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.map_pairs import MapPairs, level_known, level_truth
 from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mask_loss
 from dgc_pose.training.options import Unfrozen
 

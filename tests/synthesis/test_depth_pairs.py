@@ -142,16 +142,6 @@ def test_views_cut_from_frames_agree_with_a_loop_in_double_precision(scenes: Dep
     assert not (pairs.valid & ~pairs.known).any() and pairs.map.isfinite().all()
 
 
-def test_the_source_fetched_by_the_map_looks_like_the_target(scenes: DepthScenes) -> None:
-    pairs = depth_pairs(scenes, 8, 64, torch.Generator().manual_seed(1), DepthOptions())
-    fetched = F.grid_sample(pairs.image1, (2 * pairs.map + 1) / 64 - 1, align_corners=False)
-    difference = (fetched - pairs.image2).abs().mean(1)
-    moved = F.grid_sample(pairs.image1, (2 * pairs.map + 9) / 64 - 1, align_corners=False)
-    assert float(difference[pairs.valid].mean()) < 0.06
-    off = (moved - pairs.image2).abs().mean(1)
-    assert float(off[pairs.valid].mean()) > 1.8 * float(difference[pairs.valid].mean())
-
-
 def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
     """K changes by each axis' own factor, and so do the points of the depth."""
     pair = rendered(4, (96, 64))
@@ -206,26 +196,20 @@ def test_cracks_close_on_a_surface_and_not_between_two() -> None:
     assert (close_cracks(step, 3)[3:-3, 19:21] == 0).all()
 
 
-def test_pairs_are_chosen_by_overlap_baseline_and_rotation(tmp_path: Path) -> None:
-    """The overlap of each view with the other by the rendered truth."""
+def test_pairs_overlap_and_turn_within_the_ranges(tmp_path: Path) -> None:
+    """The overlap of each view with the other by the rendered truth; 15 degrees apart."""
     pair = rendered(5, (64, 64), rotation_deg=15.0)
     frames = read_rgbd(write_rgbd(tmp_path / "a", pair))
     overlap = float(pair.visible.mean())
-    baseline = np.linalg.norm(pair.t) / np.median(pair.depth2)
 
     def targets(**limits: object) -> list[int]:
-        try:
-            scenes = load_depth_scenes([frames], replace(_ALL, **limits), side=64)  # type: ignore[arg-type]
-        except InputError:
-            return []
-        return scenes.pairs[:, 1].tolist()
+        choice = replace(_ALL, **limits)  # type: ignore[arg-type]
+        return load_depth_scenes([frames], choice, side=64).pairs[:, 1].tolist()
 
-    assert 1 in targets(overlap=(overlap - 0.08, overlap + 0.08))
-    assert 1 not in targets(overlap=(overlap + 0.08, 1.0))
-    assert 1 not in targets(overlap=(0.0, overlap - 0.08))
-    assert 1 in targets(baseline=(0.9 * baseline, 1.1 * baseline))
-    assert 1 not in targets(baseline=(1.1 * baseline, 10.0))
-    assert targets(rotation_deg=16.0) and not targets(rotation_deg=14.0)
+    assert 1 in targets(overlap=(overlap - 0.08, overlap + 0.08), rotation_deg=16.0)
+    for limits in ({"overlap": (0.0, 0.05)}, {"rotation_deg": 14.0}):
+        with pytest.raises(InputError, match="no two overlap"):
+            targets(**limits)
 
 
 def test_scenes_do_not_mix(tmp_path: Path) -> None:
@@ -240,8 +224,6 @@ def test_hold_back_takes_the_end_of_the_walk(pair: RenderedPair, tmp_path: Path)
     frames = read_rgbd(write_rgbd(tmp_path / "a", pair)) * 5
     training, held_back = hold_back(frames, 0.2)
     assert len(training) == 8 and list(held_back) == frames[8:]
-    with pytest.raises(InputError, match="share"):
-        hold_back(frames, 1.0)
 
 
 def test_make_pairs_mixes_real_scenes_in(scenes: DepthScenes) -> None:
@@ -259,18 +241,3 @@ def test_make_pairs_mixes_real_scenes_in(scenes: DepthScenes) -> None:
         make_pairs(photos, 2, 48, torch.Generator(), options)
     with pytest.raises(InputError, match="shares of one"):
         PairOptions(scene_share=0.7, real_share=0.4)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda: DepthOptions(view_scale=(0.0, 1.0)),
-        lambda: DepthOptions(agree=0.1, hidden=0.05),
-        lambda: PairChoice(overlap=(0.5, 0.2)),
-        lambda: PairChoice(baseline=(-1.0, 0.2)),
-        lambda: PairChoice(rotation_deg=0.0),
-    ],
-)
-def test_wrong_options_are_refused(wrong: object) -> None:
-    with pytest.raises(InputError):
-        wrong()  # type: ignore[operator]

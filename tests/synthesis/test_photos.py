@@ -23,7 +23,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_they_are_those_that_the_trainer_holds_back(folder: Path) -> None:
-    _, held_back = load_photos(folder, side=16)
+    (folder / "broken.jpg").write_bytes(b"no photograph")
+    training, held_back = load_photos(folder, side=16)
+    assert len(training.pixels) + len(held_back.pixels) == 60 and 1 <= len(held_back.pixels) < 12
+    assert torch.equal(training.pixels, load_photos(folder, side=16)[0].pixels)
+    known = {planes.numpy().tobytes() for planes in training.pixels}
+    assert not any(planes.numpy().tobytes() in known for planes in held_back.pixels)
     assert torch.equal(load_held_back(folder, side=16).pixels, held_back.pixels)
     assert load_held_back(folder, side=24).pixels.shape[1:] == (3, 24, 24)
 

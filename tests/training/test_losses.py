@@ -9,7 +9,7 @@ import torch.nn.functional as F
 
 from dgc_pose.network.consensus import consensus
 from dgc_pose.network.correlation import global_correlation, l2_normalise, match_scores
-from dgc_pose.synthesis.level_truth import level_truth
+from dgc_pose.synthesis.map_pairs import level_truth
 from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss
 
 

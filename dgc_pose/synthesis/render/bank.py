@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
-
-from dgc_pose.errors import InputError
 
 _SMALLEST_LEVEL = 4  # pixels; coarser mip levels are not made
 _CHUNK = 256  # photographs reduced at a time, so that no float copy of the whole set is made
@@ -28,15 +27,8 @@ class TextureBank:
 
     @staticmethod
     def from_photos(photos: Tensor) -> TextureBank:
-        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1].
-
-        Raises InputError for another shape or photos below 4 pixels.
-        """
-        if photos.ndim != 4 or photos.shape[1] != 3 or len(photos) == 0:
-            raise InputError(f"photos must have shape (N, 3, h, w), not {tuple(photos.shape)}")
+        """A bank on the photos' device, of (N, 3, h, w) uint8, or float in [0, 1]."""
         height, width = photos.shape[2:]
-        if min(height, width) < _SMALLEST_LEVEL:
-            raise InputError(f"photos must be at least {_SMALLEST_LEVEL} pixels high and wide")
         levels = (min(height, width) // _SMALLEST_LEVEL).bit_length()
         packed: list[list[Tensor]] = [[] for _ in range(levels)]
         for chunk in photos.split(_CHUNK):
@@ -59,27 +51,23 @@ class TextureBank:
         """
         width, height = self.size
         level = footprint.clamp(min=1e-6).log2().round().clamp(0, self.levels - 1).int()
-        starts, widths, heights = self._tables()
-        level_width, level_height = widths[level], heights[level]
-        left, right, u = _neighbours(_mirrored(x, width) / width, level_width)
-        top, bottom, v = _neighbours(_mirrored(y, height) / height, level_height)
-        start = starts[level] + photo * (level_width * level_height)
-        top, bottom = start + top * level_width, start + bottom * level_width
+        starts, widths, heights = (table[level] for table in self._tables())
+        left, right, u = _neighbours(_mirrored(x, width) / width, widths)
+        top, bottom, v = _neighbours(_mirrored(y, height) / height, heights)
+        start = starts + photo * (widths * heights)
+        top, bottom = start + top * widths, start + bottom * widths
         upper = torch.lerp(self._colours(top + left), self._colours(top + right), u)
         lower = torch.lerp(self._colours(bottom + left), self._colours(bottom + right), u)
         return torch.lerp(upper, lower, v).mul_(1 / 255).to(x.dtype)
 
-    def _tables(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Per level: index of its first texel, width, height."""
+    def _tables(self) -> Tensor:
+        """(3, levels) int64: the index of a level's first texel, its width and its height."""
         width, height = self.size
-        widths = [width >> k for k in range(self.levels)]
-        heights = [height >> k for k in range(self.levels)]
-        starts = [0]
-        for w, h in zip(widths, heights, strict=True):
-            starts.append(starts[-1] + self.count * w * h)
-        tables = torch.tensor([starts[:-1], widths, heights])
-        first, width_at, height_at = tables.to(self.texels.device, non_blocking=True)
-        return first, width_at, height_at
+        sizes = [(width >> k, height >> k) for k in range(self.levels)]
+        texels = [self.count * w * h for w, h in sizes]
+        starts = [0, *accumulate(texels[:-1])]
+        tables = torch.tensor([starts, *zip(*sizes, strict=True)])
+        return tables.to(self.texels.device, non_blocking=True)
 
     def _colours(self, index: Tensor) -> Tensor:
         """Unpacked texels, (3, n) float32 in [0, 255]."""

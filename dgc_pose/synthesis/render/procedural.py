@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 import torch
 
-from dgc_pose.errors import InputError
 from dgc_pose.synthesis.render.noise import fractal_noise, grain, ramp, shades
 
 Style = Literal[
@@ -19,11 +18,8 @@ Style = Literal[
 def procedural_textures(count: int, size: int = 256, seed: int = 0) -> torch.Tensor:
     """`count` textures (N, 3, size, size) float32 in [0, 1], the styles in turn.
 
-    Texture k depends on `seed`, `size` and k alone. Raises InputError for a count or size below
-    1 and 16.
+    Texture k depends on `seed`, `size` and k alone.
     """
-    if count < 1 or size < 16:
-        raise InputError(f"count and size must be at least 1 and 16, not {count} and {size}")
     styles = tuple(_PAINTERS)
     return torch.stack(
         [procedural_texture(styles[k % len(styles)], size, (seed, k)) for k in range(count)]

@@ -7,19 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, relative_pose
 from dgc_pose.synthesis.render.scene import FACES, Scene, intersect_all
 
 _OCCLUSION_TOLERANCE = 1e-4  # of the distance: another surface this close does not hide a point
-
-
-@dataclass(frozen=True)
-class Lighting:
-    """How a point light shows on surfaces; without both shares, textures appear as they are."""
-
-    shading: float  # share of the light that depends on its angle (Lambert, wrapped: never black)
-    shadow: float  # share of the light that is lost in shadow
 
 
 @dataclass(frozen=True)
@@ -110,7 +103,7 @@ def shade(
     bank: TextureBank,
     *,
     light: Tensor,
-    lighting: Lighting,
+    options: SceneOptions,
     samples: int = 1,
 ) -> Tensor:
     """Colours (B, 3, n) in [0, 1]; black without a hit.
@@ -132,24 +125,24 @@ def shade(
     footprint = texels_per_unit * depth / focal / cosine.clamp(min=0.05).sqrt()
     colour = bank.sample(photo, a * u + b * v + c, d * u + e * v + f, footprint)
 
-    if lighting.shading > 0 or lighting.shadow > 0:
-        colour = colour * _brightness(scene, hits, surface, light, lighting)
+    if options.shading > 0 or options.shadow > 0:
+        colour = colour * _brightness(scene, hits, surface, light, options)
     colour = colour.masked_fill(hits.depth.reshape(-1).isinf(), 0.0)
     return colour.unflatten(1, (batch, -1)).transpose(0, 1)
 
 
 def _brightness(
-    scene: Scene, hits: Hits, surface: Surface, light: Tensor, lighting: Lighting
+    scene: Scene, hits: Hits, surface: Surface, light: Tensor, options: SceneOptions
 ) -> Tensor:
     """Factors (B * n,) in [0, 1] for the colours of the surface."""
     ray = surface.point.unflatten(1, hits.depth.shape).transpose(0, 1) - light[..., None]
     away = ray.transpose(0, 1).flatten(1)
     length = away.square().sum(0).sqrt().clamp(min=1e-12)
     cosine = -(surface.normal * away).sum(0) / length
-    brightness = 1 - lighting.shading * (0.5 - 0.5 * cosine)
-    if lighting.shadow > 0:
+    brightness = 1 - options.shading * (0.5 - 0.5 * cosine)  # wrapped: never black
+    if options.shadow > 0:
         shadowed = hidden(scene, light, ray, hits.primitive).reshape(-1) | (cosine <= 0)
-        brightness = brightness * (1 - lighting.shadow * shadowed)
+        brightness = brightness * (1 - options.shadow * shadowed)
     return brightness
 
 

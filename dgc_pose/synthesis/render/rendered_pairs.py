@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import torch
 from torch import Tensor
 
-from dgc_pose.errors import InputError
 from dgc_pose.synthesis.batches import joined
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import SceneOptions
@@ -17,15 +17,7 @@ from dgc_pose.synthesis.render.cameras import Cameras, relative_pose
 from dgc_pose.synthesis.render.overlap import Candidate, overlapping
 from dgc_pose.synthesis.render.random_cameras import random_camera_pair
 from dgc_pose.synthesis.render.random_scene import random_scene
-from dgc_pose.synthesis.render.raycast import (
-    Hits,
-    Lighting,
-    Surface,
-    cast,
-    correspond,
-    describe,
-    shade,
-)
+from dgc_pose.synthesis.render.raycast import Hits, Surface, cast, correspond, describe, shade
 from dgc_pose.synthesis.render.scene import Scene, part
 
 _CHUNK = 16384  # pixels of each view supersampled at a time: they fit a processor's cache
@@ -53,10 +45,8 @@ def render_pairs(
     """Two views, `size` pixels square, of each of `batch` random scenes with textures of `bank`.
 
     All random numbers come from `generator`: the scenes do not depend on the bank's device. All
-    values are float32. Raises InputError for a batch below 1 or a size below 2.
+    values are float32.
     """
-    if batch < 1 or size < 2:
-        raise InputError(f"batch and size must be at least 1 and 2, not {batch} and {size}")
     draw = Draw(generator, bank.texels.device)
 
     def draw_candidate() -> Candidate:
@@ -64,54 +54,37 @@ def render_pairs(
         scene = random_scene(draw, first, second, bank.size, bank.count, options)
         return Candidate(scene, first, second)
 
-    scene, first, second = overlapping(
-        draw_candidate, min_overlap=options.min_overlap, tries=options.tries
-    )
-    lights = (scene.light, scene.light + options.light_change * draw.normal(batch, 3))
-    return render_views(
-        scene,
-        first,
-        second,
-        bank,
-        lights=lights,
-        lighting=Lighting(options.shading, options.shadow),
-        supersample=options.supersample,
-    )
+    views = overlapping(draw_candidate, min_overlap=options.min_overlap, tries=options.tries)
+    light = views.scene.light
+    lights = (light, light + options.light_change * draw.normal(batch, 3))
+    return render_views(views, bank, lights, options, options.supersample)
 
 
 def render_views(
-    scene: Scene,
-    first: Cameras,
-    second: Cameras,
+    views: Candidate,
     bank: TextureBank,
-    *,
     lights: tuple[Tensor, Tensor],
-    lighting: Lighting,
-    supersample: int = 1,
+    options: SceneOptions,
+    supersample: int,
 ) -> RenderedPairs:
-    """Both views of given scenes; `lights` are the positions (B, 3) of the light in each view."""
+    """Both views of scenes; `lights` are the positions (B, 3) of the light in each view."""
+    scene, first, second = views
     width, height = second.size
     together = max(1, _CPU_PIXELS // (width * height))
     if len(second.K) > together and second.K.device.type == "cpu":
-        spans = [slice(k, k + together) for k in range(0, len(second.K), together)]
-        parts = [
-            render_views(
-                part(scene, span),
-                part(first, span),
-                part(second, span),
-                bank,
-                lights=(lights[0][span], lights[1][span]),
-                lighting=lighting,
-                supersample=supersample,
-            )
-            for span in spans
-        ]
+        parts = []
+        for k in range(0, len(second.K), together):
+            span = slice(k, k + together)
+            chunk = Candidate(part(scene, span), part(first, span), part(second, span))
+            light1, light2 = (light[span] for light in lights)
+            parts.append(render_views(chunk, bank, (light1, light2), options, supersample))
         return joined(parts)
     images, depths, seen = [], [], []
     for cameras, light in zip((first, second), lights, strict=True):
         hits = cast(scene, cameras, cameras.pixels())
         surface = describe(scene, cameras, hits)
-        image = _image(scene, cameras, hits, surface, bank, light, lighting, supersample)
+        coloured = partial(shade, bank=bank, light=light, options=options)
+        image = _image(scene, cameras, hits, surface, coloured, supersample)
         images.append(_as_grid(image, cameras))
         depths.append(_as_grid(hits.depth, cameras))
         seen.append((hits, surface))
@@ -134,13 +107,10 @@ def _image(
     cameras: Cameras,
     hits: Hits,
     surface: Surface,
-    bank: TextureBank,
-    light: Tensor,
-    lighting: Lighting,
+    coloured: Callable[..., Tensor],
     supersample: int,
 ) -> Tensor:
     """Colours (B, 3, n): of the pixel centres, or the mean over a grid of samples in each pixel."""
-    coloured = partial(shade, bank=bank, light=light, lighting=lighting)
     if supersample == 1:
         return coloured(scene, cameras, hits, surface)
     offsets = [(k + 0.5) / supersample - 0.5 for k in range(supersample)]

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from dgc_pose.errors import InputError
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
@@ -20,7 +19,6 @@ from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
 from dgc_pose.synthesis.render.overlap import Candidate, overlapping
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.random_scene import random_scene, single_plane
-from dgc_pose.synthesis.render.raycast import Lighting
 from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, render_views
 
 PairKind = Literal["general", "planar", "rotation_only", "forward"]
@@ -66,14 +64,7 @@ def render_scene_pair(
     Sizes are (width, height). kind: "general", objects in a room, orbited; "planar", the same
     motion before a single plane; "rotation_only", the room from one centre; "forward", the room
     with camera 2 ahead of camera 1 on its optical axis. The same seed gives the same pair.
-    Raises InputError for an unknown kind, a size below 16 or a rotation outside 0 to 180 degrees.
     """
-    if kind not in ("general", "planar", "rotation_only", "forward"):
-        raise InputError(f"kind must be general, planar, rotation_only or forward, not {kind!r}")
-    if min(*size1, *size2) < 16:
-        raise InputError(f"size1 and size2 must be at least 16 pixels, not {size1} and {size2}")
-    if not 0 <= rotation_deg <= 180:
-        raise InputError(f"rotation_deg must be in [0, 180], not {rotation_deg}")
     generator = torch.Generator().manual_seed(seed)
     draw = Draw(generator, torch.device("cpu"), torch.float64)
     bank = _bank()
@@ -86,19 +77,9 @@ def render_scene_pair(
             scene = random_scene(draw, first, second, bank.size, bank.count, _OPTIONS)
         return Candidate(scene, first, second)
 
-    scene, first, second = overlapping(
-        draw_candidate, min_overlap=_OPTIONS.min_overlap, tries=_OPTIONS.tries
-    )
-    pairs = render_views(
-        scene,
-        first,
-        second,
-        bank,
-        lights=(scene.light, scene.light),
-        lighting=Lighting(_OPTIONS.shading, _OPTIONS.shadow),
-        supersample=supersample,
-    )
-    return as_arrays(pairs)
+    views = overlapping(draw_candidate, min_overlap=_OPTIONS.min_overlap, tries=_OPTIONS.tries)
+    lights = views.scene.light, views.scene.light
+    return as_arrays(render_views(views, bank, lights, _OPTIONS, supersample))
 
 
 def as_arrays(pairs: RenderedPairs) -> RenderedPair:

@@ -60,11 +60,8 @@ def test_shapes_and_ranges(pairs):
     for image in (pairs.image1, pairs.image2):
         assert image.min() >= 0 and image.max() <= 1 and image.std() > 0.05
     assert pairs.map.isfinite().all()
-    assert (pairs.depth1 > 0).all() and (pairs.depth2 > 0).all()
-
-
-def test_rooms_leave_no_pixel_without_a_surface(pairs):
-    assert pairs.depth1.isfinite().all() and pairs.depth2.isfinite().all()
+    for depth in (pairs.depth1, pairs.depth2):  # a room leaves no pixel without a surface
+        assert (depth > 0).all() and depth.isfinite().all()
 
 
 def test_map_is_the_projection_of_the_surface_point(pairs):
@@ -74,22 +71,6 @@ def test_map_is_the_projection_of_the_surface_point(pairs):
         error = np.abs(pairs.map[k].numpy() - points)[ahead]
         assert (error / np.maximum(1, np.abs(points[ahead]) / SIZE)).max() < 2e-3
         assert (pairs.map[k].numpy()[depth < -0.05] == -1).all()
-
-
-def test_map_satisfies_the_epipolar_constraint(pairs):
-    y, x = np.mgrid[:SIZE, :SIZE].astype(np.float64)
-    pixels2 = np.stack((x, y, np.ones_like(x)), axis=-1)
-    for k in range(BATCH):
-        pose = pairs.cam2_from_cam1[k].double().numpy()
-        t = pose[:, 3] / np.linalg.norm(pose[:, 3])
-        cross = np.array(((0, -t[2], t[1]), (t[2], 0, -t[0]), (-t[1], t[0], 0)))
-        K1, K2 = (K[k].double().numpy() for K in (pairs.K1, pairs.K2))
-        F = np.linalg.inv(K2).T @ cross @ pose[:, :3] @ np.linalg.inv(K1)
-        visible = pairs.visible[k].numpy()
-        pixels1 = np.concatenate((pairs.map[k].numpy(), np.ones((SIZE, SIZE, 1))), axis=-1)
-        lines = pixels1[visible] @ F.T
-        residual = (pixels2[visible] * lines).sum(-1) / np.linalg.norm(lines[:, :2], axis=1)
-        assert np.abs(residual).max() < 5e-3
 
 
 def test_poses_are_rotations_of_the_asked_size(bank):
@@ -179,20 +160,6 @@ def test_a_seed_reproduces_to_the_bit(bank):
     assert not torch.equal(first.image1[0], first.image1[1])
 
 
-def test_photos_may_be_bytes_or_floats(bank):
-    photos = (procedural_textures(9, 96) * 255).round().byte()
-    first = rendered(bank, 2)
-    for given in (photos, photos.float() / 255):
-        pairs = rendered(TextureBank.from_photos(given), 2)
-        assert torch.allclose(pairs.image1, first.image1, atol=1 / 255)
-
-
-def test_scenes_of_few_kinds_of_primitives(bank):
-    pairs = rendered(bank, quads=0, boxes=0, ellipsoids=0, presence=0.0)
-    assert pairs.depth1.isfinite().all()
-    assert pairs.visible.float().mean() > 0.2
-
-
 def test_scenes_rendered_in_parts_are_the_same(bank, pairs, monkeypatch):
     monkeypatch.setattr("dgc_pose.synthesis.render.rendered_pairs._CPU_PIXELS", 5 * SIZE * SIZE)
     parts = rendered(bank)
@@ -200,57 +167,10 @@ def test_scenes_rendered_in_parts_are_the_same(bank, pairs, monkeypatch):
         assert torch.equal(getattr(parts, field.name), getattr(pairs, field.name)), field.name
 
 
-def test_layout_ranges_move_what_is_seen(bank, pairs):
-    """The same draws further off: the depth grows by the range, not by chance."""
-
-    def median(views):
-        return float(views.depth1.median())
-
-    options = SceneOptions()
-    twice = tuple(2 * value for value in options.distance)
-    assert median(rendered(bank, distance=twice)) > 1.5 * median(pairs)
-    alone = {"presence": 0.0, "min_overlap": 0.0}
-    near, far = (rendered(bank, room_margin=(m, m), **alone) for m in (0.1, 5.0))
-    assert median(far) > median(near) + 3.0
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
-    (
-        ("rotation_deg", (20.0, 10.0)),
-        ("rotation_deg", (-1.0, 10.0)),
-        ("rotation_deg", (0.0, 181.0)),
-        ("distance", (0.0, 1.0)),
-        ("elevation_deg", (0.0, 90.0)),
-        ("background", (1.0, 0.5)),
-        ("room_margin", (0.0, 1.0)),
-        ("spread", -0.1),
-        ("focal", (0.0, 1.0)),
-        ("focal", (1.0, float("inf"))),
-        ("object_size", (0.2, 0.1)),
-        ("texture_span", (0.0, 1.0)),
-        ("roll_deg", -1.0),
-        ("roll_deg", float("nan")),
-        ("presence", 1.5),
-        ("shading", -0.1),
-        ("shadow", 2.0),
-        ("min_overlap", 1.1),
-        ("principal_offset", 0.6),
-        ("boxes", -1),
-        ("boxes", 1.5),
-        ("tries", 0),
-        ("supersample", 0),
-    ),
+    [("rotation_deg", (20.0, 10.0)), ("focal", (0.0, 1.0)), ("presence", 1.5), ("boxes", 1.5)],
 )
 def test_options_out_of_range_are_named(name, value):
     with pytest.raises(InputError, match=name):
         replace(SceneOptions(), **{name: value})
-
-
-def test_unusable_input_is_refused(bank):
-    generator = torch.Generator().manual_seed(0)
-    with pytest.raises(InputError, match="batch"):
-        render_pairs(bank, 0, SIZE, generator, SceneOptions())
-    for photos in (torch.rand(3, 32, 32), torch.rand(2, 1, 32, 32), torch.rand(0, 3, 32, 32)):
-        with pytest.raises(InputError, match="photos"):
-            TextureBank.from_photos(photos)
