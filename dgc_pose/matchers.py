@@ -12,9 +12,12 @@ from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
 from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
+from dgc_pose.matching.key_points import KeyPointCache, key_point_cache
 from dgc_pose.matching.matcher import Matcher
+from dgc_pose.matching.onnx_model import OnnxMatcher
 from dgc_pose.matching.selection import MatchingOptions
-from dgc_pose.matching.sift import KeyPointCache, SiftMatcher, key_point_cache
+from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.vismatch import VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
 from dgc_pose.network.stored import shipped
 from dgc_pose.refinement.features import FeatureMatches
@@ -60,7 +63,8 @@ class MatcherOptions:
     weights: str = option(
         DEFAULT_WEIGHTS,
         "Shipped weights by name, or a path to .safetensors or to an authors' .pth; or a matcher "
-        "without a network of ours: sift, dis (optical flow).",
+        "without a network of ours: sift, dis (optical flow), a detector with descriptors as "
+        "MODEL.onnx, or vismatch:NAME of the package vismatch.",
     )
     device: DeviceName = option("auto", "Where the network runs.")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
@@ -113,8 +117,8 @@ def load_matcher(
 ) -> Matcher:
     """A matcher by its name; by default what `dgc-pose estimate` uses.
 
-    name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), "sift", or
-    "dis" (optical flow). device: of the network. runtime: what runs it, see `load_engine`.
+    name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), or a row of
+    `KINDS`. device: of the network. runtime: what runs it, see `load_engine`.
     half_precision: its convolutions in bfloat16, by torch; faster on a GPU, less exact.
     matching: how matches are selected from a dense map. refinement: of a network's matches; None
     for those of its map. Other matchers are never refined here; a `Refiner` around them does it.
@@ -171,17 +175,17 @@ def _network(
     return matcher if options.refinement.source == "none" else refined(matcher, options, caches)
 
 
-def _sift(options: MatcherOptions, caches: MatcherCaches | None, engine: Engine | None) -> Matcher:
-    return SiftMatcher(cache=caches.key_points if caches else None)
-
-
-def _dis(options: MatcherOptions, caches: MatcherCaches | None, engine: Engine | None) -> Matcher:
-    return FlowMatcher(options.matching)
+def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:
+    return caches.key_points if caches else None
 
 
 # The first whose pattern the name fits. A new matcher is a row here, and a file with its class.
 KINDS = (
-    MatcherKind("sift", _sift),
-    MatcherKind("dis", _dis, dense_map=True),
+    MatcherKind("sift", lambda options, caches, _: SiftMatcher(cache=_key_points(caches))),
+    MatcherKind("dis", lambda options, *_: FlowMatcher(options.matching), dense_map=True),
+    MatcherKind(
+        "*.onnx", lambda options, caches, _: OnnxMatcher(options.weights, _key_points(caches))
+    ),
+    MatcherKind("vismatch:*", lambda options, *_: VismatchMatcher(options.weights, options.device)),
     MatcherKind("*", _network, dense_map=True, network=True),
 )

@@ -45,11 +45,14 @@ class Session:
             )
         except Exception as error:  # onnxruntime's errors have no common base
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
-        self._inputs = [value.name for value in self._session.get_inputs()]
+        self.inputs, self.outputs = (
+            [(tensor.name, tensor.shape) for tensor in tensors]
+            for tensors in (self._session.get_inputs(), self._session.get_outputs())
+        )
 
     def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """The outputs."""
-        inputs = dict(zip(self._inputs, arrays, strict=True))
+        inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
         outputs: list[np.ndarray] = self._session.run(None, inputs)
         return outputs
 

@@ -1,0 +1,61 @@
+"""Matchers of key points: what they detect in an image is kept for its next pair."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from dgc_pose.images.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.matcher import Matcher, MatchResult
+
+KeyPoints = tuple[np.ndarray, np.ndarray]  # points (N, 2), pixels of the image; descriptors (N, D)
+KeyPointCache = BoundedCache[Image, KeyPoints]  # by the object, not by its pixels
+
+
+def key_point_cache() -> KeyPointCache:
+    """A cache of the default size. The images that it keeps alive count towards it."""
+    return BoundedCache(
+        lambda image, found: image.pixels.nbytes + found[0].nbytes + found[1].nbytes
+    )
+
+
+class KeyPointMatcher(Matcher):
+    """Detects key points with descriptors in each image alone, and matches these; makes no map.
+
+    cache: of key points; None to detect them anew for each pair.
+    """
+
+    def __init__(self, cache: KeyPointCache | None = None) -> None:
+        self.cache = cache
+
+    @abstractmethod
+    def _detect(self, image: Image) -> KeyPoints:
+        """The key points of an image and their descriptors."""
+
+    @abstractmethod
+    def _matched(
+        self, descriptors1: np.ndarray, descriptors2: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows of the first (M,) and of the second (M,) that match, and their confidence (M,)."""
+
+    @abstractmethod
+    def _error_px(self, image1: Image, image2: Image) -> float:
+        """Expected error of a good match, pixels of the images."""
+
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        (points1, descriptors1), (points2, descriptors2) = (
+            self._detect(image)
+            if self.cache is None
+            else self.cache.get(image, lambda image=image: self._detect(image))
+            for image in (image1, image2)
+        )
+        rows1 = rows2 = np.zeros(0, int)
+        confidence = np.zeros(0)
+        if min(len(points1), len(points2)) > 1:  # a ratio test needs a second one
+            rows1, rows2, confidence = self._matched(descriptors1, descriptors2)
+        error_px = self._error_px(image1, image2)
+        matches = Matches(points1[rows1], points2[rows2], confidence, error_px, key_points=True)
+        return MatchResult(matches, None)

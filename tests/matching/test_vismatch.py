@@ -1,0 +1,112 @@
+"""Matchers of vismatch: by the real package where it installs, else by a stand-in."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from multi_view import render_views
+
+from dgc_pose import load_matcher
+from dgc_pose.cli.main import main
+from dgc_pose.errors import InputError
+from dgc_pose.images.image import Image
+
+
+class _OrbNN:
+    """As vismatch 1.4's orb-nn answers: every key point, and no confidence."""
+
+    skip_ransac = False
+
+    def __call__(self, img0: torch.Tensor, img1: torch.Tensor) -> dict[str, Any]:
+        assert self.skip_ransac
+        print("what is printed does not reach the standard output")
+        orb, keys, words = cv2.ORB.create(2000), [], []
+        for planes in (img0, img1):
+            assert planes.dtype == torch.float32 and planes.shape[0] == 3 and planes.max() <= 1
+            pixels = (planes.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+            points, descriptors = orb.detectAndCompute(
+                cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), None
+            )
+            if descriptors is None:
+                raise ValueError("no descriptors")
+            keys.append(np.array([point.pt for point in points], np.float32))
+            words.append(descriptors)
+        both = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(*words)
+        rows = np.array([(match.queryIdx, match.trainIdx) for match in both])
+        return {
+            "matched_kpts0": keys[0][rows[:, 0]],
+            "matched_kpts1": keys[1][rows[:, 1]],
+            "all_kpts0": keys[0],
+            "matched_confidences": None,
+        }
+
+
+def _get_matcher(name: str, device: str) -> _OrbNN:
+    assert device == "cpu"
+    if name == "loftr":
+        raise RuntimeError("weights of loftr cannot be downloaded")
+    return _OrbNN()
+
+
+@pytest.fixture
+def vismatch(monkeypatch: pytest.MonkeyPatch) -> None:
+    try:
+        importlib.import_module("vismatch")
+    except (ImportError, RuntimeError):  # also if its torchvision is for another torch
+        module = ModuleType("vismatch")
+        module.available_models = ["loftr", "orb-nn"]  # type: ignore[attr-defined]
+        module.get_matcher = _get_matcher  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "vismatch", module)
+
+
+@pytest.mark.usefixtures("vismatch")
+def test_its_matches_are_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    images = [Image(view.pixels) for view in render_views(2)]
+    matcher = load_matcher("vismatch:orb-nn", device="cpu")
+    matches = matcher.match(images[0], images[1]).matches
+    assert matcher.name == "vismatch:orb-nn" and matcher.fingerprint is None
+    assert len(matches) > 100 and matches.key_points and matches.error_px == 1.0
+    assert (matches.confidence == 1).all()
+    assert capsys.readouterr().out == ""
+    with pytest.raises(InputError, match="vismatch:orb-nn failed on the pair"):
+        matcher.match(images[0], Image(np.zeros((40, 40, 3), np.uint8)))
+
+
+@pytest.mark.usefixtures("vismatch")
+def test_it_feeds_a_batch(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    for number, view in enumerate(render_views(2)):
+        cv2.imwrite(str(tmp_path / f"photos/{number}.png"), view.pixels[..., ::-1])
+    words = [
+        "batch",
+        str(tmp_path / "photos"),
+        "--out",
+        str(tmp_path / "out"),
+        "--K",
+        "225,226.5,121,87.5",
+    ]
+    words += ["--pairs", "exhaustive", "--weights", "vismatch:orb-nn", "--workers", "1"]
+    result = CliRunner().invoke(main, [*words, "--device", "cpu"])
+    assert result.exit_code == 0, result.output
+    assert "1 poses of 1 pairs" in result.output
+
+
+@pytest.mark.usefixtures("vismatch")
+def test_what_vismatch_has_not_is_refused() -> None:
+    with pytest.raises(InputError, match="vismatch has no nothing; it has .*orb-nn"):
+        load_matcher("vismatch:nothing")
+
+
+def test_without_vismatch_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "vismatch", None)
+    with pytest.raises(InputError, match="vismatch:orb-nn needs `pip install vismatch`"):
+        load_matcher("vismatch:orb-nn")
