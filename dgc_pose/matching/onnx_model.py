@@ -118,7 +118,7 @@ def _find_roles(shapes: Sequence[Shape]) -> dict[str, int]:
 
     def role(shape: Shape) -> str:
         if len(shape) == 4:
-            return {_CELL**2 + 1: "logits", 1: "scores"}.get(shape[1], "descriptors")
+            return "logits" if shape[1] == 65 else "scores" if shape[1] == 1 else "descriptors"
         if len(shape) == rank:
             return "points" if shape[-1] == 2 else "descriptors"
         return "scores" if len(shape) == rank - 1 else "unknown"
@@ -139,11 +139,12 @@ def _decode_grid(role: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, n
     heat = np.ascontiguousarray(heat.reshape(_CELL * rows, _CELL * columns))
     window = np.ones((2 * _RADIUS + 1, 2 * _RADIUS + 1))
     y, x = np.nonzero((heat > _LEAST_SCORE) & (heat == cv2.dilate(heat, window)))
-    at = [((axis + 0.5) / _CELL - 0.5)[:, None] for axis in (x, y)]
-    descriptors = np.concatenate([bilinear_at(plane, *at) for plane in role["descriptors"][0]], 1)
+    column, row = (((axis + 0.5) / _CELL - 0.5)[:, None] for axis in (x, y))
+    planes = role["descriptors"][0]
+    descriptors = np.concatenate([bilinear_at(plane, column, row) for plane in planes], 1)
     scores = heat[y, x]
     if "scores" in role:
-        scores = scores * bilinear_at(role["scores"][0, 0], *at)[:, 0]
+        scores = scores * bilinear_at(role["scores"][0, 0], column, row)[:, 0]
     return np.stack([x, y], -1), descriptors, scores
 
 
