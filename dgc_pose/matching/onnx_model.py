@@ -134,13 +134,13 @@ def _decode_grid(role: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, n
     logits = role["logits"][0]
     logits = np.exp(logits - logits.max(0))
     cells = (logits / logits.sum(0))[:-1]
-    _, rows, columns = cells.shape
+    rows, columns = cells.shape[1:]
     heat = cells.reshape(_CELL, _CELL, rows, columns).transpose(2, 0, 3, 1)
     heat = np.ascontiguousarray(heat.reshape(_CELL * rows, _CELL * columns))
     window = np.ones((2 * _RADIUS + 1, 2 * _RADIUS + 1))
     y, x = np.nonzero((heat > _LEAST_SCORE) & (heat == cv2.dilate(heat, window)))
     column, row = (((axis + 0.5) / _CELL - 0.5)[:, None] for axis in (x, y))
-    planes = role["descriptors"][0]
+    planes = list(role["descriptors"][0])
     descriptors = np.concatenate([bilinear_at(plane, column, row) for plane in planes], 1)
     scores = heat[y, x]
     if "scores" in role:
@@ -151,9 +151,8 @@ def _decode_grid(role: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, n
 def _decode_points(role: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same of outputs that hold points; without scores all are equal."""
     points = role["points"].reshape(-1, 2)
-    descriptors = role["descriptors"]
-    descriptors = descriptors.reshape(descriptors.shape[-2:])
-    if len(descriptors) != len(points) == descriptors.shape[1]:
+    descriptors = role["descriptors"].reshape(-1, role["descriptors"].shape[-1])
+    if len(descriptors) != len(points):  # (D, N)
         descriptors = descriptors.T
     scores = role["scores"].ravel() if "scores" in role else np.ones(len(points))
     return points, descriptors, scores
