@@ -31,5 +31,5 @@ def cell_centres(cells: Size, size: ArrayLike) -> np.ndarray:
 
 def within(points: np.ndarray, size: Size) -> np.ndarray:
     """Which of the points (..., 2) lie on an image of size (width, height): (...) bool."""
-    found: np.ndarray = np.all((points > -0.5) & (points < np.subtract(size, 0.5)), axis=-1)
-    return found
+    inside: np.ndarray = np.all((points > -0.5) & (points < np.subtract(size, 0.5)), axis=-1)
+    return inside

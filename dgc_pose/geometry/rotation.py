@@ -47,9 +47,9 @@ def quaternion_wxyz(R: np.ndarray) -> np.ndarray:
 def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
     """The rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976).
 
-    With fewer than two directions one of those that there are.
+    If the rays do not determine the rotation, any of those that fit.
     """
     u, _, vt = np.linalg.svd(rays2.T @ rays1)
     u[:, 2] *= np.linalg.det(u) * np.linalg.det(vt)  # a rotation, and no reflection
-    found: np.ndarray = u @ vt
-    return found
+    R: np.ndarray = u @ vt
+    return R

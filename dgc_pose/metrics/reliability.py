@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.errors import InputError
-
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
@@ -22,18 +20,8 @@ class Reliability:
 
     @classmethod
     def of(cls, confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> Reliability:
-        """Count matches. confidence: of any shape, in [0, 1]; correct: bool of the same shape.
-
-        Raises InputError if the shapes do not agree or a confidence lies outside [0, 1].
-        """
-        if confidence.shape != correct.shape or correct.dtype != np.bool_:
-            raise InputError(
-                f"correct must be bool of the shape of confidence {confidence.shape}, "
-                f"not {correct.dtype} {correct.shape}"
-            )
+        """Count matches. confidence: of any shape, in [0, 1]; correct: bool of the same shape."""
         values = confidence.astype(np.float64).ravel()
-        if not ((values >= 0) & (values <= 1)).all():
-            raise InputError("confidence must lie in [0, 1]")
         index = np.minimum((values * bins).astype(np.intp), bins - 1)
         return cls(
             counts=np.bincount(index, minlength=bins),

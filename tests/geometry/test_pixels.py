@@ -6,26 +6,22 @@ import pytest
 from dgc_pose.geometry.pixels import cell_centres, pixel_grid, rescale
 
 
-def test_resizing_keeps_the_outer_edges() -> None:
-    corners = np.array([[-0.5, -0.5], [639.5, 479.5]])
-    found = rescale(corners, (640, 480), (240, 200))
-    assert found == pytest.approx(np.array([[-0.5, -0.5], [239.5, 199.5]]))
-
-
-def test_the_naive_rule_is_off_by_nearly_three_pixels() -> None:
-    found = rescale(np.array([0.0, 0.0]), (240, 240), (1600, 1200))
-    assert found == pytest.approx([0.5 * 1600 / 240 - 0.5, 0.5 * 1200 / 240 - 0.5])
+@pytest.mark.parametrize(
+    ("point", "size", "other", "expected"),
+    [
+        ((-0.5, -0.5), (640, 480), (240, 200), (-0.5, -0.5)),  # the outer edges stay
+        ((639.5, 479.5), (640, 480), (240, 200), (239.5, 199.5)),
+        ((0, 0), (240, 240), (1600, 1200), (0.5 * 1600 / 240 - 0.5, 0.5 * 1200 / 240 - 0.5)),
+    ],
+)
+def test_points_of_a_resized_image(point, size, other, expected) -> None:
+    assert rescale(np.array(point), size, other) == pytest.approx(expected)
 
 
 def test_back_and_forth() -> None:
     points = np.random.default_rng(0).uniform(-5, 700, (20, 2))
     there = rescale(points, (640, 480), (333, 77))
     assert rescale(there, (333, 77), (640, 480)) == pytest.approx(points)
-
-
-def test_grid() -> None:
-    grid = pixel_grid((3, 2))
-    assert grid.shape == (2, 3, 2) and grid[1, 2].tolist() == [2, 1]
 
 
 def test_cell_centres_are_means_of_their_pixels() -> None:

@@ -1,6 +1,5 @@
 import math
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +13,6 @@ from dgc_pose.geometry.triangulation import (
     epipolar_angles,
     triangulated,
     triangulation_angles_deg,
-    unit_rays,
 )
 
 R = Rotation.from_rotvec([0.1, -0.3, 0.05]).as_matrix()
@@ -30,29 +28,12 @@ def exact(count=30, seed=0, depth=6.0):
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
-def test_exact_matches_give_their_depths(seed):
+def test_exact_matches_give_their_depths_and_points(seed):
     X, points1, points2, local = exact(seed=seed)
     depth1, depth2 = depths(points1, points2, R, T)
     np.testing.assert_allclose(depth1, X[:, 2], rtol=1e-6)
     np.testing.assert_allclose(depth2, local[:, 2], rtol=1e-6)
-
-
-def test_exact_matches_give_their_points():
-    X, points1, points2, _ = exact()
-    np.testing.assert_allclose(triangulated(points1, points2, R, T), X, rtol=1e-6)
-    parallel = triangulated(np.zeros((1, 2)), np.zeros((1, 2)), np.eye(3), T)
-    assert not np.isfinite(parallel).all()
-
-
-def test_exact_matches_give_the_depths_of_opencvs_points():
-    _, points1, points2, _ = exact()
-    stack = cv2.triangulatePoints(
-        np.eye(3, 4), np.column_stack([R, T]), points1.T.copy(), points2.T.copy()
-    )
-    points = (stack[:3] / stack[3]).T
-    depth1, depth2 = depths(points1, points2, R, T)
-    np.testing.assert_allclose(depth1, points[:, 2], rtol=1e-6)
-    np.testing.assert_allclose(depth2, (points @ R.T + T)[:, 2], rtol=1e-6)
+    np.testing.assert_allclose(triangulated(points1, points2, R, T), X, rtol=1e-6, atol=1e-6)
 
 
 def test_noisy_matches_give_the_depths_of_the_nearest_ends_of_their_rays():
@@ -99,12 +80,6 @@ def test_tiny_angles_are_not_lost_to_rounding():
     points2 = np.array([[0.1 + 1e-10, 0.2]])
     angle = triangulation_angles_deg(points1, points2, np.eye(3))[0]
     assert 1e-11 < np.radians(angle) < 1e-10
-
-
-def test_unit_rays_point_through_their_pixels():
-    rays = unit_rays(np.array([[3.0, 4.0], [0.0, 0.0]]))
-    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1)
-    np.testing.assert_allclose(rays[:, :2] / rays[:, 2:], [[3, 4], [0, 0]])
 
 
 def test_the_epipolar_angle_is_the_rotation_that_brings_ray_2_into_the_plane():

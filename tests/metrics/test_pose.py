@@ -46,14 +46,8 @@ def test_translation_error_is_the_angle_whatever_the_lengths(
 def test_translation_error_tells_the_sign_and_the_folded_one_does_not() -> None:
     t = np.array([1.0, 2.0, 3.0])
     assert translation_error_deg(-t, t) == 180
-    assert folded(180.0) == 0
-    assert folded(170.0) == pytest.approx(10)
-    assert folded(10.0) == 10
-    assert folded(90.0) == 90
-
-
-def test_folding_keeps_a_failure_infinite() -> None:
-    assert folded(math.inf) == math.inf
+    for error, expected in ((180.0, 0), (170.0, 10), (10.0, 10), (90.0, 90), (math.inf, math.inf)):
+        assert folded(error) == expected
 
 
 def recall_at(e: float, errors: np.ndarray) -> float:
@@ -108,17 +102,3 @@ def test_auc_ignores_the_order_stays_in_range_and_falls_with_a_failure(
 def test_auc_refuses_what_is_no_list_of_errors(errors: list) -> None:
     with pytest.raises(InputError, match="errors"):
         pose_auc(errors)
-
-
-def test_auc_refuses_a_threshold_that_is_not_positive() -> None:
-    with pytest.raises(InputError, match="threshold"):
-        pose_auc([1.0], (0.0,))
-
-
-def test_errors_name_the_argument() -> None:
-    for R, R_gt, name in ((np.eye(2), np.eye(3), "R"), (np.eye(3), np.eye(3) * np.nan, "R_gt")):
-        with pytest.raises(InputError, match=f"^{name} "):
-            rotation_error_deg(R, R_gt)
-    for t, t_gt, name in (([0, 0, 0], [1, 0, 0], "t"), ([1, 0, 0], [[1, 0, 0]], "t_gt")):
-        with pytest.raises(InputError, match=f"^{name} "):
-            translation_error_deg(t, t_gt)

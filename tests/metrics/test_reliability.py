@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.errors import InputError
 from dgc_pose.metrics import Reliability
 
 
@@ -53,22 +52,5 @@ def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
     assert found.calibration_error == pytest.approx(2 / 3 * 0.5)
 
 
-def test_a_confidence_that_is_always_met_is_calibrated() -> None:
-    confidence = np.full(10, 0.3)
-    assert Reliability.of(confidence, np.arange(10) < 3).calibration_error == pytest.approx(0)
-    assert Reliability.of(confidence, np.arange(10) < 9).calibration_error == pytest.approx(0.6)
-
-
 def test_nothing_has_no_calibration_error() -> None:
     assert math.isnan(Reliability.of(np.zeros(0), np.zeros(0, bool)).calibration_error)
-
-
-def test_unusable_input_is_refused(matches) -> None:
-    confidence, right = matches
-    with pytest.raises(InputError, match="correct must be bool"):
-        Reliability.of(confidence, right.astype(float))
-    with pytest.raises(InputError, match="shape"):
-        Reliability.of(confidence, right[:3])
-    for wrong in (-0.1, 1.1, np.nan):
-        with pytest.raises(InputError, match="confidence"):
-            Reliability.of(np.array([wrong]), np.array([True]))
