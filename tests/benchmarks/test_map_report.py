@@ -11,7 +11,6 @@ import pytest
 
 from dgc_pose.benchmarks.map_report import (
     figures_table,
-    groups_of,
     groups_table,
     pairs_table,
     reliability_lines,
@@ -52,10 +51,6 @@ def scores() -> dict[str, list[PairScores]]:
         ]
         for m, f in (("a", 1.0), ("b", 2.0))
     }
-
-
-def test_groups_come_in_their_order(scores) -> None:
-    assert groups_of(scores) == ["I", "II"]
 
 
 def test_one_figure_by_group_beside_published_rows(scores) -> None:

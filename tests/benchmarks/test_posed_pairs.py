@@ -98,14 +98,6 @@ def test_sift_finds_the_pose_of_the_pictures(pairs):
     assert result.translation_error_deg < 5
 
 
-def test_results_come_one_by_one(pairs):
-    pairs[1] = replace(pairs[1], name1="gone.png")
-    results = run(pairs, {"none": NoMatches()}, OPTIONS)
-    assert next(results).method == "none"
-    with pytest.raises(ImageError):
-        next(results)
-
-
 def test_a_missing_image_is_known_before_the_work(pairs):
     require_images(pairs)
     pairs[1].path2.unlink()

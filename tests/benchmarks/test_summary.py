@@ -21,18 +21,10 @@ from dgc_pose.benchmarks.summary import (
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 
-KEYS = [
-    "method",
-    "pairs",
-    "failures",
-    "median_rotation_deg",
-    "median_translation_deg",
-    "median_translation_folded_deg",
-    "auc5",
-    "auc10",
-    "auc20",
-    "seconds_per_pair",
-]
+KEYS = (
+    "method pairs failures median_rotation_deg median_translation_deg "
+    "median_translation_folded_deg auc5 auc10 auc20 seconds_per_pair"
+).split()
 GOOD = MethodSummary("dgcm-lite0", 64, 2, 1.25, 3.5, 3.25, 61.0, 75.5, 83.25, 0.4)
 LOST = MethodSummary("sift", 64, 40, math.inf, math.inf, math.inf, 10.0, 12.0, 14.0, 1.5)
 

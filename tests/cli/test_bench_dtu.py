@@ -64,9 +64,9 @@ def bench(*arguments: object, code: int = 0) -> str:
     return result.stdout if code == 0 else result.stderr
 
 
-def table(folder: Path, *, but: tuple[str, ...] = ()) -> list[dict[str, str]]:
+def table(folder: Path) -> list[dict[str, str]]:
     with (folder / "results.csv").open(newline="") as stream:
-        return [{k: v for k, v in row.items() if k not in but} for row in csv.DictReader(stream)]
+        return list(csv.DictReader(stream))
 
 
 def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
@@ -121,20 +121,6 @@ def test_true_flows_give_the_true_poses(dtu, flows, tmp_path, protocol) -> None:
         assert float(row["translation_error_deg"]) < 1.5
         assert float(row["epipolar_confident_px"]) < 0.02
         assert int(row["num_matches"]) > 1500
-
-
-def test_every_layout_gives_the_same_table(dtu, tmp_path) -> None:
-    scan = dtu_layout.rendered_scan()
-    tables = []
-    for layout, write in dtu_layout.WRITERS.items():
-        write(tmp_path / layout, scan, extension="png")
-        out = tmp_path / f"{layout}-run"
-        where = ("--root", tmp_path / layout, "--out", out)
-        text = bench(*where, "--pairs", 3, "--methods", "dis,sift")
-        assert text.startswith(f"{layout} layout")
-        tables.append(table(out, but=("image1", "image2")))
-    assert len(tables) == 3 and tables[0] == tables[1] == tables[2]
-    assert len(tables[0]) == 6
 
 
 def test_the_list_of_a_run_gives_that_run_again(dtu, tmp_path) -> None:

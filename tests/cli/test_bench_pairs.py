@@ -64,14 +64,6 @@ def test_json_and_out_hold_the_same_summary(folder):
     assert cv2.imread("run/new/errors.png").std() > 1
 
 
-def test_sift_needs_no_weights(folder):
-    result = bench("pairs.txt", "--methods", "sift", "--limit", "1", "--json", "s.json")
-    assert result.exit_code == 0
-    (sift,) = json.loads((folder / "s.json").read_text())["methods"]
-    assert (sift["pairs"], sift["failures"]) == (1, 0)
-    assert sift["median_rotation_deg"] < 2
-
-
 def test_all_shipped_weights_and_sift_by_default(folder, monkeypatch):
     monkeypatch.setattr("dgc_pose.cli.bench_pairs.shipped", lambda: ["noise", "true"])
     result = bench("pairs.txt", "--limit", "1")
@@ -121,13 +113,6 @@ def without_times(path):
     return [{k: v for k, v in row.items() if not k.endswith("_seconds")} for row in rows]
 
 
-def test_the_results_are_independent_of_the_workers(folder):
-    for workers in ("1", "2"):
-        arguments = ("--methods", "true,sift", "--workers", workers, "--out", workers)
-        assert bench("pairs.txt", *arguments).exit_code == 0
-    assert without_times("1/results.csv") == without_times("2/results.csv")
-
-
 def test_a_method_has_options_of_its_own(folder):
     methods = "true,true/all,true:refine=map:runs=2,true:max_matches=100,sift:refine=map"
     result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
@@ -165,12 +150,3 @@ def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words)
     assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
     assert words in result.stderr
     assert sorted(os.listdir(folder)) == ["one.png", "pairs.txt", "two.png"]
-
-
-def test_a_bad_line_is_named_by_its_number(folder):
-    with open("pairs.txt", "a") as stream:
-        stream.write("one.png two.png 0 0\n")
-    result = bench("pairs.txt", "--methods", "sift", "--out", "run")
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error: pairs.txt:4: ")
-    assert not os.path.exists("run")

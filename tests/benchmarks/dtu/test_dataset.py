@@ -290,17 +290,6 @@ def test_a_file_that_is_no_image_is_an_error_with_its_path(tmp_path):
         open_dataset(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "layout, file",
-    [("raw", "Calibration/cal18/pos_002.txt"), ("mvsnet", "scan65/cams/00000001_cam.txt")],
-)
-def test_a_short_calibration_is_an_error_with_its_path(tmp_path, layout, file):
-    WRITERS[layout](tmp_path, grey_scan([0, 10]))
-    (tmp_path / file).write_text("1 2 3 4\n")
-    with pytest.raises(InputError, match=f"{file}: expected .* rows of 4 numbers"):
-        open_dataset(tmp_path)
-
-
 def _npz(**matrices):
     return lambda path: np.savez(path, **matrices)
 

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 from good_evidence import GOOD_EVIDENCE
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
-from dgc_pose.benchmarks.probability import collection
 from dgc_pose.benchmarks.probability.collection import (
     collect,
     read_collection,
@@ -230,17 +229,3 @@ def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:
     missing = PlanEntry("x", "fit", "rgbd", (Path("nowhere"),))
     with pytest.raises(InputError, match="nowhere: no such data"):
         planned(missing, tmp_path, tmp_path / "lists")
-
-
-def test_a_kill_while_writing_leaves_no_half_pair(tmp_path, monkeypatch) -> None:
-    matcher = _Scenes()
-    source, pairs = _pairs(matcher, "fit", 1)
-
-    def killed(stream, **arrays):
-        stream.write(b"half")
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(collection.np, "savez_compressed", killed)
-    with pytest.raises(KeyboardInterrupt):
-        list(collect(pairs, {"sift": matcher}, tmp_path))
-    assert not list(tmp_path.rglob("*.npz*"))
