@@ -125,13 +125,6 @@ def test_what_the_class_refuses_is_an_input_error(words: list[str], message: str
         raise result.exception
 
 
-@pytest.mark.parametrize("words", [["--how", "slow"], ["--level", "61"], ["--runs", "two"], []])
-def test_what_click_refuses_names_the_option(words: list[str]) -> None:
-    result, _ = _invoke(*words)
-    assert result.exit_code == 2
-    assert (words or ["--folder"])[0] in result.output
-
-
 def test_a_literal_and_a_range_are_checked_without_a_command_line() -> None:
     with pytest.raises(InputError, match="kind must be one of fast, good, not 'slow'"):
         Options(Path(), kind="slow")  # type: ignore[arg-type]

@@ -3,10 +3,9 @@ from __future__ import annotations
 import re
 
 import pytest
-from click.testing import CliRunner
+from command_line import assert_refused, run
 
 from dgc_pose.cameras.pair_list import bundled_pair
-from dgc_pose.cli.main import main
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import load_image
 from dgc_pose.matching.sift import SiftMatcher
@@ -23,17 +22,15 @@ def test_the_known_pose_is_that_of_the_pictures():
 
 
 def test_demo_prints_the_estimate_beside_the_known_pose(tmp_path):
-    result = CliRunner().invoke(main, ["demo", "--plot", str(tmp_path / "p.png")])
+    result = run("demo", "--plot", tmp_path / "p.png")
     assert result.exit_code == 0
     assert result.stdout.splitlines()[-6].split() == ["estimated", "known"]
-    found = re.search(r"errors: rotation ([\d.]+) deg, .* ([\d.]+) deg", result.stdout)
-    assert found is not None
-    assert float(found[1]) < 5 and float(found[2]) < 15
+    errors = re.search(r"errors: rotation ([\d.]+) deg, .* ([\d.]+) deg", result.stdout)
+    assert errors is not None
+    assert float(errors[1]) < 5 and float(errors[2]) < 15
     assert (tmp_path / "p.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("option", [("--weights", "nosuch.pth"), ("--plot", "p.docx")])
 def test_unusable_options_are_refused(option):
-    result = CliRunner().invoke(main, ["demo", *option])
-    assert result.exit_code == 2
-    assert result.stderr.startswith("error: ") and option[1] in result.stderr
+    assert_refused(run("demo", *option), option[1])

@@ -11,15 +11,11 @@ from importlib.metadata import version
 
 import click
 import pytest
-from click.testing import CliRunner
+from command_line import assert_refused, run
 
-from dgc_pose.cli.main import SUBCOMMANDS, main
+from dgc_pose.cli.main import SUBCOMMANDS
 from dgc_pose.errors import DgcPoseError, ImageSizeError, WeightsError
 from dgc_pose.version import build
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, arguments)
 
 
 @pytest.fixture
@@ -92,44 +88,29 @@ def test_version_is_that_of_the_distribution():
     assert re.fullmatch(r"\d+\.\d+\.\d+", version("dgc-pose"))  # semantic versioning
 
 
-def test_the_package_runs_as_a_module():
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-m", "dgc_pose", "--help"]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert result.stdout.startswith("Usage: python -m dgc_pose ")
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (["nosuch"], "nosuch"),
         (["--nosuch"], "--nosuch"),
-        (["estimate"], "IMG1"),
         (["estimate", "a.png"], "IMG2"),
         (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
-        (["estimate", "a.png", "b.png", "--device", "abacus"], "--device"),
         (["match", "a.png", "b.png"], "--out"),
         (["bench-pairs", "a.txt", "--limit", "0"], "limit must lie in"),
     ],
 )
 def test_misuse_is_one_line_and_exit_2(arguments, words):
-    result = run(*arguments)
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
-    assert words in result.stderr
+    assert_refused(run(*arguments), words)
 
 
 @pytest.mark.parametrize(
     "error, line",
     [
         (WeightsError("w.pth: no such file"), "error: w.pth: no such file\n"),
-        (DgcPoseError("two\n  lines"), "error: two lines\n"),
         (
             OSError(28, "No space left on device", "out.npz"),
             "error: out.npz: No space left on device\n",
         ),
-        (OSError("strange"), "error: OSError: strange\n"),
         (OSError(30, "Read-only file system"), "error: OSError: Read-only file system\n"),
         (
             OSError(28, "No space left on device", "a.db", None, "/tmp/a.db"),
@@ -139,7 +120,6 @@ def test_misuse_is_one_line_and_exit_2(arguments, words):
             ImageSizeError("a.png is too large: 9 x 9"),
             "error: a.png is too large: 9 x 9 (--max-pixels sets that number)\n",
         ),
-        (MemoryError(), "error: not enough memory: MemoryError\n"),
         (
             MemoryError("Unable to allocate 3 GiB"),
             "error: not enough memory: Unable to allocate 3 GiB\n",
@@ -172,9 +152,7 @@ def test_a_signal_to_stop_is_one_line_and_the_shells_code(raising, number):
     ("error", "words"),
     [
         (ZeroDivisionError("by 0"), "ZeroDivisionError: by 0"),
-        (KeyError(3), "3"),
         (RuntimeError("[..] can't allocate memory: 9"), "RuntimeError: [..] can't allocate memory"),
-        (ValueError("out of memory.png"), "ValueError: out of memory.png"),
         (ValueError("embedded null byte"), "ValueError: embedded null byte"),
     ],
 )

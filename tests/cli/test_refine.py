@@ -5,9 +5,7 @@ from __future__ import annotations
 import dense_scene
 import numpy as np
 import pytest
-from click.testing import CliRunner
-
-from dgc_pose.cli.main import main
+from command_line import run
 
 
 @pytest.fixture
@@ -21,10 +19,6 @@ def folder(tmp_path, monkeypatch):
 
     monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
     return tmp_path
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, arguments)
 
 
 @pytest.mark.parametrize("refine, error", [("none", (0.5, 1.5)), ("map", (0.0, 0.1))])
@@ -52,9 +46,3 @@ def test_the_benchmark_refines_as_it_is_told(folder):
         row = result.stdout.splitlines()[-1].split()
         errors.append(float(row[6]))
     assert errors[1] < errors[0]
-
-
-@pytest.mark.parametrize("command", ["match", "estimate", "bench-pairs", "demo"])
-def test_an_unknown_source_is_refused(folder, command):
-    result = run(command, "--refine", "magic")
-    assert result.exit_code == 2 and "magic" in result.stderr

@@ -12,9 +12,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from command_line import assert_refused, run
 
-from dgc_pose.cli.main import main
 from dgc_pose.serve.guard import TOKEN_HEADER
 
 
@@ -61,23 +60,19 @@ def test_a_port_that_is_taken_is_refused(tmp_path):
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        result = CliRunner().invoke(main, ["serve", "--no-browser", "--port", str(port)])
-    assert result.exit_code == 2 and result.stderr.startswith("error: ")
-    assert str(port) in result.stderr
+        assert_refused(run("serve", "--no-browser", "--port", port), str(port))
 
 
 def test_without_the_extra_the_message_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
-    result = CliRunner().invoke(main, ["serve"])
-    assert result.exit_code == 2 and "dgc-pose[serve]" in result.stderr
+    assert_refused(run("serve"), "dgc-pose[serve]")
 
 
 @pytest.mark.parametrize(
     "arguments", [("--port", "70000"), ("--max-megabytes", "0"), ("--estimate-seconds", "-1")]
 )
 def test_unusable_options_are_refused(arguments):
-    result = CliRunner().invoke(main, ["serve", *arguments])
-    assert result.exit_code == 2 and result.stderr.startswith("error: ")
+    assert_refused(run("serve", *arguments))
 
 
 def _workers(process):

@@ -12,7 +12,6 @@ import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.cli.batch import WorkChoice, batch_options
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import align
@@ -36,9 +35,9 @@ def test_answers_come_in_the_order_of_the_items(count: int) -> None:
 
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 11])
 def test_slices_cover_all_rows_in_their_order(count: int) -> None:
-    found = slices(count, 4)
-    assert len(found) == max(1, -(-count // 4))
-    assert [row for one in found for row in range(count)[one]] == list(range(count))
+    parts = slices(count, 4)
+    assert len(parts) == max(1, -(-count // 4))
+    assert [row for part in parts for row in range(count)[part]] == list(range(count))
 
 
 def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
@@ -106,7 +105,6 @@ def test_usable_cpus_need_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda pid: {3, 5, 7}, raising=False)
     assert usable_cpus() == 3
     monkeypatch.delattr("os.sched_getaffinity")
-    monkeypatch.setattr("os.cpu_count", lambda: 6)
-    assert usable_cpus() == batch_options(WorkChoice()).workers == 6
-    monkeypatch.setattr("os.cpu_count", lambda: None)
-    assert usable_cpus() == 1
+    for count, expected in ((6, 6), (None, 1)):
+        monkeypatch.setattr("os.cpu_count", lambda count=count: count)
+        assert usable_cpus() == expected
