@@ -1,14 +1,7 @@
-import dataclasses
-
 import pytest
 
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-
-
-def test_the_defaults_are_five_runs_of_a_thousand_iterations():
-    options = EstimationOptions()
-    assert (options.runs, options.iterations) == (5, 1000)
 
 
 @pytest.mark.parametrize(
@@ -30,8 +23,3 @@ def test_the_defaults_are_five_runs_of_a_thousand_iterations():
 def test_a_value_out_of_range_is_refused_by_its_name(field, value):
     with pytest.raises(InputError, match=field):
         EstimationOptions(**{field: value})
-
-
-def test_options_cannot_be_changed():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        EstimationOptions().runs = 1

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera, parse_camera
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -107,13 +107,10 @@ def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind):
 @pytest.mark.parametrize("count", [60, 200, 3000])
 @pytest.mark.parametrize("sigma_px", [0.0, 0.5, 3.0])
 def test_a_pure_rotation_is_recognised_at_any_noise_and_count(sigma_px, count):
-    for seed in range(2):
-        scene = two_view_scene(
-            "rotation_only", seed=seed, count=count, sigma_px=sigma_px, outliers=0.2
-        )
-        pose = estimate(scene, runs=1)
-        assert pose.status == "rotation_only"
-        assert rotation_error_deg(pose.R, scene.R) < 0.5
+    scene = two_view_scene("rotation_only", count=count, sigma_px=sigma_px, outliers=0.2)
+    pose = estimate(scene, runs=1)
+    assert pose.status == "rotation_only"
+    assert rotation_error_deg(pose.R, scene.R) < 0.5
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 45.0, 90.0, 180.0])
@@ -259,15 +256,6 @@ def test_the_same_seed_gives_the_same_answer_to_the_bit():
     assert (first.status, first.warnings) == (again.status, again.warnings)
 
 
-def test_another_seed_gives_another_answer():
-    scene = two_view_scene("general", seed=1, count=400, sigma_px=3.0, outliers=0.5)
-    settings = {"refine": False, "runs": 1, "iterations": 100}
-    settings["verdict"] = VerdictOptions(min_probability=None)
-    first, second = (estimate(scene, seed=seed, **settings) for seed in (0, 1))
-    assert first.success and second.success
-    assert not np.array_equal(first.E, second.E)
-
-
 @given(st.integers(0, 1000))
 @settings(max_examples=10, deadline=None)
 def test_exchanged_images_give_the_inverse_pose(seed):
@@ -314,33 +302,6 @@ def test_lens_distortion_is_undone_by_the_camera_that_has_it():
     assert undone.success
     assert pose_error(undone.R, undone.t, scene) < 0.3
     assert undone.num_inliers > 1.1 * ignored.num_inliers
-
-
-def test_the_threshold_is_in_pixels_of_the_originals_whatever_the_focal_lengths():
-    scene = two_view_scene("general", count=500, sigma_px=1.0, outliers=0.0)
-    camera1, camera2 = scene.cameras
-    matches = scene.matches
-    plain = estimate(scene, threshold_px=2.0)
-    by_factor = estimate(scene, threshold_factor=2.0)
-    assert np.array_equal(plain.inliers, by_factor.inliers)
-    # Both images twice the size: the same inliers at twice the threshold.
-    double = as_matches(2 * matches.points1 + 0.5, 2 * matches.points2 + 0.5)
-    resized = [camera1.resized((3200, 2400)), camera2.resized((2560, 1920))]
-    twice = estimate_pose(double, *resized, EstimationOptions(threshold_px=4.0))
-    assert (twice.inliers == plain.inliers).mean() > 0.98
-    wide = estimate(scene, threshold_px=8.0)
-    assert wide.num_inliers > plain.num_inliers
-
-
-def test_as_many_matches_as_a_dense_grid_has():
-    scene = two_view_scene("general", seed=1, count=2000, sigma_px=1.0, outliers=0.5)
-    rng = np.random.default_rng(0)
-    again = rng.integers(0, 2000, 57_600)
-    jitter = 0.5 * rng.standard_normal((2, 57_600, 2))
-    matches = as_matches(scene.points1[again] + jitter[0], scene.points2[again] + jitter[1])
-    pose = estimate(scene, matches, runs=1, iterations=100)
-    assert pose.success
-    assert pose_error(pose.R, pose.t, scene) < 1
 
 
 def test_something_else_than_matches_is_refused_by_name():

@@ -77,7 +77,3 @@ def test_a_small_triangulation_angle_and_a_plane_give_warnings():
     assert status == "planar"
     assert len(warnings) == 2
     assert "0.50 deg" in warnings[0] and "90 %" in warnings[1]
-
-
-def test_gates_can_be_set():
-    assert verdict(options=VerdictOptions(min_inlier_ratio=0.7)).status == "chance_inliers"
