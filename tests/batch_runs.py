@@ -31,6 +31,7 @@ def run_sift(
     source: Path,
     out: Path,
     *,
+    root: Path | None = None,
     pairs: str | None = "exhaustive",
     K: str | None = K_text(),  # noqa: B008, a constant
     estimation: EstimationOptions = EstimationOptions(runs=1, iterations=300),  # noqa: B008
@@ -40,7 +41,7 @@ def run_sift(
 ) -> Batch:
     """A batch with SIFT, and the K of the rendered views; K None for guessed focal lengths."""
     return run_batch(
-        open_source(source),
+        open_source(source, root),
         read_calibration(K, guess=K is None),
         None if pairs is None else parse_pair_choice(pairs),
         out,

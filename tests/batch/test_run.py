@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -103,40 +97,6 @@ def test_killed_three_times_and_resumed_gives_the_same(
     assert_same_result(whole, out)
 
 
-def test_a_finished_batch_is_not_done_again(photos: tuple[Path, list[View]], whole: Path) -> None:
-    before = (whole / "matches.h5").stat().st_mtime_ns
-    again = run_sift(photos[0], whole, resume=True, start_workers=killed_after(0))
-    assert len(again.rows) == 6
-    assert (whole / "matches.h5").stat().st_mtime_ns == before
-
-
-def test_the_process_is_killed_and_the_command_resumes(
-    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
-) -> None:
-    """SIGKILL while the command works, as soon as its first part is there; with a relative path."""
-    out = tmp_path / "out"
-    arguments = ["batch", photos[0].name, "--out", str(out), "--pairs", "exhaustive"]
-    options = ["--K", K_text(), "--weights", "sift", "--runs", "1", "--iterations", "300"]
-    code = "from dgc_pose.cli.main import main; main()"
-    command = [sys.executable, "-c", code, *arguments, *options, "--workers", "1"]
-    here = photos[0].parent
-    process = subprocess.Popen(
-        command, cwd=here, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    deadline = time.monotonic() + 120
-    while not list(out.glob("parts/*.h5")) and process.poll() is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    done = subprocess.run(
-        [*command, "--resume"], cwd=here, capture_output=True, text=True, check=True
-    )
-    assert "poses of 6 pairs" in done.stdout
-    assert f"bad image {BROKEN}" in done.stderr
-    assert_same_result(whole, out)
-
-
 def test_parquet_holds_the_same_rows(
     photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
 ) -> None:
@@ -169,29 +129,16 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
         for pair in ((1, 2), (2, 3)):
             open_database.write_matches(*pair, np.zeros((1, 2), np.uint32))
     before = database.read_bytes()
-    from dgc_pose.batch.calibration import read_calibration
-    from dgc_pose.batch.run import BatchOptions, run_batch
-    from dgc_pose.batch.source import open_source
-    from dgc_pose.estimation import EstimationOptions
-    from dgc_pose.matchers import MatcherOptions
-
-    by_source = {}
-    for name, path, K in (("list", listed, K_text()), ("database", database, None)):
-        by_source[name] = run_batch(
-            open_source(path, photos[0]),
-            read_calibration(K),
-            None,
-            tmp_path / name,
-            matcher=MatcherOptions("sift"),
-            estimation=EstimationOptions(runs=1, iterations=300),
-            options=BatchOptions(),
-        ).rows
-    assert [(row.name1, row.name2) for row in by_source["list"]] == [
+    by_source = {
+        path.suffix: run_sift(path, tmp_path / path.suffix, pairs=None, K=K, root=photos[0]).rows
+        for path, K in ((listed, K_text()), (database, None))
+    }
+    assert [(row.name1, row.name2) for row in by_source[".csv"]] == [
         ("view0.png", "view1.png"),
         ("view2.png", "view1.png"),
     ]
-    assert by_source["database"][0] == by_source["list"][0]
-    assert by_source["database"][1].name1 == "view1.png"
+    assert by_source[".db"][0] == by_source[".csv"][0]
+    assert by_source[".db"][1].name1 == "view1.png"
     assert database.read_bytes() == before
 
 
@@ -245,8 +192,3 @@ def test_a_result_cut_short_is_named(
     (out / "plan.json").write_text("{}")
     with pytest.raises(InputError, match="not the plan"):
         read_batch(out)
-
-
-def test_the_cameras_and_the_plan_are_plain_json(whole: Path) -> None:
-    plan = json.loads((whole / "plan.json").read_text())
-    assert {"version", "root", "settings", "images", "pairs"} == plan.keys()
