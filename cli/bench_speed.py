@@ -10,14 +10,16 @@ import click
 import cv2
 import torch
 
-from dgc_pose.benchmarks.forwards import forwards_text, matrix_rate, time_forwards
 from dgc_pose.benchmarks.speed import (
     SIFT_TOTAL,
     TOTAL,
     Setup,
     bundled_setup,
+    forwards_text,
+    matrix_rate,
     stages,
     stages_text,
+    time_forwards,
     user_setup,
 )
 from dgc_pose.cli.dataclass_options import dataclass_options

@@ -55,11 +55,7 @@ class MapBenchOptions:
         type=OutputFolder(*_TABLES),
     )
     json_path: str | None = option(
-        None,
-        "Write all figures as JSON.",
-        flag="--json",
-        metavar="PATH",
-        type=OutputFile(),
+        None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
     device: DeviceName = option("auto", "Where the network runs.")
 

@@ -1,17 +1,28 @@
-"""The report of a finished DTU run: its figures, the worst pairs, and report.html."""
+"""The report of a finished DTU run: its figures, and report.html with the pairs and their matches.
+
+Its data are JSON, which has no infinity: null stands for it, and for a figure that a method lacks.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import base64
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import cv2
 import jinja2
+import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
-from dgc_pose.benchmarks.dtu.page_data import data_uri, page_data
+from dgc_pose.benchmarks.posed_pairs import Truth
+from dgc_pose.benchmarks.samples import MatchSample, read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
+from dgc_pose.files.json_files import finite_data
 from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.images.image import Image
+from dgc_pose.metrics.epipolar import true_fundamental
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
@@ -24,6 +35,21 @@ _CAPTIONS = {
     "translation.svg": "Translation error, 0 to 180 degrees: share of pairs not above it",
     "epipolar.svg": "Median symmetric epipolar distance of a pair: share of pairs not above it",
     "motion.png": "Errors against the true rotation and the baseline, with medians",
+}
+_THUMBNAIL = 240  # longest side, pixels
+_JPEG_QUALITY = 70
+_DIGITS = 10  # of an entry of F: a point in the largest image needs fewer
+_RESULT = {  # key in the page's data: field of the record
+    "success": "success",
+    "status": "status",
+    "matches": "num_matches",
+    "inliers": "num_inliers",
+    "R": "rotation_error_deg",
+    "t": "translation_error_deg",
+    "folded": "translation_folded_deg",
+    "all": "epipolar_all_px",
+    "confident": "epipolar_confident_px",
+    "seconds": "estimate_seconds",
 }
 
 
@@ -93,6 +119,49 @@ def pictured_pairs(methods: Mapping[str, Sequence[DtuScore]], count: int) -> fro
     return frozenset(list(dict.fromkeys(keys))[:count])
 
 
+def page_data(
+    out: Path,
+    pairs: DtuPairs,
+    rows: Mapping[str, Sequence[DtuScore]],
+    pictured: Collection[ViewKey],
+) -> dict[str, Any]:
+    """All that the page shows.
+
+    Args:
+        out: the folder of the run, which holds the samples of matches.
+        pairs: the pairs as the methods saw them.
+        rows: of each method, a record for each of the pairs in their order.
+        pictured: the pairs to be shown with their images, matches and epipolar lines.
+
+    Raises what `read_sample` and reading the images raise.
+    """
+    images: dict[str, dict[str, Any]] = {}  # by name, each once
+    entries = []
+    for number, row in enumerate(next(iter(rows.values()))):
+        entry = {
+            "name": f"scan{row.scene} {row.view1}-{row.view2}",
+            "rotation": row.true_rotation_deg,
+            "baseline": row.true_baseline_mm,
+            "overlap": row.overlap,
+            "F": None,
+        }
+        if row.key[1:] in pictured:
+            posed = pairs.pair(number)
+            for image in (posed.image1, posed.image2):
+                if image.name not in images:
+                    images[image.name] = _thumbnail(image)
+            names = list(images)
+            entry |= {
+                "image1": names.index(posed.image1.name),
+                "image2": names.index(posed.image2.name),
+                "F": _fundamental(posed.truth),
+            }
+        entries.append(entry)
+    results = [[_result(out, row, pictured) for row in of_method] for of_method in rows.values()]
+    images_data = list(images.values())
+    return {"methods": list(rows), "pairs": entries, "images": images_data, "results": results}
+
+
 def _rank(row: DtuScore) -> tuple[object, ...]:
     """The larger of rotation and folded translation error first, infinite without a pose."""
     return -max(row.rotation_error_deg, row.translation_folded_deg), row.key
@@ -100,4 +169,41 @@ def _rank(row: DtuScore) -> tuple[object, ...]:
 
 def _picture_uri(name: str, file: Path) -> str:
     kind = "image/svg+xml" if name.endswith(".svg") else "image/png"
-    return data_uri(kind, file.read_bytes())
+    return _data_uri(kind, file.read_bytes())
+
+
+def _data_uri(kind: str, content: bytes) -> str:
+    """A file of the MIME type `kind` within a page."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _result(out: Path, row: DtuScore, pictured: Collection[ViewKey]) -> dict[str, Any]:
+    result: dict[str, Any] = finite_data({k: getattr(row, name) for k, name in _RESULT.items()})
+    if row.key[1:] in pictured:
+        result["sample"] = _flat(read_sample(out, row.key))
+    return result
+
+
+def _flat(sample: MatchSample) -> list[int]:
+    """x1, y1, x2, y2 in tenths of a pixel and 1 for an inlier or 0, match after match."""
+    tenths = np.column_stack([sample.points1, sample.points2]) * 10
+    columns = np.column_stack([np.rint(tenths), sample.inliers])
+    return [int(value) for value in columns.ravel()]
+
+
+def _thumbnail(image: Image) -> dict[str, Any]:
+    share = min(1.0, _THUMBNAIL / max(image.size))
+    size = tuple(max(1, round(share * side)) for side in image.size)
+    small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
+    bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
+    _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    width, height = image.size
+    source = _data_uri("image/jpeg", encoded.tobytes())
+    return {"width": width, "height": height, "source": source}
+
+
+def _fundamental(truth: Truth) -> list[float]:
+    """F row by row, of length 1."""
+    assert truth.R is not None and truth.t is not None
+    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+    return [float(f"{value:.{_DIGITS}g}") for value in (F / np.linalg.norm(F)).ravel()]

@@ -11,9 +11,8 @@ import torch
 from click.testing import CliRunner
 from map_nets import SMALL
 
-from dgc_pose.benchmarks import forwards, speed
-from dgc_pose.benchmarks.forwards import multiply_adds, time_forwards
-from dgc_pose.benchmarks.speed import SIFT_TOTAL, TOTAL
+from dgc_pose.benchmarks import speed
+from dgc_pose.benchmarks.speed import SIFT_TOTAL, TOTAL, multiply_adds, time_forwards
 from dgc_pose.cli.main import main
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -53,7 +52,7 @@ def test_every_way_is_timed_and_compared() -> None:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forwards, "_MATRIX", 64)
+    monkeypatch.setattr(speed, "_MATRIX", 64)
     monkeypatch.setattr(speed, "SIZE", (400, 300))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import PAPER_SIZE
-from dgc_pose.benchmarks.dtu.page_data import page_data
+from dgc_pose.benchmarks.dtu.report_page import page_data
 from dgc_pose.benchmarks.summary import by_method
 
 
