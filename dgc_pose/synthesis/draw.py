@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -38,22 +40,18 @@ class Draw:
         self._rank, self._processes = share
 
     def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
-        size, source = self._rows(shape), self._generator
-        values = torch.rand(size, generator=source, device=source.device)
-        return low + (high - low) * self._own(values)
+        return low + (high - low) * self._rows(torch.rand, shape)
 
     def log_uniform(self, *shape: int, low: float, high: float) -> Tensor:
         return self.uniform(*shape, low=math.log(low), high=math.log(high)).exp()
 
     def normal(self, *shape: int) -> Tensor:
         """Standard normal."""
-        size, source = self._rows(shape), self._generator
-        return self._own(torch.randn(size, generator=source, device=source.device))
+        return self._rows(torch.randn, shape)
 
     def integers(self, *shape: int, count: int) -> Tensor:
         """In [0, count), int64."""
-        size, source = self._rows(shape), self._generator
-        return self._own(torch.randint(count, size, generator=source, device=source.device))
+        return self._rows(partial(torch.randint, count), shape)
 
     def chance(self, *shape: int, share: float) -> Tensor:
         """True with probability `share`."""
@@ -82,15 +80,11 @@ class Draw:
         values: list[int] = torch.randint(count, (size,), generator=self._generator).tolist()
         return values
 
-    def _rows(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """The shape that is drawn for all processes together."""
-        return shape if self._processes == 1 else (self._processes * shape[0], *shape[1:])
-
-    def _own(self, values: Tensor) -> Tensor:
-        """The rows of this process, on the device."""
-        if self._processes > 1:
-            values = values.chunk(self._processes)[self._rank]
-        return self._move(values)
+    def _rows(self, draw: Callable[..., Tensor], shape: tuple[int, ...]) -> Tensor:
+        """This process's rows of what is drawn for all processes together, on the device."""
+        size = shape if self._processes == 1 else (self._processes * shape[0], *shape[1:])
+        values = draw(size, generator=self._generator, device=self._generator.device)
+        return self._move(values if size == shape else values.chunk(self._processes)[self._rank])
 
     def _move(self, values: Tensor) -> Tensor:
         if self._device.type == "cuda" and values.device.type == "cpu":

@@ -94,11 +94,10 @@ def _wall(rng: np.random.Generator) -> np.ndarray:
     bricks[34:91, 39:81] = (60, 70, 85)
     bricks[61:64, 39:81] = bricks[34:91, 59:61] = (235, 235, 230)
     wall = np.tile(bricks, (_FLOORS, _COLUMNS, 1))
-    for floor in range(_FLOORS):
-        for column in range(_COLUMNS):
-            y, x = floor * cell, column * cell
-            drawn = int(rng.integers(0, 27))
-            wall[y + 34 : y + 34 + drawn, x + 39 : x + 59] = rng.integers(120, 255, 3)
-            wall[y + 34 : y + 34 + drawn, x + 61 : x + 81] = rng.integers(120, 255, 3)
+    for floor, column in np.ndindex(_FLOORS, _COLUMNS):
+        y, x = floor * cell + 34, column * cell
+        drawn = int(rng.integers(0, 27))
+        wall[y : y + drawn, x + 39 : x + 59] = rng.integers(120, 255, 3)
+        wall[y : y + drawn, x + 61 : x + 81] = rng.integers(120, 255, 3)
     grain = rng.normal(0, 6, wall.shape[:2])[..., None]
     return (wall + grain).clip(0, 255).round().astype(np.uint8)

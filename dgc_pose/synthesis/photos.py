@@ -81,14 +81,11 @@ def _split(root: str | Path, limit: int | None = None) -> tuple[list[Path], list
     content = search_images(root)
     for line in content.left_out:
         _log.warning("%s: %s", root, line)
-    paths = sorted(Path(root, name) for name in content.names)[:limit]
-    training = [path for path in paths if not _is_held_back(path)]
-    return training, [path for path in paths if _is_held_back(path)]
-
-
-def _is_held_back(path: Path) -> bool:
-    digest = hashlib.sha256(path.name.encode()).digest()[0:4]
-    return int.from_bytes(digest, "big") % _HELD_BACK == 0
+    parts: tuple[list[Path], list[Path]] = [], []
+    for path in sorted(Path(root, name) for name in content.names)[:limit]:
+        digest = hashlib.sha256(path.name.encode()).digest()[0:4]
+        parts[int.from_bytes(digest, "big") % _HELD_BACK == 0].append(path)
+    return parts
 
 
 def _decode(paths: list[Path], side: int, lacking: str) -> Photos:

@@ -66,12 +66,11 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
 def _read_matrix(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """A text file's numbers in that shape, float64. Raises InputError with the path."""
     try:
-        values = np.array(read_text(path).split(), dtype=np.float64)
-        matrix = values.reshape(shape)
+        text = read_text(path)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except InputError:
-        raise
+    try:
+        matrix = np.array(text.split(), dtype=np.float64).reshape(shape)
     except ValueError:
         what = f"rows of {shape[1]}" if shape[0] < 0 else f"{shape[0]}x{shape[1]}"
         raise InputError(f"{path}: expected {what} numbers") from None

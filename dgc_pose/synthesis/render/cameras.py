@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -17,6 +17,11 @@ class Cameras:
     translation: Tensor  # (B, 3), camera from world
     size: tuple[int, int]  # (width, height), pixels
 
+    @classmethod
+    def at(cls, centre: Tensor, K: Tensor, rotation: Tensor, size: tuple[int, int]) -> Cameras:
+        """Cameras whose centres (B, 3) in the world are given."""
+        return cls(K, rotation, -(rotation @ centre[..., None])[..., 0], size)
+
     @property
     def centre(self) -> Tensor:
         """Camera centres in the world, (B, 3)."""
@@ -24,13 +29,8 @@ class Cameras:
 
     def pixels(self) -> Tensor:
         """The pixel centres row by row, (2, height * width)."""
-        width, height = self.size
-        y, x = torch.meshgrid(
-            torch.arange(height, dtype=self.K.dtype, device=self.K.device),
-            torch.arange(width, dtype=self.K.dtype, device=self.K.device),
-            indexing="ij",
-        )
-        return torch.stack((x.reshape(-1), y.reshape(-1)))
+        axes = (torch.arange(n, dtype=self.K.dtype, device=self.K.device) for n in self.size)
+        return torch.stack(torch.meshgrid(*axes, indexing="xy")).flatten(1)
 
     def rays(self, pixels: Tensor) -> Tensor:
         """Directions in the camera of pixels (2, n), with z = 1: (B, 3, n)."""
@@ -47,9 +47,8 @@ class Cameras:
     def shifted(self, x: float, y: float) -> Cameras:
         """The cameras whose pixel (0, 0) is this one's (x, y): for samples within a pixel."""
         offset = torch.zeros_like(self.K)
-        offset[:, 0, 2] = x
-        offset[:, 1, 2] = y
-        return Cameras(self.K - offset, self.rotation, self.translation, self.size)
+        offset[:, 0, 2], offset[:, 1, 2] = x, y
+        return replace(self, K=self.K - offset)
 
 
 def relative_pose(first: Cameras, second: Cameras) -> Tensor:

@@ -31,7 +31,7 @@ def random_camera_pair(
     first_K, second_K = (random_intrinsics(draw, batch, size, options) for _ in range(2))
     focal1, focal2 = first_K[:, 0, 0] / size, second_K[:, 0, 0] / size
     distance1 = focal1 * draw.uniform(batch, low=options.distance[0], high=options.distance[1])
-    centre1 = distance1[:, None] * _viewpoints(draw, batch, options)
+    centre1 = distance1[:, None] * random_viewpoints(draw, batch, options.elevation_deg)
     roll1 = math.radians(_FIRST_ROLL_DEG) * draw.normal(batch)
     rotation1 = _about_z(roll1) @ look_at(centre1, torch.zeros_like(centre1))
 
@@ -46,12 +46,14 @@ def random_camera_pair(
     free = centre1 + step * draw.directions(batch)
     centre2 = torch.where(draw.chance(batch, 1, share=options.free_share), free, orbiting)
 
-    return _cameras(first_K, rotation1, centre1, size), _cameras(second_K, rotation2, centre2, size)
+    sides = size, size
+    first = Cameras.at(centre1, first_K, rotation1, sides)
+    return first, Cameras.at(centre2, second_K, rotation2, sides)
 
 
-def _viewpoints(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
+def random_viewpoints(draw: Draw, batch: int, elevation_deg: tuple[float, float]) -> Tensor:
     """Unit vectors (B, 3) from the look-at point to a camera; world y points down."""
-    low, high = (math.radians(angle) for angle in options.elevation_deg)
+    low, high = (math.radians(angle) for angle in elevation_deg)
     elevation = draw.uniform(batch, low=low, high=high)
     azimuth = draw.uniform(batch, high=2 * math.pi)
     level = elevation.cos()
@@ -73,8 +75,3 @@ def _relative_rotation(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
 def _about_z(angle: Tensor) -> Tensor:
     axis = angle.new_tensor((0.0, 0.0, 1.0)).expand(*angle.shape, 3)
     return axis_angle(axis, angle)
-
-
-def _cameras(K: Tensor, rotation: Tensor, centre: Tensor, size: int) -> Cameras:
-    translation = -(rotation @ centre[..., None])[..., 0]
-    return Cameras(K, rotation, translation, (size, size))

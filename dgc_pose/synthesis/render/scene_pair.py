@@ -18,6 +18,7 @@ from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
 from dgc_pose.synthesis.render.overlap import Candidate, overlapping
 from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.random_cameras import random_viewpoints
 from dgc_pose.synthesis.render.random_scene import random_scene, single_plane
 from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, render_views
 
@@ -84,18 +85,16 @@ def render_scene_pair(
 
 def as_arrays(pairs: RenderedPairs) -> RenderedPair:
     """The first pair of a batch, as numpy arrays and 8-bit images."""
+    names = ("K1", "K2", "map", "depth1", "depth2")
+    values = {name: getattr(pairs, name)[0].double().numpy() for name in names}
     pose = pairs.cam2_from_cam1[0].double().numpy()
     return RenderedPair(
         image1=_as_image(pairs.image1[0]),
         image2=_as_image(pairs.image2[0]),
-        K1=pairs.K1[0].double().numpy(),
-        K2=pairs.K2[0].double().numpy(),
         R=pose[:, :3],
         t=pose[:, 3],
-        map=pairs.map[0].double().numpy(),
         visible=pairs.visible[0].numpy(),
-        depth1=pairs.depth1[0].double().numpy(),
-        depth2=pairs.depth2[0].double().numpy(),
+        **values,
     )
 
 
@@ -112,16 +111,13 @@ def _camera_pair(
     draw: Draw, size1: tuple[int, int], size2: tuple[int, int], rotation: float, kind: PairKind
 ) -> tuple[Cameras, Cameras]:
     K1, K2 = _intrinsics(draw, size1), _intrinsics(draw, size2)
-    elevation = draw.uniform(1, low=math.radians(15), high=math.radians(40))
-    azimuth = draw.uniform(1, high=2 * math.pi)
-    level = elevation.cos()
-    viewpoint = torch.stack((level * azimuth.sin(), -elevation.sin(), level * azimuth.cos()), -1)
+    viewpoint = random_viewpoints(draw, 1, (15.0, 40.0))
     centre1 = viewpoint * _DISTANCE * K1[:, 0, 0, None] / max(size1)
     rotation1 = look_at(centre1, torch.zeros_like(centre1))
 
     tilt = draw.normal(1, 3) * 0.3
     tilt[:, 1] = 1 - 2 * draw.chance(1, share=0.5).to(tilt.dtype)
-    relative = axis_angle(normalize(tilt, dim=-1), torch.full_like(azimuth, rotation))
+    relative = axis_angle(normalize(tilt, dim=-1), torch.full_like(tilt[:, 0], rotation))
     rotation2 = relative @ rotation1
     if kind == "rotation_only":
         centre2 = centre1
@@ -130,7 +126,8 @@ def _camera_pair(
     else:
         distance2 = draw.uniform(1, 1, low=0.9, high=1.1) * _DISTANCE * K2[:, 0, 0] / max(size2)
         centre2 = -distance2 * rotation2[:, 2]
-    return _camera(K1, rotation1, centre1, size1), _camera(K2, rotation2, centre2, size2)
+    first = Cameras.at(centre1, K1, rotation1, size1)
+    return first, Cameras.at(centre2, K2, rotation2, size2)
 
 
 def _intrinsics(draw: Draw, size: tuple[int, int]) -> Tensor:
@@ -139,7 +136,3 @@ def _intrinsics(draw: Draw, size: tuple[int, int]) -> Tensor:
     K[0, 0] = K[1, 1] = focal
     K[:2, 2] = (torch.tensor(size) - 1) / 2 + max(size) * draw.uniform(2, low=-0.03, high=0.03)
     return K[None]
-
-
-def _camera(K: Tensor, rotation: Tensor, centre: Tensor, size: tuple[int, int]) -> Cameras:
-    return Cameras(K, rotation, -(rotation @ centre[..., None])[..., 0], size)
