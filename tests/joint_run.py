@@ -6,15 +6,14 @@ import sys
 from pathlib import Path
 
 import torch
+from photos import drawn_photos
 from torch import nn
 
 from dgc_pose.synthesis.batches import joined
 from dgc_pose.synthesis.draw import seeded
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.synthesis.options import PairOptions
-from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
-from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import (
     join_batch_norms,
@@ -33,19 +32,11 @@ PROGRESS = {"encoder": 0.2, "coarsest": 0.4, "decoders": 0.6}  # of the schedule
 class _BothParts(Trainer):
     """Trains on the joint batch of two processes, each part of it made as its process makes it."""
 
-    def _make_pairs(self, progress: float) -> MapPairs:
-        size = STAGES[self.options.schedule.at(progress)[0]].size
-        parts = [
-            make_pairs(
-                self.photos,
-                1,
-                size,
-                seeded(self.options.seed, self.step, "pairs", part),
-                self.options.pairs,
-            )
-            for part in (0, 1)
-        ]
-        return joined(parts)
+    def _make_pairs(self) -> MapPairs:
+        size = STAGES[self._stage.name].size
+        draws = [seeded(self.options.seed, self.step, "pairs", part) for part in (0, 1)]
+        options = self.options.pairs
+        return joined([make_pairs(self.photos, 1, size, draw, options) for draw in draws])
 
 
 def joint_run(out: Path) -> dict[str, dict[str, object]]:
@@ -54,15 +45,10 @@ def joint_run(out: Path) -> dict[str, dict[str, object]]:
     A batch is two pairs. A process that runs alone makes both, as two processes would: see
     `_BothParts`.
     """
-    photos = Photos.of((255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8))
+    photos = drawn_photos(4, 64)
     pairs = PairOptions(scene_share=0.0)
     options = TrainingOptions(
-        "dgcm-lite0",
-        1.0,
-        schedule=_SCHEDULE,
-        pairs=pairs,
-        validation_count=1,
-        batch=2,
+        minutes=1.0, schedule=_SCHEDULE, pairs=pairs, validation_count=1, batch=2
     )
     kind = Trainer if process_count() > 1 else _BothParts
     results: dict[str, dict[str, object]] = {}
