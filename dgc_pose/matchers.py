@@ -20,11 +20,9 @@ from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.vismatch import VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
 from dgc_pose.network.stored import shipped
-from dgc_pose.refinement.features import FeatureMatches
-from dgc_pose.refinement.native import NativeCache, native_cache
+from dgc_pose.refinement.features import FeatureMatches, NativeCache, native_cache
 from dgc_pose.refinement.options import RefinementOptions
-from dgc_pose.refinement.refiner import Refiner
-from dgc_pose.refinement.source import MapMatches, MatchSource
+from dgc_pose.refinement.refiner import MapMatches, MatchSource, Refiner
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import check_options, check_type, option

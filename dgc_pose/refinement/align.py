@@ -1,12 +1,12 @@
 """Alignment of patches of the original images: matches to a fraction of a pixel.
 
 Each match moves to the strongest corner near it in image 2. The patch around it and the one that
-the local affinity cuts from image 1 differ by a small shift, a gain and an offset: the shift is
-found for all patches at once. Views far apart leave few similar patches: the affinity is not known
-well enough, and the shift is larger than the structure. Then the others are aligned on images
-shrunk until the error of the matches is a pixel, with their affinities adjusted, and from there on
-the given images. Patches that stay dissimilar are dropped. If the scales of the images differ much,
-the larger one is shrunk first: neighbouring samples of its patches would be many pixels apart.
+the local affinity cuts from image 1 differ by a small shift, a gain and an offset: the shifts of
+all patches are computed at once. Few patches of views far apart are similar: their affinity is not
+known well enough, and the shift is larger than the structure. These are aligned on images shrunk
+until the error of the matches is a pixel, with their affinities adjusted, and then on the given
+images. Patches that stay dissimilar are dropped. If the scales of the images differ much, the
+larger image is shrunk first: neighbouring samples of its patches would be many pixels apart.
 """
 
 from __future__ import annotations
@@ -67,51 +67,39 @@ def align(
     if min(shrinks) > 1 / _SIMILAR:
         shrinks = 1.0, 1.0
     small = _Shrunk.of(pixels1, pixels2, matches, shrinks)
-    found = _align(
-        small.pixels1,
-        small.pixels2,
-        small.matches,
-        radius,
-        error_px * small.scale1,
-        min_zncc,
-        max_matches,
-    )
+    aligned = _align(small, radius, error_px * small.scale1, min_zncc, max_matches)
     return replace(
-        found,
-        points1=_to_original(found.points1, small.scale1),
-        points2=_to_original(found.points2, small.scale2),
+        aligned,
+        points1=_to_original(aligned.points1, small.scale1),
+        points2=_to_original(aligned.points2, small.scale2),
         pixel=float((1 / small.scale1 + 1 / small.scale2).mean()) / 2,
     )
 
 
 def _align(
-    pixels1: np.ndarray,
-    pixels2: np.ndarray,
-    matches: LocalMatches,
-    radius: int,
-    error: np.ndarray,
-    min_zncc: float,
-    max_matches: int,
+    images: _Shrunk, radius: int, error: np.ndarray, min_zncc: float, max_matches: int
 ) -> Aligned:
     """As `align`, of images of similar scale; error along each axis."""
-    grey1, grey2 = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (pixels1, pixels2))
-    corners, strength = nearby_corners(grey2, matches.points2)
-    chosen = spread(corners, strength, (pixels2.shape[1], pixels2.shape[0]), max_matches)
-    corners, affinity = corners[chosen], matches.affinity[chosen]
-    moved = corners - matches.points2[chosen]
-    start = matches.points1[chosen] + np.einsum("nij,nj->ni", affinity, moved)
-    own = LocalMatches(start, corners, affinity, matches.index[chosen])
+    grey1, grey2 = (
+        cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (images.pixels1, images.pixels2)
+    )
+    corners, strength = nearby_corners(grey2, images.matches.points2)
+    rows = spread(corners, strength, (grey2.shape[1], grey2.shape[0]), max_matches)
+    chosen, corners = images.matches.subset(rows), corners[rows]
+    moved = corners - chosen.points2
+    start = chosen.points1 + np.einsum("nij,nj->ni", chosen.affinity, moved)
+    chosen = LocalMatches(start, corners, chosen.affinity, chosen.index)
     grey1, grey2 = grey1.astype(np.float32), grey2.astype(np.float32)
 
-    found = align_patches(grey1, grey2, own, radius)
-    settled = _settled(found, own.points1, grey1, _SHIFT * error)
-    points1, zncc = found.points1, found.zncc
+    patches = align_patches(grey1, grey2, chosen, radius)
+    settled = _settled(patches, start, grey1, _SHIFT * error)
+    points1, zncc = patches.points1, patches.zncc
     rest = np.flatnonzero(~(settled & (zncc >= min_zncc)))
-    if len(own.index) - len(rest) < _ENOUGH:
-        coarse, similar = _from_coarse(grey1, grey2, own.subset(rest), radius, error, min_zncc)
+    if len(rows) - len(rest) < _ENOUGH:
+        coarse, similar = _from_coarse(grey1, grey2, chosen.subset(rest), radius, error, min_zncc)
         again = rest[similar]
         points1[again], zncc[again], settled[again] = coarse.points1, coarse.zncc, True
-    return Aligned(points1, corners, zncc, settled, own.index)
+    return Aligned(points1, corners, zncc, settled, chosen.index)
 
 
 def _from_coarse(
@@ -127,10 +115,10 @@ def _from_coarse(
     shrink = min(1.0, 1 / float(error.mean()))
     coarse = _Shrunk.of(grey1, grey2, matches, (shrink, shrink)).align_affine(radius)
     similar = _settled(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= min_zncc)
-    coarse, own = coarse.subset(similar), matches.subset(similar)
-    begin = LocalMatches(coarse.points1, own.points2, coarse.affinity, own.index)
-    fine = align_patches(grey1, grey2, begin, radius)
-    better = _settled(fine, begin.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
+    coarse, matches = coarse.subset(similar), matches.subset(similar)
+    start = LocalMatches(coarse.points1, matches.points2, coarse.affinity, matches.index)
+    fine = align_patches(grey1, grey2, start, radius)
+    better = _settled(fine, start.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
     points1 = np.where(better[:, None], fine.points1, coarse.points1)
     zncc = np.where(better, fine.zncc, coarse.zncc)
     return replace(coarse, points1=points1, zncc=zncc), np.flatnonzero(similar)
@@ -170,11 +158,11 @@ class _Shrunk:
 
     def align_affine(self, radius: int) -> Patches:
         """Patches and affinities aligned on the shrunk images, in pixels of the originals."""
-        found = align_patches(self.pixels1, self.pixels2, self.matches, radius, affine=True)
+        patches = align_patches(self.pixels1, self.pixels2, self.matches, radius, affine=True)
         return replace(
-            found,
-            points1=_to_original(found.points1, self.scale1),
-            affinity=found.affinity * self.scale2 / self.scale1[:, None],
+            patches,
+            points1=_to_original(patches.points1, self.scale1),
+            affinity=patches.affinity * self.scale2 / self.scale1[:, None],
         )
 
 
@@ -185,13 +173,13 @@ def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:
 
 
 def _settled(
-    found: Patches, start: np.ndarray, image: np.ndarray, max_shift: np.ndarray | float
+    patches: Patches, start: np.ndarray, image: np.ndarray, max_shift: np.ndarray | float
 ) -> np.ndarray:
     """Which patches came to rest, (N,) bool, on the image and near where they began."""
-    points, last = found.points1, np.subtract(image.shape[1::-1], 1)
-    on_image = ((points >= 0) & (points <= last)).all(1)
+    points = patches.points1
+    on_image = ((points >= 0) & (points <= np.subtract(image.shape[1::-1], 1))).all(1)
     near = np.linalg.norm((points - start) / max_shift, axis=1) <= 1
-    settled: np.ndarray = on_image & near & (found.step < _SETTLED)
+    settled: np.ndarray = on_image & near & (patches.step < _SETTLED)
     return settled
 
 
@@ -203,9 +191,9 @@ def locate(
     grey: (H, W) float32. matches: points1 are where the search begins. radius: of a patch, pixels
     of image 2. max_shift: pixels of image 1.
     """
-    found = align_patches(grey1, grey2, matches, radius)
-    settled = _settled(found, matches.points1, grey1, max_shift)
-    return Aligned(found.points1, matches.points2, found.zncc, settled, matches.index)
+    patches = align_patches(grey1, grey2, matches, radius)
+    settled = _settled(patches, matches.points1, grey1, max_shift)
+    return Aligned(patches.points1, matches.points2, patches.zncc, settled, matches.index)
 
 
 def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -220,18 +208,17 @@ def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np
     corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
     strip = y[:, _CORNER_RADIUS] // _STRIP
     for number in np.unique(strip):
-        own = np.flatnonzero(strip == number)
-        columns, rows = x[own], y[own]
+        here = np.flatnonzero(strip == number)
+        columns, rows = x[here], y[here]
         left, top = (max(0, int(axis.min()) - _CORNER_MARGIN) for axis in (columns, rows))
-        part = grey[
-            top : rows.max() + _CORNER_MARGIN + 1, left : columns.max() + _CORNER_MARGIN + 1
-        ]
-        measured = cv2.cornerMinEigenVal(part, _CORNER_BLOCK)
-        values = measured[(rows - top)[:, :, None], (columns - left)[:, None]].reshape(len(own), -1)
-        each, best = np.arange(len(own)), values.argmax(1)
+        bottom, right = (int(axis.max()) + _CORNER_MARGIN + 1 for axis in (rows, columns))
+        measured = cv2.cornerMinEigenVal(grey[top:bottom, left:right], _CORNER_BLOCK)
+        values = measured[(rows - top)[:, :, None], (columns - left)[:, None]]
+        values = values.reshape(len(here), -1)
+        each, best = np.arange(len(here)), values.argmax(1)
         row, column = np.divmod(best, len(near))
-        corners[own] = np.stack([columns[each, column], rows[each, row]], -1)
-        strength[own] = values[each, best]
+        corners[here] = np.stack([columns[each, column], rows[each, row]], -1)
+        strength[here] = values[each, best]
     return corners, strength
 
 

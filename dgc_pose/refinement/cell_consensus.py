@@ -1,9 +1,8 @@
 """Likely cells of stride 16 for each cell, by consensus among neighbours, at native resolution.
 
-As the network's consensus at its coarsest level, belief propagation on the grid of the target's
-cells (`dgc_pose/network/consensus.py`): a match (s, t) is supported by matches near (s + d, t + d)
-of the eight neighbours t + d. Here there are thousands of cells, so that only a few candidates of
-each are kept: the most similar ones and those that the dense map points to. Nothing is learned.
+Belief propagation as in `network.consensus`: a match (s, t) is supported by matches near (s + d,
+t + d) of the eight neighbours t + d. All pairs of thousands of cells would be too many: each cell
+has a few candidates, the most similar cells and those that the dense map points to.
 """
 
 from __future__ import annotations
@@ -12,15 +11,11 @@ import math
 
 import numpy as np
 
+from dgc_pose.network.constants import FLOOR, PASSES, REACH, WEIGHT
 from dgc_pose.runtime.correlation import log_softmax
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
 
-# As at the coarsest level: Gaussian deviation in source cells, weight of the messages, least one.
-_REACH = 1.4
-_WEIGHT = 0.4
-_FLOOR = 0.01
-_PASSES = 4
 _CHUNK = 128  # cells compared at a time, which stay in the processor's cache
 _NEIGHBOURS = [(1, 0), (-1, 1), (0, 1), (1, 1)]  # the other four are their opposites
 _NEVER = -1e3  # score of a candidate that is there already
@@ -33,9 +28,9 @@ def likely_cells(
     scales: np.ndarray,
     *,
     similar: int,
-    kept: int,
+    likely: int,
 ) -> np.ndarray:
-    """Indices (n, kept), row by row, of the source's likeliest cells for each of the target's n.
+    """Indices (n, likely), row by row, of the source's likeliest cells for each of the target's n.
 
     guided: (n, G) further candidates, beside the `similar` most similar cells. scales: inverse
     temperatures of the cosines at strides 16 and 8 (`Engine.correlation_scales`); with one of them
@@ -43,7 +38,7 @@ def likely_cells(
     """
     candidates, scores = _candidates(source, target, guided, scales, similar)
     beliefs = propagate(candidates, scores, source.coarse.shape[1], target.coarse.shape[:2])
-    best = np.argsort(-beliefs, 1, kind="stable")[:, :kept]
+    best = np.argsort(-beliefs, 1, kind="stable")[:, :likely]
     return np.take_along_axis(candidates, best, 1)
 
 
@@ -59,24 +54,25 @@ def propagate(
     index = np.arange(len(candidates)).reshape(grid)
 
     def support(offset: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cells with a neighbour at the offset, those neighbours, and how well each candidate of
-        the one (m, K) agrees with each of the other (m, K, K)."""
+        """Cells (m,) with a neighbour at the offset, those neighbours (m,), and how well each
+        candidate of the cell agrees with each of the neighbour (m, K, K)."""
         dx, dy = offset
-        own = index[max(0, -dy) : len(index) - max(0, dy), max(0, -dx) : grid[1] - max(0, dx)]
-        cells, neighbours = own.ravel(), (own + dy * grid[1] + dx).ravel()
+        rows = slice(max(0, -dy), len(index) - max(0, dy))
+        cells = index[rows, max(0, -dx) : grid[1] - max(0, dx)].ravel()
+        neighbours = cells + dy * grid[1] + dx
         agreement = (x[cells] + np.float32(dx))[:, :, None] - x[neighbours][:, None]
         agreement *= agreement
         apart = (y[cells] + np.float32(dy))[:, :, None] - y[neighbours][:, None]
         apart *= apart
         agreement += apart
-        agreement *= np.float32(-1 / (2 * _REACH**2))
+        agreement *= np.float32(-1 / (2 * REACH**2))
         np.exp(agreement, out=agreement)
-        agreement *= np.float32(1 / (2 * math.pi * _REACH**2))
+        agreement *= np.float32(1 / (2 * math.pi * REACH**2))
         return cells, neighbours, agreement
 
     supports = in_threads(support, _NEIGHBOURS)
     beliefs = log_softmax(scores, 1)
-    for _ in range(_PASSES):
+    for _ in range(PASSES):
         probability, total = np.exp(beliefs), scores.copy()
         for cells, neighbours, agreement in supports:
             # Of two neighbours each supports the other, by the same agreement.
@@ -85,7 +81,7 @@ def propagate(
                 (neighbours, cells, agreement.transpose(0, 2, 1)),
             ):
                 messages = (agreed @ probability[of][:, :, None])[..., 0]
-                total[to] += _WEIGHT * np.log(_FLOOR + messages)
+                total[to] += WEIGHT * np.log(FLOOR + messages)
         beliefs = log_softmax(total, 1)
     return beliefs
 
@@ -99,16 +95,16 @@ def _candidates(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Candidates (n, K) of each of the target's cells, and their log-likelihoods (n, K): the dual
     softmax over cosines at stride 16, up to a constant of the cell, and the cosines at stride 8."""
-    own, other = (
+    coarse1, coarse2 = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
     )
     children1, children2 = source.middle_by_cell, target.middle_by_cell
-    parts = slices(len(other), _CHUNK)
-    similar = min(similar, len(own))
-    scaled = scales[0] * other
+    parts = slices(len(coarse2), _CHUNK)
+    similar = min(similar, len(coarse1))
+    scaled = scales[0] * coarse2
 
     def evidence(rows: slice) -> np.ndarray:
-        cosines: np.ndarray = scaled[rows] @ own.T
+        cosines: np.ndarray = scaled[rows] @ coarse1.T
         return cosines
 
     def sums_over(rows: slice) -> np.ndarray:
@@ -124,30 +120,28 @@ def _candidates(
         scores = evidence(rows)
         scores *= 2
         scores -= rivals
-        found = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)
-        likelihood = np.take_along_axis(scores, found, 1)
+        candidates = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)
+        likelihood = np.take_along_axis(scores, candidates, 1)
         if len(scales) > 1:
-            children = children1[found].reshape(len(found), -1, children1.shape[2])
-            four = (children2[rows] @ children.transpose(0, 2, 1)).reshape(len(found), 4, -1, 4)
-            best = np.maximum(
-                np.maximum(four[..., 0], four[..., 1]), np.maximum(four[..., 2], four[..., 3])
-            )
-            likelihood += 2 * scales[1] * best.mean(1)
-        return found, likelihood
+            count = len(candidates)
+            children = children1[candidates].reshape(count, -1, children1.shape[2])
+            four = (children2[rows] @ children.transpose(0, 2, 1)).reshape(count, 4, -1, 4)
+            best = np.maximum(four[..., :2], four[..., 2:])  # in two steps: short axes are slow
+            likelihood += 2 * scales[1] * np.maximum(best[..., 0], best[..., 1]).mean(1)
+        return candidates, likelihood
 
-    found = in_threads(compare, parts)
-    candidates, scores = (np.concatenate(values) for values in zip(*found, strict=True))
+    compared = in_threads(compare, parts)
+    candidates, scores = (np.concatenate(values) for values in zip(*compared, strict=True))
     return candidates, np.where(_repeated(candidates), _NEVER, scores)
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:
     """Columns (n, count) of the largest values of each row, which are overwritten."""
-    found = np.empty((len(values), count), np.int64)
-    # Faster than a partition for as few as are asked for.
-    for column in found.T:
+    largest = np.empty((len(values), count), np.int64)
+    for column in largest.T:  # faster than a partition for so few
         column[:] = values.argmax(1)
         np.put_along_axis(values, column[:, None], -np.inf, 1)
-    return found
+    return largest
 
 
 def _repeated(candidates: np.ndarray) -> np.ndarray:

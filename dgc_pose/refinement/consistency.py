@@ -45,21 +45,21 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
         return LocalMatches(points1[:0], points2[:0], np.zeros((0, 2, 2)), finite[:0])
     distance, index = nearest(points2, neighbours + 1)
     # The matches last in all arrays: NumPy is slow along short axes.
-    found1, found2 = (np.take(points.T, index.T, axis=1) for points in (points1, points2))
-    offsets = found2 - points2.T[:, None]
+    near1, near2 = (np.take(points.T, index.T, axis=1) for points in (points1, points2))
+    offsets = near2 - points2.T[:, None]
     design = np.concatenate([offsets, np.ones_like(offsets[:1])])  # (3, k + 1, N)
     tolerance = _TOLERANCE * matches.error_px
     reach = distance[:, -1] + tolerance
-    distance1 = _length(found1 - np.median(found1, 1, keepdims=True))
+    distance1 = _length(near1 - np.median(near1, 1, keepdims=True))
     weights = 1 / (1 + (distance1 / (3 * reach)) ** 2)
     # Ridge towards zero slope: keeps the fit finite for neighbours on a line or at one point.
     ridge = 1e-3 * (np.eye(3) * (1, 1, 0)) * tolerance**2
     for remaining in reversed(range(_ROUNDS)):
         weighted = design * weights
         normal = np.einsum("ikn,jkn->ijn", weighted, design).transpose(2, 0, 1) + ridge
-        right = np.einsum("ikn,ckn->icn", weighted, found1).transpose(2, 0, 1)
+        right = np.einsum("ikn,ckn->icn", weighted, near1).transpose(2, 0, 1)
         fit = np.ascontiguousarray(np.linalg.solve(normal, right).transpose(1, 2, 0))  # (3, 2, N)
-        residual = _length((fit[:, :, None] * design[:, None]).sum(0) - found1)
+        residual = _length((fit[:, :, None] * design[:, None]).sum(0) - near1)
         weights = 1 / (1 + (residual / (tolerance * (1 + 2 * remaining))) ** 2) ** 2
     (xx, yx), (xy, yy), fitted = fit
     # Half the sum and half the difference of the singular values; this is negative if mirrored.

@@ -3,7 +3,7 @@
 The encoder is fully convolutional, so the image keeps its shape and most of its resolution. At
 stride 16 each cell of image 2 gets a few candidate cells of image 1: the likeliest by consensus
 among neighbouring cells, and those that the map points to. At stride 8 their children are compared,
-and mutual nearest neighbours are kept. At stride 4 the point is located to a fraction of a cell.
+and mutual nearest neighbours remain. At stride 4 the point is located to a fraction of a cell.
 Only the comparison at stride 16 is quadratic in the number of pixels.
 """
 
@@ -14,11 +14,13 @@ from functools import partial
 
 import numpy as np
 
-from dgc_pose.geometry.pixels import cell_centres, rescale, within
+from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.view import View
+from dgc_pose.network.config import STRIDE
 from dgc_pose.refinement.cell_consensus import likely_cells
 from dgc_pose.refinement.guide import (
     matchable_points,
@@ -27,7 +29,6 @@ from dgc_pose.refinement.guide import (
     scale_between,
     window_shown,
 )
-from dgc_pose.refinement.native import NativeCache, cells_at, native_cache
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
@@ -39,10 +40,19 @@ _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
 _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
 _SMALL = 480  # pixels of the longer side, below which both images are enlarged
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
-_RADIUS = 3  # cells of stride 4 searched around the cell found at stride 8
+_RADIUS = 3  # cells of stride 4 searched around a match of stride 8
 _WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
+
+
+# Features by image (the object, not its pixels), view of it, and columns and rows of stride 16.
+NativeCache = BoundedCache[tuple[Image, View, Size], NativeFeatures]
+
+
+def native_cache() -> NativeCache:
+    """A cache of the default size. The images that it keeps alive count towards it."""
+    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes)
 
 
 class FeatureMatches:
@@ -65,70 +75,53 @@ class FeatureMatches:
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
     ) -> Matches:
         """Matches at the scale that the map shows, to the octave: features tolerate half of one."""
-        scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
-        return match_features(
-            self.engine,
-            image1,
-            image2,
-            correspondence_map,
-            self.options,
-            self.cache or native_cache(),
-            scale=scale,
+        octave = round(math.log2(scale_between(correspondence_map)))
+        return self.at_scale(image1, image2, correspondence_map, 2.0**octave)
+
+    def at_scale(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float
+    ) -> Matches:
+        """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
+
+        scale: pixels of image 1 per pixel of image 2. Features are invariant neither to scale nor
+        to rotation: the images, or the parts that the map shows to match, are resized to one scale,
+        with long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
+        """
+        engine, options, cache = self.engine, self.options, self.cache or native_cache()
+        views = _views(correspondence_map, scale, options.long_side)
+        source, target = cache.get_all(
+            [
+                ((image, view, cells), partial(_features, engine, image, view, cells))
+                for image, (view, cells) in zip((image1, image2), views, strict=True)
+            ],
+            in_turn=not engine.concurrent,
         )
-
-
-def match_features(
-    engine: Engine,
-    image1: Image,
-    image2: Image,
-    correspondence_map: CorrespondenceMap,
-    options: FeatureOptions,
-    cache: NativeCache,
-    *,
-    scale: float,
-) -> Matches:
-    """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
-
-    scale: pixels of image 1 per pixel of image 2. Features are invariant neither to scale nor to
-    rotation: the images, or the parts that the map shows to match, are resized to one scale, with
-    long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
-    """
-    views = _views(correspondence_map, scale, options.long_side)
-    source, target = cache.get_all(
-        [
-            ((image, *one), partial(_features, engine, image, *one))
-            for image, one in zip((image1, image2), views, strict=True)
-        ],
-        in_turn=not engine.concurrent,
-    )
-    view1, view2 = (view for view, _ in views)
-    guided = _guided_cells(correspondence_map, source, target, view1, view2)
-    likely = likely_cells(
-        source,
-        target,
-        guided,
-        engine.correlation_scales,
-        similar=options.similar,
-        kept=options.likely,
-    )
-    candidates = np.concatenate([likely, guided], 1)
-    found1, found2, cosine = mutual_neighbours(source, target, candidates)
-    fine1, fine2 = subcell_points(source.fine, target.fine, found1, found2)
-    points1 = view1.to_image(to_pixels(fine1, source.fine, source.size))
-    points2 = view2.to_image(to_pixels(fine2, target.fine, target.size))
-    inside = within(points1, image1.size) & within(points2, image2.size)
-    area1, area2 = _cell_area(source) / view1.scale**2, _cell_area(target) / view2.scale**2
-    return Matches(
-        points1[inside],
-        points2[inside],
-        cosine[inside].clip(0, 1),
-        error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
-    )
+        view1, view2 = (view for view, _ in views)
+        guided = _guided_cells(correspondence_map, source, target, view1, view2)
+        scales, similar, likely = engine.correlation_scales, options.similar, options.likely
+        candidates = likely_cells(source, target, guided, scales, similar=similar, likely=likely)
+        cells1, cells2, cosine = mutual_neighbours(
+            source, target, np.concatenate([candidates, guided], 1)
+        )
+        fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
+        points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
+        points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
+        inside = within(points1, image1.size) & within(points2, image2.size)
+        area1, area2 = (  # of a cell of stride 4, pixels of the original
+            math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
+            for features, view in ((source, view1), (target, view2))
+        )
+        return Matches(
+            points1[inside],
+            points2[inside],
+            cosine[inside].clip(0, 1),
+            error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
+        )
 
 
 def _views(
     correspondence_map: CorrespondenceMap, scale: float, long_side: int
-) -> list[tuple[View, tuple[int, int]]]:
+) -> list[tuple[View, Size]]:
     """Of the parts of both images that the map shows to match, at one orientation; and the columns
     and rows of stride 16 at one scale."""
     points1, points2 = matchable_points(correspondence_map)
@@ -142,26 +135,33 @@ def _views(
     angle = rotation_between(correspondence_map)
     angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
-    found = []
+    views = []
     for window, turn, factor in ((window1, 0.0, factors[0]), (window2, angle, factors[1])):
         # Before a rotation by other than quarter turns the image is resized: mostly it is shrunk.
         view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
-        found.append((view, cells_at(view.size, factor / view.scale)))
-    return found
+        views.append((view, cells_at(view.size, factor / view.scale)))
+    return views
 
 
-def _features(engine: Engine, image: Image, view: View, cells: tuple[int, int]) -> NativeFeatures:
+def _features(engine: Engine, image: Image, view: View, cells: Size) -> NativeFeatures:
     return engine.native(view.cut(image.pixels), cells)
 
 
-def equal_scales(
-    size1: tuple[int, int], size2: tuple[int, int], scale: float, long_side: int
-) -> tuple[float, float]:
+def cells_at(size: Size, scale: float) -> Size:
+    """Columns and rows of stride 16 of an image of `size` (width, height) resized by `scale`.
+
+    Each side becomes the nearest multiple of 16, so the actual scale differs a little.
+    """
+    columns, rows = (max(1, round(side * scale / STRIDE)) for side in size)
+    return columns, rows
+
+
+def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tuple[float, float]:
     """Factors that bring both images to one scale; sizes (width, height).
 
-    scale: pixels of image 1 per pixel of image 2. At scale 1 each long side is at most `long_side`
+    scale: pixels of image 1 per pixel of image 2. At scale 1 no side is longer than `long_side`
     afterwards; otherwise the image of the larger scale becomes smaller than that. Small images are
-    enlarged, at most twice: the cells of stride 4 would be too few and too large.
+    enlarged, at most twice: else the cells of stride 4 would be too few and too large.
     """
     factor1, factor2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
     ratio = scale * factor1 / factor2
@@ -189,16 +189,19 @@ def mutual_neighbours(
         return index, middle2[children2[rows]] @ middle1[index].transpose(0, 2, 1)
 
     limit = np.full(len(middle1), -np.inf, np.float32)  # best cosine of each source cell
-    best, cell = [], []
+    cosines, cells = [], []
     for index, scores in in_threads(compare, slices(len(candidates), _CHUNK)):
         np.maximum.at(limit, index.ravel(), scores.max(1).ravel())
-        which = scores.argmax(2)
-        best.append(np.take_along_axis(scores, which[..., None], 2).ravel())
-        cell.append(np.take_along_axis(index, which, 1).ravel())
-    cosine, cell1, cell2 = np.concatenate(best), np.concatenate(cell), children2.ravel()
+        best = scores.argmax(2)
+        cosines.append(np.take_along_axis(scores, best[..., None], 2).ravel())
+        cells.append(np.take_along_axis(index, best, 1).ravel())
+    cosine, cell1, cell2 = np.concatenate(cosines), np.concatenate(cells), children2.ravel()
     mutual = cosine >= limit[cell1]
-    cell1, cell2 = cell1[mutual], cell2[mutual]
-    return _xy(cell1, source.middle), _xy(cell2, target.middle), cosine[mutual]
+    points1, points2 = (
+        np.stack(np.divmod(cell[mutual], features.middle.shape[1])[::-1], -1)
+        for cell, features in ((cell1, source), (cell2, target))
+    )
+    return points1, points2, cosine[mutual]
 
 
 def subcell_points(
@@ -214,7 +217,10 @@ def subcell_points(
     window = np.stack([x.ravel(), y.ravel()], -1)
     # Points between the cells, where four of them meet: their cosines are the mean of the four's.
     x1, y1 = (2 * cells1[:, axis, None] + np.arange(-_RADIUS, _RADIUS + 2) for axis in (0, 1))
-    inside = _inside(y1, rows)[:, :, None] & _inside(x1, columns)[:, None]
+    inside_y, inside_x = (
+        (cells[:, :-1] >= 0) & (cells[:, 1:] < side) for cells, side in ((y1, rows), (x1, columns))
+    )
+    inside = inside_y[:, :, None] & inside_x[:, None]
     cells = (columns * y1.clip(0, rows - 1))[:, :, None] + x1.clip(0, columns - 1)[:, None]
     cells = cells.reshape(len(cells), -1)
     rows1 = fine1.reshape(-1, channels)
@@ -239,18 +245,6 @@ def subcell_points(
     return 2 * cells1 + 0.5 + weights @ window, 2 * cells2 + 0.5
 
 
-def _inside(cells: np.ndarray, side: int) -> np.ndarray:
-    """Which of successive cells (N, n) have, with the next one, a point between them within a level
-    of `side` cells: (N, n - 1) bool."""
-    found: np.ndarray = (cells[:, :-1] >= 0) & (cells[:, 1:] < side)
-    return found
-
-
-def to_pixels(cells: np.ndarray, level: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Points (M, 2) in cells of a level (h, w, C) to pixels of the image of `size`."""
-    return rescale(cells, level.shape[1::-1], size)
-
-
 def _guided_cells(
     correspondence_map: CorrespondenceMap,
     source: NativeFeatures,
@@ -266,8 +260,8 @@ def _guided_cells(
     cells = rescale(points1, source.size, (columns, rows))
     corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
     corner = corner.clip(0, (columns - 1, rows - 1))
-    found: np.ndarray = corner[..., 1] * columns + corner[..., 0]
-    return found
+    guided: np.ndarray = corner[..., 1] * columns + corner[..., 0]
+    return guided
 
 
 def _children(coarse: np.ndarray) -> np.ndarray:
@@ -275,14 +269,3 @@ def _children(coarse: np.ndarray) -> np.ndarray:
     height, width = coarse.shape[:2]
     finer = np.arange(4 * height * width).reshape(height, 2, width, 2)
     return finer.transpose(0, 2, 1, 3).reshape(-1, 4)
-
-
-def _xy(index: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Indices (M,), row by row, of a level's cells as x and y (M, 2)."""
-    rows, columns = np.divmod(index, level.shape[1])
-    return np.stack([columns, rows], -1)
-
-
-def _cell_area(features: NativeFeatures) -> float:
-    """Of a stride-4 cell, in pixels of the original."""
-    return math.prod(features.size) / math.prod(features.fine.shape[:2])

@@ -13,7 +13,7 @@ from dgc_pose.matching.matcher import CorrespondenceMap
 _LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
 _OUTER = 1.0  # percent of the points, on each side, that may lie outside a window
 _MARGIN = 0.25  # on each side of a window, of its sides
-_MOST = 0.4  # of an image's area; a larger window is not worth features of its own
+_MOST = 0.4  # of an image's area; a larger window is not worth other features than the whole's
 
 
 def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ _STEP = 1.5  # pixels at most of one iteration
 _CHUNK = 256  # patches at a time, which stay in the processor's cache
 _STILL = 0.02  # pixels of a step after which a patch is not moved again
 _NOISE = 1.0  # grey levels, added to the contrast of a patch
-_FLAT = np.sqrt(2) * _NOISE  # contrast, with that, of a patch that has none of its own
+_FLAT = np.sqrt(2) * _NOISE  # contrast, with that, of a patch that has none itself
 _RIDGE = 1e-6  # on shifts, towards zero
 _STIFFNESS = 0.02  # on changes of the affinity, likewise: fewer patches diverge
 _STRETCH = 2.0  # most that an affinity may change by along any axis, or its inverse
@@ -56,11 +56,11 @@ def align_patches(
     patch, pixels of image 2. affine: adjust the affinity too; one that changes much has a
     correlation of -1.
     """
-    found = in_threads(
+    parts = in_threads(
         lambda part: _align(grey1, grey2, matches.subset(part), radius, affine),
         slices(len(matches.index), _CHUNK),
     )
-    return Patches(*(np.concatenate(values) for values in zip(*found, strict=True)))
+    return Patches(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def _align(
@@ -142,8 +142,8 @@ def _alike(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Which affinities (N, 2, 2) differ by a stretch of less than `_STRETCH` along every axis."""
     change = np.linalg.inv(first) @ second
     stretch = np.linalg.svd(change, compute_uv=False)
-    found: np.ndarray = np.all((stretch < _STRETCH) & (stretch > 1 / _STRETCH), axis=1)
-    return found & (np.linalg.det(change) > 0)
+    alike: np.ndarray = np.all((stretch < _STRETCH) & (stretch > 1 / _STRETCH), axis=1)
+    return alike & (np.linalg.det(change) > 0)
 
 
 def _window(grey: np.ndarray, points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -1,23 +1,42 @@
-"""The refiner: any matcher's matches, or better ones found from its map, aligned on the images."""
+"""The refiner: a matcher's matches, or more accurate ones of the pair, aligned on the images."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import Matcher, MatchResult
+from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.texture import textured
 from dgc_pose.refinement.align import align, spread
 from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.options import AlignmentOptions
-from dgc_pose.refinement.source import MapMatches, MatchSource
 
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
+
+
+class MatchSource(Protocol):
+    """Makes the matches that a refiner aligns."""
+
+    def find(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
+    ) -> Matches:
+        """Matches in pixels of the images, of a matcher's map and of the matches selected from it;
+        `error_px` is the error of this source."""
+
+
+class MapMatches:
+    """The matches selected from the map as they are (a `MatchSource`)."""
+
+    def find(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
+    ) -> Matches:
+        return matches
 
 
 class Refiner(Matcher):
@@ -60,26 +79,22 @@ class Refiner(Matcher):
     def refine(self, image1: Image, image2: Image, given: MatchResult) -> MatchResult:
         """A matcher's result with its matches refined; `error_px` is that of the last step done.
 
-        A step that leaves fewer than `min_matches` is undone. If every source gives too few, the
-        result is returned as given.
+        A step that leaves too few matches is undone. If every source gives too few, the result is
+        returned as given.
         """
-        for source in self._sources(image1, image2, given):
+        dense = given.correspondence_map
+        sources: Iterable[Matches] = [given.matches]
+        if dense is not None:
+            sources = (s.find(image1, image2, dense, given.matches) for s in self.sources)
+        for source in sources:
             for candidates, least in self._steps(image1, image2, source):
                 matches = textured(candidates, image1, image2)
                 if len(matches) >= least:
-                    kept = spread(
+                    rows = spread(
                         matches.points2, matches.confidence, image2.size, self.max_matches
                     )
-                    return MatchResult(matches.subset(kept), given.correspondence_map)
+                    return MatchResult(matches.subset(rows), dense)
         return given
-
-    def _sources(self, image1: Image, image2: Image, given: MatchResult) -> Iterator[Matches]:
-        """Matches to refine: of each source, or those given if there is no map."""
-        if given.correspondence_map is None:
-            yield given.matches
-            return
-        for source in self.sources:
-            yield source.find(image1, image2, given.correspondence_map, given.matches)
 
     def _steps(
         self, image1: Image, image2: Image, matches: Matches
@@ -110,17 +125,11 @@ class Refiner(Matcher):
                 matches.key_points,
             )
             yield moved, options.min_aligned
+            # Patches of views far apart often differ too much. What is left of them is more
+            # accurate, but too little to tell a pose from chance: both together have the error
+            # that all of them had before.
             rows = np.searchsorted(local.index, aligned.index[good])
-            agreeing = _completed(agreeing, rows, moved)
+            points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()
+            points1[rows], points2[rows] = moved.points1, moved.points2
+            agreeing = replace(agreeing, points1=points1, points2=points2)
         yield agreeing, options.min_matches
-
-
-def _completed(rest: Matches, rows: np.ndarray, aligned: Matches) -> Matches:
-    """Matches as they were found, but for those `rows` that were aligned.
-
-    Patches of views far apart often differ too much. What is left of them is more accurate, but too
-    little to tell a pose from chance; both together have the error of those found.
-    """
-    points1, points2 = rest.points1.copy(), rest.points2.copy()
-    points1[rows], points2[rows] = aligned.points1, aligned.points2
-    return replace(rest, points1=points1, points2=points2)

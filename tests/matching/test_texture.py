@@ -21,7 +21,7 @@ from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.sift import SiftMatcher, SiftOptions
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
 from dgc_pose.refinement import Refiner
-from dgc_pose.refinement.source import MapMatches
+from dgc_pose.refinement.refiner import MapMatches
 
 SIZE = (320, 240)
 PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)

@@ -66,7 +66,7 @@ def test_a_cell_is_found_by_its_neighbours(levels: int) -> None:
     target = _features(coarse, middle)
     scales = np.array([8.0, 10.0], np.float32)[:levels]
     nothing = np.zeros((80, 0), np.int64)
-    found = likely_cells(source, target, nothing, scales, similar=6, kept=1).reshape(8, 10)
+    found = likely_cells(source, target, nothing, scales, similar=6, likely=1).reshape(8, 10)
     index = np.arange(80).reshape(8, 10)
     assert np.array_equal(found[:, :9], index[:, 1:])
     alone = (source.coarse.reshape(80, 12) @ target.coarse[4, 4]).argmax()
@@ -77,9 +77,9 @@ def test_what_the_map_points_to_is_a_candidate() -> None:
     source, target = _random(0, 5, 6), _random(1, 4, 7)
     guided = np.full((28, 2), 17)
     scales = np.array([8.0, 10.0], np.float32)
-    found = likely_cells(source, target, guided, scales, similar=1, kept=2)
+    found = likely_cells(source, target, guided, scales, similar=1, likely=2)
     assert (found == 17).any(1).all()
-    every = likely_cells(source, target, guided[:, :0], scales, similar=99, kept=99)
+    every = likely_cells(source, target, guided[:, :0], scales, similar=99, likely=99)
     assert np.array_equal(np.sort(every, 1), np.tile(np.arange(30), (28, 1)))
 
 

@@ -14,13 +14,12 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.view import View
 from dgc_pose.refinement.features import (
+    FeatureMatches,
     _views,
     equal_scales,
-    match_features,
     mutual_neighbours,
     subcell_points,
 )
-from dgc_pose.refinement.native import native_cache
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
@@ -80,8 +79,7 @@ def _match(
     scale: float = 1.0,
 ) -> Matches:
     options = FeatureOptions(long_side=192, similar=4)
-    images = Image(first), Image(second)
-    return match_features(engine, *images, guide, options, native_cache(), scale=scale)
+    return FeatureMatches(engine, options).at_scale(Image(first), Image(second), guide, scale)
 
 
 def _unit(features: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import torch
 from dgc_pose.images.image import Image
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.refinement.native import cells_at, native_cache
+from dgc_pose.refinement.features import cells_at, native_cache
 from dgc_pose.runtime.torch_engine import TorchEngine
 
 

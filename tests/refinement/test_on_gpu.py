@@ -11,7 +11,7 @@ import torch
 from pretend_gpu import DEVICE, pretended_gpu
 
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import refined
+from dgc_pose.matchers import MatcherOptions, refined
 from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -40,7 +40,7 @@ def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
 
 def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
     net = load_network("dgcm-lite0").eval()
-    options = RefinementOptions(source="features")
+    options = MatcherOptions(refinement=RefinementOptions(source="features"))
     on_cpu = refined(DenseMatcher(TorchEngine(net)), options).match(*images).matches
     with pretended_gpu():
         matcher = DenseMatcher(TorchEngine(deepcopy(net).to(DEVICE)))

@@ -24,9 +24,8 @@ from dgc_pose.refinement import (
     RefinementOptions,
     Refiner,
 )
-from dgc_pose.refinement.features import FeatureMatches
-from dgc_pose.refinement.native import native_cache
-from dgc_pose.refinement.source import MapMatches
+from dgc_pose.refinement.features import FeatureMatches, native_cache
+from dgc_pose.refinement.refiner import MapMatches
 from dgc_pose.runtime.torch_engine import TorchEngine
 
 _OPTIONS = MatchingOptions(max_matches=1500)
@@ -145,10 +144,10 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
     points2 = rng.uniform((60, 40), (260, 200), (found_by_features, 2))
     points1 = dense_scene.points_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
 
-    def match_features(*arguments: object, **options: object) -> Matches:
+    def find(*arguments: object, **options: object) -> Matches:
         return Matches(points1, points2, np.ones(len(points1)), 1.0)
 
-    monkeypatch.setattr("dgc_pose.refinement.features.match_features", match_features)
+    monkeypatch.setattr("dgc_pose.refinement.features.FeatureMatches.find", find)
     matcher = _noisy()
     matcher.engine = engine
     by_auto, by_map = (
