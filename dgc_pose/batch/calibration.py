@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,7 @@ from dgc_pose.cameras.camera import Camera, camera_for, guess_camera, parse_came
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import find_file, read_model_cameras
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import existing, read_as, read_text
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.json_files import read_json
 
 _OPENCV = ("k1", "k2", "p1", "p2")  # of transforms.json, in COLMAP's order
@@ -74,7 +75,7 @@ def read_calibration(text: str | None, guess: bool = False) -> Calibration:
 
     Raises InputError, with the path, if the file is malformed.
     """
-    path = None if text is None else existing(text)
+    path = None if text is None or not os.path.lexists(text) else Path(text)
     try:
         known = None if path is None else _read_file(path)
     except OSError as error:

@@ -6,6 +6,7 @@ Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) th
 from __future__ import annotations
 
 import io
+import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.arrays import as_numpy, read_array
-from dgc_pose.files.inputs import existing, read_as, read_text
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import rescale
 
 _USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
@@ -91,9 +92,8 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
     COLMAP's principal point, half a pixel more than ours. files: whether the text may be a path;
     False for a stranger's text. Raises InputError of one line, naming `name`.
     """
-    path = existing(text) if files else None
-    if path is not None:
-        return as_camera(_read_matrix(path, name), f"{name}: {path}")
+    if files and os.path.lexists(text):
+        return as_camera(_read_matrix(Path(text), name), f"{name}: {text}")
     words = re.split(r"\s*,\s*", text.strip())
     numbers = _floats(words)
     if numbers is None and len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):

@@ -6,7 +6,6 @@ within `read_as`, which names it.
 
 from __future__ import annotations
 
-import errno
 import os
 import stat
 import warnings
@@ -18,19 +17,6 @@ from typing import BinaryIO
 from dgc_pose.errors import DgcPoseError, InputError, reason
 
 TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
-
-
-def existing(text: str) -> Path | None:
-    """The path that a text is; None if nothing of that name can be there. What is there and cannot
-    be reached counts: its reader says why."""
-    try:
-        os.stat(text)
-    except ValueError:  # a zero byte
-        return None
-    except OSError as error:
-        if error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG):
-            return None
-    return Path(text)
 
 
 def read_bytes(

@@ -14,7 +14,7 @@ import numpy as np
 
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
-from dgc_pose.files.inputs import read_bytes, read_start
+from dgc_pose.files.inputs import read_as, read_bytes, read_start
 from dgc_pose.images.header import Header, UnreadableFormatError, read_header
 from dgc_pose.system.stderr import quiet
 
@@ -60,9 +60,9 @@ def load_image(
     torch tensor of such a shape, of (1, H, W), (3, H, W) or (4, H, W), or of a batch of one image.
     An `Image` is returned as it is. `name` is the argument's name in errors about arrays.
 
-    Grey is repeated, alpha is dropped. 8-bit values are kept, floats within [0, 1] are multiplied
-    by 255, and all others (16 bit, 12 bit in 16, other floats) are rescaled from the image's own
-    minimum and maximum, over all colours together, to 0 and 255.
+    Grey is repeated, alpha is dropped. 8-bit values stay, floats within [0, 1] are multiplied by
+    255, and all others (16 bit, 12 bit in 16, other floats) are rescaled from the minimum and
+    maximum of the image, over all colours together, to 0 and 255.
 
     Files give their pixels as stored, to which K refers: an EXIF orientation is not applied, with a
     warning. HEIC has a rotation of its own, which is part of decoding: K refers to the result.
@@ -76,7 +76,10 @@ def load_image(
         return _read_file(Path(source))
     array = as_numpy(source, name)
     if is_tensor(source):
-        array = _channels_last(array)
+        if array.ndim == 4 and array.shape[0] == 1:
+            array = array[0]
+        if array.ndim == 3 and array.shape[0] in (1, 3, 4):
+            array = np.moveaxis(array, 0, 2)
     return Image(_to_rgb8(array, name), name)
 
 
@@ -144,10 +147,8 @@ def _image_errors(path: Path) -> Iterator[None]:
 
 def max_pixels() -> int:
     """The most pixels (width times height) of an image that is decoded."""
-    text = os.environ.get(MAX_PIXELS_VARIABLE, "")
-    if not text:
-        return MAX_PIXELS
-    if not (text.isdecimal() and 0 < len(text) < 19 and int(text) > 0):
+    text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
+    if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
         raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
     return int(text)
 
@@ -162,33 +163,28 @@ def check_pixel_count(width: int, height: int, path: Path) -> None:
 
 def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
     """Pixels in the order BGR. Of HEIC 8-bit colours without alpha, whatever the flags."""
-    array: np.ndarray | None
+    if header.format == "HEIF":
+        return _decoded_heif(data, path)
     try:
-        if header.format == "HEIF":
-            array = _decoded_heif(data)
-        else:
-            with quiet():
-                array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except MemoryError:
-        raise
+        with quiet():
+            array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         if error.code == cv2.Error.STS_NO_MEM:
             raise MemoryError from None
         raise ImageError(f"{path} is corrupt: {error.err}") from None
-    except Exception as error:  # of libheif
-        raise ImageError(f"{path} is corrupt: {reason(error)}") from error
     if array is None:  # OpenCV does not say why
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
     check_pixel_count(array.shape[1], array.shape[0], path)
     return array
 
 
-def _decoded_heif(data: bytes) -> np.ndarray:
+def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
     import pillow_heif
 
-    decoded = np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True))
-    grey = decoded.ndim == 2
-    return cv2.cvtColor(decoded, cv2.COLOR_GRAY2BGR) if grey else decoded[:, :, :3].copy()
+    with read_as("HEIC", path, ImageError):
+        image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
+        array = np.asarray(image)
+    return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR) if array.ndim == 2 else array[:, :, :3].copy()
 
 
 def _checked_header(data: bytes, path: Path) -> Header:
@@ -222,15 +218,6 @@ def orientation_notes(header: Header, path: Path) -> tuple[str, ...]:
         f"{path}: EXIF orientation {header.orientation} is not applied, "
         f"so K must refer to the pixels as stored",
     )
-
-
-def _channels_last(array: np.ndarray) -> np.ndarray:
-    """A tensor's (1, C, H, W) or (C, H, W) as (H, W, C); every other shape as it is."""
-    if array.ndim == 4 and array.shape[0] == 1:
-        array = array[0]
-    if array.ndim == 3 and array.shape[0] in (1, 3, 4):
-        array = np.moveaxis(array, 0, 2)
-    return array
 
 
 def _to_rgb8(array: np.ndarray, name: str) -> np.ndarray:
