@@ -25,7 +25,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera, camera_for, guess_camera, parse_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import find_file, read_model_cameras
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.json_files import read_json
 
@@ -41,7 +41,7 @@ class Calibration:
     where: str  # of errors: the option or file that the cameras come from
     by_name: Mapping[str, Camera] = field(default_factory=dict)
     by_folder: Mapping[int, Camera] = field(default_factory=dict)  # KITTI's, by number
-    common: Camera | None = None  # of images without one of their own
+    common: Camera | None = None  # of all other images
     # Whether an image without a camera gets one guessed from EXIF data or its size.
     guess: bool = False
 
@@ -50,9 +50,9 @@ class Calibration:
 
         Raises InputError if there is none, or if it is for another size.
         """
-        own = self.named(name) or self._of_folder(root, name) or self.common
-        if own is not None:
-            return camera_for(own, size, f"{self.where}: {name}: K")
+        camera = self.named(name) or self._of_folder(root, name) or self.common
+        if camera is not None:
+            return camera_for(camera, size, f"{self.where}: {name}: K")
         if self.guess:
             return guess_camera(root / name)
         if self.by_name:
@@ -65,8 +65,8 @@ class Calibration:
 
     def _of_folder(self, root: Path, name: str) -> Camera | None:
         for part in reversed((root.resolve() / name).parts):
-            if found := _KITTI_FOLDER.fullmatch(part):
-                return self.by_folder.get(int(found[1]))
+            if match := _KITTI_FOLDER.fullmatch(part):
+                return self.by_folder.get(int(match[1]))
         return None
 
 
@@ -75,44 +75,39 @@ def read_calibration(text: str | None, guess: bool = False) -> Calibration:
 
     Raises InputError, with the path, if the file is malformed.
     """
-    path = None if text is None or not os.path.lexists(text) else Path(text)
+    if text is None:
+        return Calibration("--K", guess=guess)
+    path = Path(text) if os.path.lexists(text) else None
     try:
-        known = None if path is None else _read_file(path)
+        calibration = None if path is None else _read_file(path)
     except OSError as error:
         raise InputError(f"--K: {error.filename or path}: {error.strerror or error}") from error
-    if known is None:
-        known = Calibration("--K", common=None if text is None else parse_camera(text, "--K"))
-    return replace(known, guess=guess)
+    return replace(calibration or Calibration("--K", common=parse_camera(text, "--K")), guess=guess)
 
 
 def _read_file(path: Path) -> Calibration | None:
     """The cameras of a file or a folder; None for any other file, such as one of a matrix."""
     if path.is_dir():
-        return _colmap(_model_file(path))
+        model = find_file(path, "cameras.bin") or find_file(path, "cameras.txt")
+        if model is None:
+            raise InputError(f"--K: {path} holds no cameras.txt and no cameras.bin")
+        return _colmap(model)
     if path.name.lower() in ("cameras.txt", "cameras.bin"):
         return _colmap(path)
     if path.suffix.lower() == ".csv":
         return Calibration(str(path), _csv_cameras(path))
     if path.suffix.lower() == ".json":
         return _transforms(path)
-    lines = _kitti_lines(path)
-    if not lines:
-        return None
-    return Calibration(str(path), by_folder=lines, common=next(iter(lines.values())))
-
-
-def _model_file(folder: Path) -> Path:
-    for name in ("cameras.bin", "cameras.txt"):
-        if (path := find_file(folder, name)) is not None:
-            return path
-    raise InputError(f"--K: {folder} holds no cameras.txt and no cameras.bin")
+    if by_folder := _kitti_cameras(path):
+        return Calibration(str(path), by_folder=by_folder, common=next(iter(by_folder.values())))
+    return None
 
 
 def _colmap(path: Path) -> Calibration:
     cameras, by_image = read_model_cameras(path)
     if by_image:
-        named = {name: cameras[key] for name, key in by_image.items() if key in cameras}
-        return Calibration(str(path), named)
+        by_name = {name: cameras[key] for name, key in by_image.items() if key in cameras}
+        return Calibration(str(path), by_name)
     if len(cameras) != 1:
         raise InputError(
             f"{path}: {len(cameras)} cameras, and no images.txt or images.bin beside it to say "
@@ -128,13 +123,13 @@ def _csv_cameras(path: Path) -> dict[str, Camera]:
     cameras = {}
     for number, row in enumerate(rows, start=2):
         try:
-            fx, fy, cx, cy = (float(row[key]) for key in ("fx", "fy", "cx", "cy"))
             size = (int(row["width"]), int(row["height"])) if row.get("width") else None
-            cameras[row["name"]] = Camera(_matrix(fx, fy, cx, cy), size)
+            K = _matrix(*(float(row[key]) for key in ("fx", "fy", "cx", "cy")))
+            cameras[row["name"]] = Camera(K, size)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{path}:{number}: expected the columns name,fx,fy,cx,cy[,width,height] "
-                f"({_line(error)})"
+                f"({reason(error)})"
             ) from None
     if not cameras:
         raise InputError(f"{path}: no cameras in this table")
@@ -145,16 +140,15 @@ def _transforms(path: Path) -> Calibration:
     data = read_json(path, "a transforms.json")
     try:
         common = _nerf_camera(data)
-        named = {}
+        by_name = {}
         for frame in data["frames"]:
-            camera = _nerf_camera({**data, **frame})
-            if camera is not None:
-                named.update(dict.fromkeys(_nerf_names(frame["file_path"]), camera))
+            if (camera := _nerf_camera({**data, **frame})) is not None:
+                by_name.update(dict.fromkeys(_nerf_names(frame["file_path"]), camera))
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: not a transforms.json ({_line(error)})") from None
-    if common is None and not named:
+        raise InputError(f"{path}: not a transforms.json ({reason(error)})") from None
+    if common is None and not by_name:
         raise InputError(f"{path}: no focal length in this transforms.json")
-    return Calibration(str(path), named, common=common)
+    return Calibration(str(path), by_name, common=common)
 
 
 def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
@@ -166,27 +160,23 @@ def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
         fx = size[0] / 2 / math.tan(float(data["camera_angle_x"]) / 2)
     if fx is None:
         return None
-    fy = float(data.get("fl_y", fx))
     if size is None and not ("cx" in data and "cy" in data):
         raise ValueError("neither cx and cy nor w and h")
-    cx = float(data.get("cx", size[0] / 2 if size else 0)) - 0.5
-    cy = float(data.get("cy", size[1] / 2 if size else 0)) - 0.5
+    middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
+    cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
     lens = tuple(float(data.get(key, 0)) for key in _OPENCV)
     distortion = Distortion("OPENCV", lens) if any(lens) else None
-    return Camera(_matrix(float(fx), fy, cx, cy), size, distortion)
+    return Camera(_matrix(float(fx), float(data.get("fl_y", fx)), cx, cy), size, distortion)
 
 
 def _nerf_names(file_path: str) -> set[str]:
     """The names that an image of transforms.json may have in a folder: relative to the file, or
     without its folder."""
     path = PurePosixPath(file_path)
-    shapes = {path.as_posix(), path.name}
-    if len(path.parts) > 1:
-        shapes.add(PurePosixPath(*path.parts[1:]).as_posix())
-    return shapes
+    return {path.as_posix(), path.name, PurePosixPath(*path.parts[1:]).as_posix()}
 
 
-def _kitti_lines(path: Path) -> dict[int, Camera]:
+def _kitti_cameras(path: Path) -> dict[int, Camera]:
     """The cameras of a KITTI file by number; none if it is another file."""
     try:
         lines = read_text(path).splitlines()
@@ -194,22 +184,17 @@ def _kitti_lines(path: Path) -> dict[int, Camera]:
         return {}
     cameras = {}
     for number, line in enumerate(lines, start=1):
-        if not (found := _KITTI_LINE.fullmatch(line.strip())):
-            continue
-        try:
-            P = np.array(found[2].split(), dtype=np.float64).reshape(3, 4)
-            cameras[int(found[1])] = Camera(P[:, :3])
-        except ValueError as error:
-            raise InputError(f"{path}:{number}: not a 3x4 projection ({error})") from None
+        if match := _KITTI_LINE.fullmatch(line.strip()):
+            try:
+                P = np.array(match[2].split(), dtype=np.float64).reshape(3, 4)
+                cameras[int(match[1])] = Camera(P[:, :3])
+            except ValueError as error:
+                raise InputError(f"{path}:{number}: not a 3x4 projection ({error})") from None
     return cameras
 
 
 def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-
-
-def _line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

@@ -6,8 +6,9 @@ import hashlib
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -128,7 +129,15 @@ def run_batch(
         store = None
         try:
             with ExitStack() as stack:
-                run = _lazy_workers(start_workers, plan, matcher, estimation, options, stack)
+                job = Job(
+                    plan.root,
+                    plan.cameras,
+                    plan.bad,
+                    matcher,
+                    estimation,
+                    options.worker_bytes,
+                )
+                run = _lazy(lambda: start_workers(job, options.workers), stack)
                 if before is None:
                     if choice is not None and choice.way == "auto":
                         plan = _with_similar(plan, choice.number, run, progress)
@@ -200,37 +209,15 @@ def _first_plan(
     else:
         position = {name: i for i, name in enumerate(source.names)}
         chosen = [(position[a], position[b]) for a, b in source.pairs]
-    images = survey(source, calibration)
-    return Plan(
-        source.root,
-        images.cameras,
-        images.bad,
-        images.states,
-        source.names,
-        np.array(chosen, dtype=np.int64).reshape(-1, 2),
-        settings,
-    )
+    pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    seen = survey(source, calibration)
+    return Plan(source.root, seen.cameras, seen.bad, seen.states, source.names, pairs, settings)
 
 
-def _lazy_workers(
-    start_workers: Workers,
-    plan: Plan,
-    matcher: MatcherOptions,
-    estimation: EstimationOptions,
-    options: BatchOptions,
-    stack: ExitStack,
-) -> RunTasks:
+def _lazy(start: Callable[[], AbstractContextManager[RunTasks]], stack: ExitStack) -> RunTasks:
     """Runs tasks by workers that are started by the first of them: unusable input needs none."""
-    started: list[RunTasks] = []
-
-    def run(tasks: Sequence[Any]) -> Iterator[Any]:
-        if not started and tasks:
-            memory = options.worker_bytes
-            job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, memory)
-            started.append(stack.enter_context(start_workers(job, options.workers)))
-        return started[0](tasks) if tasks else iter(())
-
-    return run
+    workers = cache(lambda: stack.enter_context(start()))
+    return lambda tasks: workers()(tasks) if tasks else iter(())
 
 
 def _with_similar(plan: Plan, number: int, run: RunTasks, progress: Progress) -> Plan:

@@ -58,9 +58,9 @@ def open_source(path: Path, root: Path | None = None) -> Source:
         pairs = database.pairs or None
         source = Source(root or path.parent, database.names, pairs, database.cameras)
     else:
-        found = read_pair_list(path)
-        names = tuple(dict.fromkeys(name for pair in found.pairs for name in pair))
-        source = Source(root or path.parent, names, found.pairs, found.cameras)
+        listed = read_pair_list(path)
+        names = tuple(dict.fromkeys(name for pair in listed.pairs for name in pair))
+        source = Source(root or path.parent, names, listed.pairs, listed.cameras)
     if len(source.names) < 2:
         what = "no image" if not source.names else "a single image"
         raise InputError(
@@ -72,7 +72,7 @@ def open_source(path: Path, root: Path | None = None) -> Source:
 
 
 def survey(source: Source, calibration: Calibration) -> Survey:
-    """The cameras of all images, found from the sizes in their headers.
+    """The cameras of all images, by the sizes in their headers.
 
     An image whose header cannot be read is listed as bad. Raises InputError if an image has no
     camera or one for another size, or if one K without a size is given for images of several.
@@ -80,30 +80,31 @@ def survey(source: Source, calibration: Calibration) -> Survey:
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
     states: dict[str, FileState] = {}
-    sizes: set[tuple[int, int]] = set()
+    sizes: set[tuple[int, int]] = set()  # of images with the common K
     for name in source.names:
+        path = source.root / name
         with suppress(OSError):
-            status = (source.root / name).stat()
+            status = path.stat()
             states[name] = status.st_size, status.st_mtime_ns
         try:
-            header = image_header(source.root / name)
-            notes = orientation_notes(header, source.root / name)
+            header = image_header(path)
+            notes = orientation_notes(header, path)
         except ImageError as error:
             bad[name] = str(error)
             continue
-        size = header.size
-        own = source.cameras.get(name)
-        if own is not None and calibration.common is None and calibration.named(name) is None:
-            given = Calibration("the list" if own.size is None else "the database", {name: own})
-            camera = given.camera(source.root, name, size)
-        else:
-            camera = calibration.camera(source.root, name, size)
-            if camera is not None and calibration.common is not None:
-                sizes.add(size)
-        cameras[name] = replace(camera, size=size, warnings=(*camera.warnings, *notes))
+        of_image = calibration
+        listed = source.cameras.get(name)
+        if listed is not None and calibration.common is None and calibration.named(name) is None:
+            where = "the list" if listed.size is None else "the database"
+            of_image = Calibration(where, {name: listed})
+        elif calibration.common is not None:
+            sizes.add(header.size)
+        camera = of_image.camera(source.root, name, header.size)
+        cameras[name] = replace(camera, size=header.size, warnings=(*camera.warnings, *notes))
     if len(sizes) > 1:
-        listed = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
+        listed_sizes = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
         raise InputError(
-            f"one K for images of several sizes ({listed}): give a file with a K for each image"
+            f"one K for images of several sizes ({listed_sizes}): give a file with a K for each "
+            "image"
         )
     return Survey(cameras, bad, states)
