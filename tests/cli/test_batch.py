@@ -161,27 +161,6 @@ def test_a_database_of_an_older_version_is_read_and_stays_as_it_is(
     assert sorted(tmp_path.iterdir()) == [path, out]
 
 
-def test_a_database_of_another_layout(photos: Path, tmp_path: Path) -> None:
-    """Of some later version: other columns, or images of a camera that is not there."""
-    out = tmp_path / "out"
-    for statement, reason in (
-        ("ALTER TABLE cameras RENAME COLUMN params TO parameters", "not a COLMAP database"),
-        ("ALTER TABLE images RENAME TO photographs", "matches of the image 1, which is not there"),
-        ("DELETE FROM cameras", "view0.png has the camera 1, which is not there"),
-    ):
-        path = tmp_path / "other.db"
-        path.unlink(missing_ok=True)
-        _old_database(path, ["view0.png", "view1.png"])
-        with sqlite3.connect(path) as database:
-            database.execute(statement)
-        database.close()
-        before = path.read_bytes()
-        arguments = ["batch", path, "--root", photos, "--out", out, "--K", K_text(), *SIFT]
-        assert_refused(run(*arguments), str(path), reason)
-        assert path.read_bytes() == before
-        assert not out.exists()
-
-
 def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Path) -> None:
     """Also one whose images are matched already; `--overwrite` replaces it, of any version."""
     path = tmp_path / "old.db"
@@ -216,25 +195,6 @@ def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
     assert done.exit_code == 2, done.output
     assert "matches.h5" in done.stderr.splitlines()[-1]
     assert [path.name for path in out.iterdir()] == ["batch"]
-
-
-def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
-    """As `estimate` tells it."""
-    from PIL import Image
-
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    for number in range(2):
-        with Image.open(photos / f"view{number}.png") as image:
-            exif = image.getexif()
-            exif[0x0112] = 6
-            image.save(folder / f"{number}.jpg", exif=exif)
-    options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    done = run("batch", folder, *options)
-    assert done.exit_code == 0, done.output
-    (line,) = done.stderr.splitlines()
-    assert line.startswith(f"warning: {folder / '0.jpg'}: EXIF orientation 6 is not applied")
-    assert line.endswith("(and 1 more images)")
 
 
 def test_two_photographs_are_refused_before_they_are_matched(photos: Path, tmp_path: Path) -> None:

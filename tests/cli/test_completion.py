@@ -24,24 +24,6 @@ def test_commands_are_completed_without_being_imported(monkeypatch):
     assert completed([], "esti") == [("plain", "estimate")]
 
 
-def test_options_and_their_choices_are_completed():
-    assert ("plain", "--runtime") in completed(["estimate"], "--run")
-    assert completed(["estimate", "--runtime"], "on") == [("plain", "onnx")]
-
-
-@pytest.mark.parametrize(
-    ("words", "kind"),
-    [
-        (["estimate"], "file"),
-        (["match", "a.png"], "file"),
-        (["estimate", "--plot"], "file"),
-        (["bench-dtu", "--out"], "dir"),
-    ],
-)
-def test_files_and_folders_are_left_to_the_shell(words, kind):
-    assert [item for item, _ in completed(words, "a")] == [kind]
-
-
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash on this machine")
 def test_bash_completes(tmp_path):
     command = tmp_path / "dgc-pose"

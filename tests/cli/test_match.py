@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-import os
-
 import dense_scene
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
-from command_line import assert_refused
+from command_line import run
 
-from dgc_pose.cli.main import main
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
@@ -29,7 +25,7 @@ def folder(tmp_path, monkeypatch):
 
 def match(*arguments):
     """With the map as it is; tests/cli/test_refine.py has what --refine makes of it."""
-    return CliRunner().invoke(main, ["match", "--refine", "none", *arguments])
+    return run("match", "--refine", "none", *arguments)
 
 
 def test_map_and_matches_are_written(folder):
@@ -65,17 +61,3 @@ def test_weights_from_a_file(tmp_path, monkeypatch):
         corner = [320 / 544 - 0.5, 240 / 416 - 0.5]
         assert file["grid"][0, 0] == pytest.approx(corner, abs=1e-4)
         assert file["grid"][-1, -1] == pytest.approx(np.subtract([319, 239], corner), abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("one.png", "three.png", "--out", "m.npz"), "three.png"),
-        (("one.png", "two.png", "--out", "nowhere/m.npz"), "nowhere/m.npz"),
-        (("one.png", "two.png", "--out", "."), "."),
-        (("one.png", "two.png", "--out", "m.npz", "--matchability", "-1"), "matchability"),
-    ],
-)
-def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):
-    assert_refused(match(*arguments), words)
-    assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
