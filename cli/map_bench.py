@@ -127,6 +127,6 @@ def _picture(outcome: MapOutcome) -> MapPicture:
         title=f"{scores.name}, AEPE {scores.aepe:.2f}",
         image1=outcome.image1,
         image2=outcome.image2,
-        map=comparison.finest.found,
+        map=comparison.finest.points,
         errors=comparison.errors,
     )

@@ -20,14 +20,14 @@ from dgc_pose.synthesis.map_pairs import MapPairs, level_truth
 class LevelMap:
     """A level's map of one pair and the true one, in pixels of the 240x240 input."""
 
-    found: np.ndarray  # (S, S, 2) float32, for each cell of the target a point of the source
+    points: np.ndarray  # (S, S, 2) float32, for each cell of the target a point of the source
     truth: np.ndarray  # (S, S, 2) float32
     valid: np.ndarray  # (S, S) bool, cells of known truth
 
     @property
     def aepe(self) -> float:
         """Mean Euclidean error over the valid cells, pixels; NaN without any."""
-        return aepe(self.found, self.truth, self.valid)
+        return aepe(self.points, self.truth, self.valid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,9 @@ class Comparison:
     @property
     def errors(self) -> np.ndarray:
         """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
-        distance = np.full(self.finest.valid.shape, np.inf)
         finest = self.finest
-        distance[finest.valid] = endpoint_errors(finest.found, finest.truth, finest.valid)
+        distance = np.full(finest.valid.shape, np.inf)
+        distance[finest.valid] = endpoint_errors(finest.points, finest.truth, finest.valid)
         return distance
 
     @property
@@ -74,19 +74,16 @@ def compare(net: DGCNet, pairs: MapPairs) -> list[Comparison]:
     levels = []
     for level in prediction.maps:
         truth, valid = level_truth(pairs.map, pairs.valid, level.shape[-1])
-        found = to_pixels(level.float().movedim(1, -1), size, net.config.align_corners)
-        levels.append([_array(values) for values in (found, truth, valid)])
-    matchability = None
-    if prediction.logits:
-        matchability = _array(prediction.logits[-1][:, 0].float().sigmoid())
-    known = _array(pairs.known)
-    return [
-        Comparison(
-            tuple(LevelMap(found[i], truth[i], valid[i]) for found, truth, valid in levels),
-            None if matchability is None else matchability[i],
-            known[i],
+        points = to_pixels(level.float().movedim(1, -1), size, net.config.align_corners)
+        levels.append(
+            [LevelMap(*map(_array, parts)) for parts in zip(points, truth, valid, strict=True)]
         )
-        for i in range(len(pairs.map))
+    masks: list[np.ndarray | None] = [None] * len(pairs.map)
+    if prediction.logits:
+        masks = [*_array(prediction.logits[-1][:, 0].float().sigmoid())]
+    pairs_levels = zip(*levels, strict=True)
+    return [
+        Comparison(*parts) for parts in zip(pairs_levels, masks, _array(pairs.known), strict=True)
     ]
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.errors import InputError
 from dgc_pose.evaluation.map_comparison import Comparison
 from dgc_pose.metrics import Reliability, count_within, endpoint_errors, jaccard
 from dgc_pose.network.config import INPUT_SIZE
@@ -20,7 +19,7 @@ PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
 RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
-# The mask of dgcm-lite0 is trained on "visible, and found to within" so many pixels.
+# The mask of dgcm-lite0 is trained on "visible, with an error below" so many pixels.
 FOUND_PX = 4.0
 
 
@@ -66,7 +65,7 @@ def score_map(
     finest, mask = comparison.finest, comparison.mask
     distances = comparison.errors
     euclidean = distances[finest.valid]
-    curve = endpoint_errors(finest.found, finest.truth, finest.valid, per_axis=per_axis)
+    curve = endpoint_errors(finest.points, finest.truth, finest.valid, per_axis=per_axis)
     overlap = overlap_found = float("nan")
     reliability = None
     if mask is not None and comparison.matchability is not None:
@@ -90,28 +89,21 @@ def score_map(
 
 
 def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
-    """The figures of one method over its pairs; `group` names them, by default the first's group.
-
-    Raises InputError if there are no scores or they are of several methods.
-    """
-    methods = {own.method for own in scores}
-    if len(methods) != 1:
-        raise InputError(f"scores of one method are needed, not of {len(methods)}")
-    seen = [own for own in scores if own.valid]
-    pixels = sum(own.valid for own in scores)
-    levels = zip(*(own.level_aepe for own in scores), strict=True)
-    parts = [own.reliability for own in scores if own.reliability is not None]
+    """The figures of one method over its pairs; `group` names them, by default the first's."""
+    pixels = sum(pair.valid for pair in scores)
+    levels = zip(*(pair.level_aepe for pair in scores), strict=True)
+    parts = [pair.reliability for pair in scores if pair.reliability is not None]
     return MapSummary(
-        method=methods.pop(),
+        method=scores[0].method,
         group=scores[0].group if group is None else group,
         pairs=len(scores),
-        aepe=_mean([own.aepe for own in seen]),
+        aepe=_mean([pair.aepe for pair in scores if pair.valid]),
         # A pair may have valid cells at a fine level and none at a coarse one.
         level_aepe=tuple(_mean([v for v in values if not np.isnan(v)]) for values in levels),
-        pck=_share(np.sum([own.near for own in scores], axis=0), pixels),
-        within=tuple(_share(np.sum([own.within for own in scores], axis=0), pixels).tolist()),
-        jaccard=_mean([own.jaccard for own in scores]),
-        jaccard_found=_mean([own.jaccard_found for own in scores]),
+        pck=_share(np.sum([pair.near for pair in scores], axis=0), pixels),
+        within=tuple(_share(np.sum([pair.within for pair in scores], axis=0), pixels).tolist()),
+        jaccard=_mean([pair.jaccard for pair in scores]),
+        jaccard_found=_mean([pair.jaccard_found for pair in scores]),
         reliability=sum(parts[1:], parts[0]) if parts else None,
     )
 

@@ -53,9 +53,8 @@ def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> Non
     try:
         load_backbone(net.pyramid, state, images)
     except (KeyError, RuntimeError, TypeError, AttributeError, ValueError) as error:
-        raise WeightsError(
-            f"{weights}: not weights of EfficientNet-Lite0 ({reason(error)})"
-        ) from error
+        what = "not weights of EfficientNet-Lite0"
+        raise WeightsError(f"{weights}: {what} ({reason(error)})") from error
 
 
 @torch.no_grad()

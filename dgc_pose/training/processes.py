@@ -90,23 +90,20 @@ class JointBatchNorm2d(nn.BatchNorm2d):
         if not self.training or count == 1:
             return super().forward(values)
         wide = values.to(torch.promote_types(values.dtype, torch.float32))
-        own_variance, own_mean = torch.var_mean(wide, (0, 2, 3), unbiased=False)
-        own = torch.stack([own_mean, own_variance + own_mean.square()])
-        mean, square = (_JointSum.apply(own) / count).unbind()
+        part_variance, part_mean = torch.var_mean(wide, (0, 2, 3), unbiased=False)
+        part = torch.stack([part_mean, part_variance + part_mean.square()])
+        mean, square = (_JointSum.apply(part) / count).unbind()
         variance = (square - mean.square()).clamp(min=0)
+        assert self.running_mean is not None and self.running_var is not None
+        assert self.momentum is not None and self.num_batches_tracked is not None
         total = count * values.numel() // len(mean)
-        self._update_statistics(mean.detach(), variance.detach(), total)
+        self.num_batches_tracked.add_(1)
+        self.running_mean.lerp_(mean.detach(), self.momentum)
+        # By the unbiased variance, as torch does.
+        self.running_var.lerp_(variance.detach() * (total / (total - 1)), self.momentum)
         scale = self.weight * torch.rsqrt(variance + self.eps)
         shift = self.bias - mean * scale
         return (values * scale[:, None, None] + shift[:, None, None]).to(values.dtype)
-
-    def _update_statistics(self, mean: Tensor, variance: Tensor, values: int) -> None:
-        """Update the running statistics, by the unbiased variance, as torch does."""
-        assert self.running_mean is not None and self.running_var is not None
-        assert self.momentum is not None and self.num_batches_tracked is not None
-        self.num_batches_tracked.add_(1)
-        self.running_mean.lerp_(mean, self.momentum)
-        self.running_var.lerp_(variance * (values / (values - 1)), self.momentum)
 
 
 def join_batch_norms(module: nn.Module) -> None:

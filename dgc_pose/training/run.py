@@ -29,7 +29,7 @@ from dgc_pose.training.log import Meter, Row, append
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import from_first, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, StageName
-from dgc_pose.training.stages import CoarsestStage, DecoderStage, Loss
+from dgc_pose.training.stages import CoarsestStage, Loss
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
@@ -71,11 +71,9 @@ class Trainer:
         if self.weights_path.exists() and not path.exists():
             raise InputError(f"{self.weights_path} exists already, and is of no run in this folder")
         self.device = torch.device(device)
-        for stage in STAGES:
-            if self._batch(stage) % process_count():
-                raise InputError(
-                    f"{self._batch(stage)} pairs do not divide into {process_count()} parts"
-                )
+        for batch in map(self._batch, STAGES):
+            if batch % process_count():
+                raise InputError(f"{batch} pairs do not divide into {process_count()} parts")
         torch.manual_seed(options.seed)
         self.net = DGCNet(preset(options.network))
         if options.init is not None:
@@ -186,13 +184,15 @@ class Trainer:
         """Figures of the averaged weights on the held-back photographs, each named `val_...`."""
         module = self._stage.average
         if isinstance(module, CoarsestStage):
-            return {f"val_{k}": v for k, v in validate(module.net, self._validation).items()}
-        draw = self._draw("validation")
-        with torch.no_grad():
-            rows = [module(pairs, draw)[1] for pairs in self._validation]
-        # The same pairs in every process: joint sums need all of them.
-        sums = {key: torch.stack([row[key] for row in rows]).mean() for key in rows[0]}
-        return {f"val_{key}": float(joint_sum(value)) for key, value in sums.items()}
+            figures = validate(module.net, self._validation)
+        else:
+            draw = self._draw("validation")
+            with torch.no_grad():
+                rows = [module(pairs, draw)[1] for pairs in self._validation]
+            # The same pairs in every process: joint sums need all of them.
+            sums = {key: torch.stack([row[key] for row in rows]).mean() for key in rows[0]}
+            figures = {key: float(joint_sum(value)) for key, value in sums.items()}
+        return {f"val_{key}": value for key, value in figures.items()}
 
     def averaged(self) -> DGCNet:
         """A copy of the network by the averaged weights of the stage."""
@@ -219,24 +219,20 @@ class Trainer:
 
     def _load(self, path: Path) -> None:
         state = load_checkpoint(path, self.device)
+        network = self.options.network
         if (
             not isinstance(state, dict)
             or not _STATE.items() <= {name: type(state.get(name)) for name in _STATE}.items()
+            or not (0 <= state["elapsed"] < math.inf and state["step"] >= 0)
         ):
             raise WeightsError(f"{path}: not the checkpoint of a run")
-        if state["preset"] != self.options.network:
-            raise WeightsError(
-                f"{path}: a run of preset {state['preset']}, not {self.options.network}"
-            )
-        if not (0 <= state["elapsed"] < math.inf and state["step"] >= 0):
-            raise WeightsError(f"{path}: not the checkpoint of a run")
+        if state["preset"] != network:
+            raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
         try:
             self._stage = self._enter(state["stage"])
             self._stage.load_state_dict(state)
         except (RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise WeightsError(
-                f"{path}: its weights do not fit the present {self.options.network}"
-            ) from error
+            raise WeightsError(f"{path}: its weights do not fit the present {network}") from error
         self.elapsed, self.step = state["elapsed"], state["step"]
 
     def _enter(self, stage: StageName) -> ActiveStage:
@@ -246,8 +242,8 @@ class Trainer:
     def _batch(self, stage: StageName) -> int:
         """Pairs a step, of all processes together."""
         settings = STAGES[stage]
-        own = settings.gpu_batch if self.device.type == "cuda" else settings.batch
-        return self.options.batch or own
+        default = settings.gpu_batch if self.device.type == "cuda" else settings.batch
+        return self.options.batch or default
 
     def _make_pairs(self) -> MapPairs:
         """This process's pairs of the step."""
@@ -266,14 +262,9 @@ class Trainer:
 
     def _loss(self, pairs: MapPairs, within: float) -> Loss:
         draw = self._draw(self.options.seed, self.step, "stage")
-        result: Loss
-        if isinstance(self._stage.module, DecoderStage):
-            noise_share = max(0.1, 0.6 * (1 - 2 * within))
-            if self._stage.name == "polish":
-                noise_share = 0.0
-            result = self._stage.shared(pairs, draw, noise_share)
-        else:
-            result = self._stage.shared(pairs, draw)
+        noise_share = {"decoders": max(0.1, 0.6 * (1 - 2 * within)), "polish": 0.0}
+        options = [noise_share[self._stage.name]] if self._stage.name in noise_share else []
+        result: Loss = self._stage.shared(pairs, draw, *options)
         return result
 
     def _report_initial(self, report: Report) -> None:

@@ -176,12 +176,7 @@ class DecoderStage(CoarsestStage):
                 module.requires_grad_(True)
         self.end_to_end = end_to_end
 
-    def forward(
-        self,
-        pairs: MapPairs,
-        draw: Draw,
-        noise_share: float = 0.0,
-    ) -> Loss:
+    def forward(self, pairs: MapPairs, draw: Draw, noise_share: float = 0.0) -> Loss:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
         source, target = self._features(pairs)
         correlation = self.net.correlate(source, target)

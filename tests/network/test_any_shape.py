@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.dense import load_dense_matcher
-from dgc_pose.network.config import DecoderConfig, NetworkConfig, preset
+from dgc_pose.network.config import preset
 from dgc_pose.network.consensus import consensus
 from dgc_pose.network.correlation import cell_correlation, global_correlation, peaks
 from dgc_pose.network.net import DGCNet
@@ -32,15 +31,6 @@ def test_networks_tied_to_225_channels_square_their_images(name):
     config = preset(name)
     assert not config.any_shape
     assert config.input_size((1242, 375)) == (240, 240)
-
-
-def test_a_local_start_needs_a_peak():
-    lite = preset("dgcm-lite0")
-    paper = preset("dgc")
-    decoders = (*paper.decoders[:4], DecoderConfig((128,), (1,), local_radius=4))
-    with pytest.raises(InputError, match="needs a residual output"):
-        NetworkConfig("x", paper.pyramid, decoders)
-    assert lite.decoder_inputs(4) == 2 * 128 + 81 + 3
 
 
 def test_correlation_of_two_shapes_against_loops():

@@ -34,21 +34,6 @@ def test_l2_norm_over_channels() -> None:
                 np.testing.assert_allclose(found[b, :, y, x].numpy(), vector / length)
 
 
-def test_global_correlation_is_column_major_over_the_source() -> None:
-    source, target = _features(1, 2, 6, 4, 4), _features(2, 2, 6, 4, 4)
-    found = global_correlation(source, target)
-    assert found.shape == (2, 16, 4, 4)
-    for b in range(2):
-        for ys in range(4):
-            for xs in range(4):
-                for yt in range(4):
-                    for xt in range(4):
-                        expected = float(source[b, :, ys, xs] @ target[b, :, yt, xt])
-                        assert math.isclose(
-                            float(found[b, xs * 4 + ys, yt, xt]), expected, abs_tol=1e-12
-                        )
-
-
 def test_local_correlation_is_around_each_cell() -> None:
     warped, target = _features(3, 1, 5, 6, 7), _features(4, 1, 5, 6, 7)
     radius = 2

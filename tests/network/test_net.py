@@ -195,12 +195,6 @@ def test_align_corners_modes_sample_at_their_points() -> None:
         torch.testing.assert_close(to_pixels(place, (60, 60), align_corners), pixels)
 
 
-def test_align_corners_conventions_at_the_border() -> None:
-    assert identity_map(240, True, torch.zeros(1))[0, 0, 0, 0] == -1
-    assert identity_map(240, True, torch.zeros(1))[0, 0, 0, -1] == 1
-    assert identity_map(240, False, torch.zeros(1))[0, 0, 0, 0] == pytest.approx(-1 + 1 / 240)
-
-
 def test_upsampling_keeps_places_without_align_corners() -> None:
     """The identity at 15 becomes the identity at 30, away from the border."""
     fine = upsample(identity_map(15, False, torch.zeros(1)))

@@ -139,9 +139,3 @@ def test_what_the_light_set_lacks_is_told_in_one_line(
     expected = f"error: this needs {name}, which is not installed: pip install {name}"
     assert done.stderr.splitlines()[0] == expected
     assert list(tmp_path.iterdir()) == []
-
-
-def test_the_library_says_what_needs_torch(light_site: Path) -> None:
-    refused = 'import dgc_pose; dgc_pose.load_matcher(runtime="torch")'
-    with pytest.raises(AssertionError, match="needs torch, which is not installed"):
-        _run(refused, str(light_site), flags=("-S",))

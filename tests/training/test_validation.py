@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,11 +42,13 @@ def loop(pairs: MapPairs, index: int) -> list[tuple[int, int, float]]:
 
 def test_a_comparison_holds_the_map_in_pixels(pairs: MapPairs, net: MapNet) -> None:
     first, second = compare(net, pairs)
-    assert [level.found.shape for level in first.levels] == [
+    assert [level.points.shape for level in first.levels] == [
         (cells, cells, 2) for cells in (15, 30, 60, 120, 240)
     ]
-    np.testing.assert_allclose(second.finest.found, shifted(0, 0), atol=1e-4)
-    np.testing.assert_allclose(first.levels[0].found[2, 3], [3 * 16 + 7.5, 2 * 16 + 7.5], atol=1e-4)
+    np.testing.assert_allclose(second.finest.points, shifted(0, 0), atol=1e-4)
+    np.testing.assert_allclose(
+        first.levels[0].points[2, 3], [3 * 16 + 7.5, 2 * 16 + 7.5], atol=1e-4
+    )
     np.testing.assert_allclose(first.levels[0].truth[2, 3], [3 * 16 + 8.5, 2 * 16 + 5.5], atol=1e-4)
     assert first.matchability is not None and first.mask is not None
     assert first.mask[:, :120].all() and not first.mask[:, 120:].any()
@@ -85,30 +86,6 @@ def test_figures_are_those_of_a_loop(pairs: MapPairs, net: MapNet) -> None:
     assert compare(net, pairs)[0].levels[0].aepe == pytest.approx(math.sqrt(5), rel=1e-4)
     keys = [f"aepe{cells}" for cells in (15, 30, 60, 120, 240)]
     assert list(figures) == ["aepe", "epe_median", "pck3", "sure3", "jaccard", *keys]
-
-
-def test_a_pair_without_valid_pixels_does_not_count(pairs: MapPairs, net: MapNet) -> None:
-    valid = pairs.valid.clone()
-    valid[1] = False
-    blind = MapPairs(pairs.image1, pairs.image2, pairs.map, valid)
-    figures = validate(net, [blind])
-    assert figures["aepe"] == pytest.approx(math.sqrt(5), rel=1e-4)
-    assert figures["aepe15"] == pytest.approx(math.sqrt(5), rel=1e-4)
-
-
-def test_the_mask_is_not_judged_where_nothing_is_known(pairs: MapPairs, net: MapNet) -> None:
-    """All errors of the mask lie in pixels that are not known."""
-    left = (torch.arange(240) < 120).expand(2, 240, 240)
-    known = (pairs.valid & left) | ~(pairs.valid | left)
-    part = replace(pairs, valid=pairs.valid & left, known=known)
-    assert validate(net, [replace(part, known=torch.ones_like(known))])["jaccard"] < 0.9
-    assert validate(net, [part])["jaccard"] == 1
-
-
-def test_a_net_without_a_mask_has_no_figures_of_one(pairs: MapPairs) -> None:
-    figures = validate(MapNet(shifted(0, 0)), [pairs])
-    assert math.isnan(figures["jaccard"]) and math.isnan(figures["sure3"])
-    assert figures["aepe"] > 0
 
 
 @pytest.mark.parametrize("training", [True, False])

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from dgc_pose.synthesis.render.procedural import procedural_textures
-from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
+from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
 KINDS = ("general", "planar", "rotation_only", "forward")
 
@@ -68,13 +66,6 @@ def test_pairs_can_be_matched():
             errors.append(np.linalg.norm(found - pair.map[y, x]))
     assert len(errors) > 80
     assert np.median(errors) < 1.0
-
-
-def test_a_seed_reproduces_to_the_bit():
-    first, second, other = (render_scene_pair(s, size1=(64, 48), size2=(48, 64)) for s in (1, 1, 2))
-    for field in fields(RenderedPair):
-        assert np.array_equal(getattr(first, field.name), getattr(second, field.name)), field.name
-    assert not np.array_equal(first.image1, other.image1)
 
 
 def test_textures_are_seeded_and_full_of_detail():
