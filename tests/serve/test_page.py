@@ -102,9 +102,8 @@ CHANGED = """(() => {
 })()"""
 
 
-def test_alternatives_and_the_probability_are_shown_if_there_are_any(page):
-    page.click("#example")
-    page.wait(DONE)
+def test_alternatives_and_the_probability_are_shown_if_there_are_any(example):
+    page = example
     assert "probability" not in text(page, "#numbers")  # none is fitted for this matcher
     assert page.evaluate("document.querySelector('#alternatives').hidden")
     turned = {"R": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "t": [0.6, 0, 0.8], "num_inliers": 77}
@@ -163,9 +162,8 @@ def test_what_is_wrong_is_told(page, tmp_path):
     page.choose("#file1", bad)
     page.wait("!document.querySelector('#error').hidden")
     page.errors.clear()  # the browser notes the refusal
-    assert text(page, "#error").startswith(
-        "bad <b>.png: the file is not an image of a known format"
-    )
+    words = "bad <b>.png: the file is not an image of a known format"
+    assert text(page, "#error").startswith(words)
     good = tmp_path / "good.png"
     cv2.imwrite(str(good), cv2.imread(str(bundled_pair().path1))[::4, ::4])
     page.choose("#file1", good)
@@ -184,10 +182,8 @@ def test_a_result_is_saved_as_json_and_png(example):
     example.click("#save-json")
     example.click("#save-png")
     example.wait("saved.length === 4")
-    assert example.evaluate("saved.filter((one) => typeof one === 'string')") == [
-        "pose.json",
-        "pose.png",
-    ]
+    names = "saved.filter((part) => typeof part === 'string')"
+    assert example.evaluate(names) == ["pose.json", "pose.png"]
     data = json.loads(example.evaluate("saved[0].text()"))
     assert data["status"] == "ok" and len(data["matches"]["points"]) > 100
     kind, size = example.evaluate(

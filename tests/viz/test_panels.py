@@ -53,13 +53,6 @@ def test_matches_join_the_same_places_of_both_pictures(axes):
     assert not np.allclose(low, high)
 
 
-def test_no_matches_can_be_drawn(axes):
-    none = np.zeros((0, 2))
-    draw_matches(axes, picture(30, 20), picture(30, 20), none, none, np.zeros(0))
-    axes.figure.canvas.draw()
-    assert axes.collections[0].get_segments() == []
-
-
 @pytest.mark.parametrize("line", [(1.0, 0.0, -7.0), (0.0, -2.0, 8.0), (3.0, 4.0, -60.0)])
 def test_a_line_is_drawn_where_its_equation_says(axes, line):
     draw_image(axes, picture(40, 30))
