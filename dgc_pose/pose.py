@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,17 +89,21 @@ def match_and_estimate(
     matcher: Matcher,
     options: EstimationOptions | None = None,
     load_seconds: float = 0.0,
+    matched: Callable[[Matches], None] = lambda matches: None,
 ) -> Trace:
     """From images and cameras that are checked to the pose; the pose carries all warnings.
 
-    load_seconds: what loading took, for `seconds` of the pose.
+    load_seconds: what loading took, for `seconds` of the pose. matched: called with the matches
+    before the pose is estimated.
     """
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
     check_type(matcher, Matcher, "matcher")
     start = time.perf_counter()
     result = matcher.match(image1, image2)
-    matched = time.perf_counter()
+    match_seconds = time.perf_counter() - start
+    matched(result.matches)
+    start = time.perf_counter()
     pose = pose_of_matches(
         result.matches,
         camera1,
@@ -110,8 +114,8 @@ def match_and_estimate(
     )
     seconds = {
         "load": load_seconds,
-        "match": matched - start,
-        "estimate": time.perf_counter() - matched,
+        "match": match_seconds,
+        "estimate": time.perf_counter() - start,
     }
     pose = replace(pose, seconds=seconds)
     return Trace(image1, image2, camera1, camera2, result.correspondence_map, result.matches, pose)

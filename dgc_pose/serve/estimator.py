@@ -13,7 +13,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import Image, load_image
-from dgc_pose.matching import Matcher, MatchResult
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace, match_and_estimate
@@ -47,9 +48,13 @@ class Estimator:
             replace(_renamed(load_image(stored.path), stored), name=stored.name)
             for stored in (stored1, stored2)
         )
+
+        def matched(matches: Matches) -> None:
+            report(f"estimating the pose from {len(matches)} matches")
+
         report("matching")
-        matcher = _ReportingMatcher(self.matcher, report)
-        trace = match_and_estimate(image1, image2, camera1, camera2, matcher)
+        pair = (image1, image2, camera1, camera2)
+        trace = match_and_estimate(*pair, self.matcher, matched=matched)
         report("drawing")
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
@@ -66,22 +71,6 @@ class Estimator:
             "command": command(names, request.flags(cameras), weights),
             "python": python_text(names, expressions, "".join(map(repr, weights[1:]))),
         }
-
-
-class _ReportingMatcher(Matcher):
-    """A matcher that says when it has matched."""
-
-    def __init__(self, matcher: Matcher, report: Report) -> None:
-        self._matcher, self._report = matcher, report
-
-    @property
-    def name(self) -> str:
-        return self._matcher.name
-
-    def _match(self, image1: Image, image2: Image) -> MatchResult:
-        result = self._matcher.match(image1, image2)
-        self._report(f"estimating the pose from {len(result.matches)} matches")
-        return result
 
 
 Warned = TypeVar("Warned", Camera, Image)
