@@ -27,14 +27,9 @@ class WeightsError(DgcPoseError):
 
 # What `requirements-light.txt` leaves out: modules by the name that pip installs them by.
 _OPTIONAL = {
-    "h5py": "h5py",
-    "jinja2": "jinja2",
-    "matplotlib": "matplotlib",
+    **{name: name for name in ("h5py", "jinja2", "matplotlib", "pycolmap", "scipy", "torch")},
     "mpl_toolkits": "matplotlib",
-    "pycolmap": "pycolmap",
-    "scipy": "scipy",
     "sklearn": "scikit-learn",
-    "torch": "torch",
 }
 
 

@@ -9,21 +9,20 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.inputs import TEXT_BYTES, open_regular, read_as, read_bytes, require_regular
+from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
 from dgc_pose.files.outputs import scratch_folder, writing
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     import pycolmap
 
-_IMAGES, _IMAGE = struct.Struct("<Q"), struct.Struct("<I7dI")  # of images.bin: numbers, an image
-_POINT = 24  # bytes of a point of an image
-_NAME, _LINE = 4096, 2**16  # the longest name, and line of an image, bytes
+# Of an images.bin: a number of images or points, and an image; bytes of a point.
+_COUNT, _IMAGE, _POINT_BYTES = struct.Struct("<Q"), struct.Struct("<I7dI"), 24
 _NOTHING = {".txt": b"", ".bin": struct.pack("<Q", 0)}  # a file of no images or no points
 _FAILURES = (RuntimeError, ValueError, KeyError, TypeError, ArithmeticError, MemoryError)
 
@@ -76,52 +75,41 @@ def read_model_cameras(path: Path) -> tuple[dict[int, Camera], dict[str, int]]:
     images = find_file(path.parent, f"images{ending}")
     if images is None:
         return cameras, {}
-    with open_regular(images) as stream, read_as("COLMAP's images", images):
-        return cameras, _read_text(stream) if ending == ".txt" else _read_binary(stream)
+    data = read_bytes(images)
+    with read_as("COLMAP's images", images):
+        return cameras, _text_images(data) if ending == ".txt" else _binary_images(data)
 
 
-# The images are read here: pycolmap's reader of a binary file that is cut within a name never ends,
-# and it reads the points too, which are most of the file.
+# pycolmap's reader of an images.bin that is cut within a name never ends.
 
 
-def _read_binary(stream: BinaryIO) -> dict[str, int]:
+def _binary_images(data: bytes) -> dict[str, int]:
     """The camera id by image name, from an images.bin."""
     camera_ids: dict[str, int] = {}
-    (count,) = _IMAGES.unpack(stream.read(_IMAGES.size))
+    (count,) = _COUNT.unpack_from(data)
+    start = _COUNT.size
     for _ in range(count):
-        camera_id = _IMAGE.unpack(stream.read(_IMAGE.size))[-1]
-        name = b""
-        while not name.endswith(b"\0"):
-            letter = stream.read(1)
-            if not letter or len(name) > _NAME:
-                raise ValueError("a name without an end")
-            name += letter
-        (points,) = _IMAGES.unpack(stream.read(_IMAGES.size))
-        if points and not _skipped(stream, _POINT * points):
-            raise ValueError("points are missing")
-        camera_ids[name[:-1].decode()] = camera_id
+        camera_id = _IMAGE.unpack_from(data, start)[-1]
+        name_end = data.index(b"\0", start + _IMAGE.size)
+        camera_ids[data[start + _IMAGE.size : name_end].decode()] = camera_id
+        (points,) = _COUNT.unpack_from(data, name_end + 1)
+        start = name_end + 1 + _COUNT.size + _POINT_BYTES * points
+    if start > len(data):
+        raise ValueError("points are missing")
     return camera_ids
 
 
-def _skipped(stream: BinaryIO, count: int) -> bool:
-    """Whether so many bytes, at least one, were there to be passed over."""
-    end = stream.tell() + count
-    if end > 2**62:
-        return False
-    stream.seek(end - 1)
-    return len(stream.read(1)) == 1
-
-
-def _read_text(stream: BinaryIO) -> dict[str, int]:
+def _text_images(data: bytes) -> dict[str, int]:
     """The same from an images.txt: two lines an image, the second of its points."""
     camera_ids: dict[str, int] = {}
-    while line := stream.readline(_LINE):
-        words = line.decode().strip().split(maxsplit=9)
+    lines = iter(data.decode().splitlines())
+    for line in lines:
+        words = line.split(maxsplit=9)
         if words and not words[0].startswith("#"):
             if len(words) < 10:
                 raise ValueError("an image without a name")
-            camera_ids[words[9]] = int(words[8])
-            stream.readline()
+            camera_ids[words[9].strip()] = int(words[8])
+            next(lines, None)
     return camera_ids
 
 
