@@ -23,7 +23,7 @@ STDOUT = "-"
 DEBUG, OVERWRITE = "--debug", "--overwrite"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
 # Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
-_SEPARATOR = re.compile(r"[,:=]|/all\b")
+_SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
 
 
 class OutputFile(click.Path):
@@ -149,20 +149,12 @@ def _check_outputs(context: click.Context) -> None:
                 raise click.BadParameter(str(error), context, parameter) from None
 
 
-def _inputs(context: click.Context) -> list[str]:
+def _inputs(context: click.Context) -> Iterator[str]:
     """What the values of the other options and arguments may name."""
-    return [
-        path
-        for parameter in context.command.params
-        if not isinstance(parameter.type, OutputFile | OutputFolder)
-        for path in _paths(context.params.get(parameter.name or ""))
-    ]
-
-
-def _paths(value: Any) -> Iterator[str]:
-    if isinstance(value, tuple | list):
-        for item in value:
-            yield from _paths(item)
-    elif isinstance(value, str | os.PathLike):
-        text = os.fspath(value)
-        yield from {text, *(part.strip() for part in _SEPARATOR.split(text))}
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        if not isinstance(parameter.type, OutputFile | OutputFolder):
+            for item in value if isinstance(value, tuple) else (value,):
+                if isinstance(item, str | os.PathLike):
+                    text = os.fspath(item)
+                    yield from (text, *_SEPARATOR.split(text))

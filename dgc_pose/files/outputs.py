@@ -21,15 +21,11 @@ except ImportError:  # not on Windows
 def staged(
     *paths: str | None, inputs: Iterable[str | Path] = ()
 ) -> Iterator[Callable[[str], Path]]:
-    """Open the output files of a command, so that one that cannot be written stops it at once.
+    """Open the output files of a command, before its work. Paths that are None are passed over.
 
-    Yields a function from an output's path to the file to write instead, see `replaced`. Paths that
-    are None are passed over.
-
-    Raises:
-        InputError: if two outputs are the same file, one is a folder or a device, one of the
-            `inputs`, or being written by another run.
-        OSError: naming the output that cannot be written.
+    Yields a function from an output's path to the file to write instead, see `replaced`. Raises
+    OSError, naming the output, if it cannot be written; InputError if two outputs are the same
+    file, or one is a folder, a device, an input, or written by another run.
     """
     outputs = [path for path in paths if path is not None]
     if len({output_target(path) for path in outputs}) < len(outputs):
@@ -91,18 +87,16 @@ def _workplace(target: Path, path: str | Path) -> Iterator[Path]:
 
 
 def output_target(path: str | Path) -> Path:
-    """The file that an output's path stands for, links followed.
-
-    Raises InputError for the path of a folder or a device, for none, and for a loop of links.
-    """
+    """The file that an output's path stands for, links followed. Raises InputError for the path of
+    a folder or a device, and for what is no path."""
     text = os.fspath(path)
-    is_folder = text.endswith(("/", os.sep)) or os.path.basename(text) in ("", ".", "..")
-    if is_folder or "\0" in text or (os.path.exists(text) and not os.path.isfile(text)):
-        raise InputError(f"an output must be a file, and {text!r} is something else")
     try:
-        return Path(text).resolve()
-    except (OSError, RuntimeError):
-        raise InputError(f"{text}: a loop of links") from None
+        target = Path(text).resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"{text!r}: {error}") from None
+    if text.endswith(("/", os.sep)) or (target.exists() and not target.is_file()):
+        raise InputError(f"an output must be a file, and {text!r} is something else")
+    return target
 
 
 def require_no_input(outputs: Iterable[str | Path], inputs: Iterable[str | Path]) -> None:
