@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.images.image import Image, resize_by
-from dgc_pose.system.options import MAX_SEED, check_options, option
+from dgc_pose.system.options import check_options, option
 
 
 @dataclass(frozen=True)
@@ -25,22 +25,11 @@ class ImageChange:
     """What image 2 is changed by. Raises InputError, naming the field, on a value out of range."""
 
     roll: float = option(  # counter-clockwise
-        0.0,
-        "Roll image 2 by so many degrees, the whole of it on black.",
-        metavar="DEG",
-        min=-360,
-        max=360,
+        0.0, "Roll image 2 by so many degrees, on black.", metavar="DEG", min=-360, max=360
     )
     roll_at_random: bool = option(False, "Roll image 2 of each pair by 30 to 330 degrees.")
     shrink: float = option(1.0, "Make image 2 so many times smaller.", metavar="F", min=1, max=100)
-    crop: float = option(
-        1.0,
-        "Keep the middle of image 2, the sides so many times shorter.",
-        metavar="F",
-        min=1,
-        max=100,
-    )
-    roll_seed: int = option(0, "Seed of the rolls at random.", min=0, max=MAX_SEED)
+    crop: float = option(1.0, "Keep the middle 1/F of image 2.", metavar="F", min=1, max=100)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -49,7 +38,7 @@ class ImageChange:
         """Degrees of each of so many pairs."""
         if not self.roll_at_random:
             return [self.roll] * count
-        return list(map(float, np.random.default_rng(self.roll_seed).uniform(30, 330, count)))
+        return list(map(float, np.random.default_rng(0).uniform(30, 330, count)))
 
 
 class ChangedPairs(ListedPairs):

@@ -48,16 +48,6 @@ _COLUMNS = {
 
 
 @dataclass(frozen=True)
-class Setting:
-    """How scenes are reconstructed."""
-
-    pairs: PairChoice
-    reconstruction: ReconstructionOptions
-    estimation: EstimationOptions
-    batch: BatchOptions
-
-
-@dataclass(frozen=True)
 class ReconstructionScore:
     """A model compared with the truth. NaN if too few images are registered."""
 
@@ -76,37 +66,45 @@ class ReconstructionScore:
     seconds: float
 
 
-def run_method(method: str, views: PosedViews, out: Path, setting: Setting) -> ReconstructionScore:
+def run_method(
+    method: str,
+    views: PosedViews,
+    out: Path,
+    pairs: PairChoice,
+    reconstruction: ReconstructionOptions,
+    estimation: EstimationOptions,
+    options: BatchOptions,
+) -> ReconstructionScore:
     """Reconstruct the views by one method: `colmap-sift`, or a matcher by its name.
 
     Both map with the same options. The folder keeps a matcher's batch, which `resume` goes on with.
     """
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    pairs = poses = 0
+    matched = poses = 0
     try:
         if method == COLMAP_SIFT:
-            database, mapping = out / DATABASE, setting.reconstruction.mapping
+            database, mapping = out / DATABASE, reconstruction.mapping
             database.unlink(missing_ok=True)
             sift_database(database, views.root, views.cameras, mapping.mapper_threads)
             model = sparse_model(map_database(database, views.root, mapping))
-            pairs = poses = len(views.poses) * (len(views.poses) - 1) // 2
+            matched = poses = len(views.poses) * (len(views.poses) - 1) // 2
         else:
             batch = run_batch(
                 Source(views.root, tuple(sorted(views.cameras)), None, {}),
                 Calibration("the truth", views.cameras),
-                setting.pairs,
+                pairs,
                 out / "batch",
                 matcher=MatcherOptions(method),
-                estimation=setting.estimation,
-                options=setting.batch,
+                estimation=estimation,
+                options=options,
             )
-            pairs, poses = batch.summary["pairs"], batch.summary["poses"]
-            model, _ = reconstruct(batch, out, setting.reconstruction)
+            matched, poses = batch.summary["pairs"], batch.summary["poses"]
+            model, _ = reconstruct(batch, out, reconstruction)
     except MappingError:
         model = None
     seconds = time.perf_counter() - start
-    return score(method, model, views, pairs, poses, seconds)
+    return score(method, model, views, matched, poses, seconds)
 
 
 def score(

@@ -51,12 +51,10 @@ class RunStore(Generic[Score]):
         """
         Args:
             out: the folder, made if missing; None keeps the records in memory alone.
-            kind: of the records.
             keys: for each pair the keys of its records, one a method.
             settings: all that the records depend on; JSON.
             resume: go on with the run that `out` holds; begin one if it holds none.
             overwrite: drop the run that `out` holds.
-            samples: write the samples of matches too.
         """
         self.out = out
         self.scores: list[Score] = []
@@ -71,19 +69,11 @@ class RunStore(Generic[Score]):
             for name in (*kind.tables, SETTINGS):  # a run without tables begins anew
                 (out / name).unlink(missing_ok=True)
         _begin(out, settings, resume)
-        tables = [_read_rows(out / name, kind) for name in kind.tables]
-        for name, rows in zip(kind.tables, tables, strict=True):
-            _require_order(out / name, kind, keys, rows)
-        records = [
-            {k: v for part in parts for k, v in part.items()}
-            for parts in zip(*tables, strict=False)
-        ]
-        for of_pair in keys:
-            chosen = records[len(self.scores) : len(self.scores) + len(of_pair)]
-            if len(chosen) < len(of_pair):
-                break
-            self.scores += [kind(**record) for record in chosen]
-            self.done += 1
+        tables = [_read_rows(out / name, kind, keys) for name in kind.tables]
+        rows = [kind(**{**parts[0], **parts[-1]}) for parts in zip(*tables, strict=False)]
+        methods = len(keys[0]) if keys else 1
+        self.done = len(rows) // methods
+        self.scores = rows[: self.done * methods]
 
     def __enter__(self) -> RunStore[Score]:
         if self.out is not None:
@@ -161,33 +151,27 @@ def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
             )
 
 
-def _require_order(
-    path: Path, kind: type[Score], keys: Sequence[Sequence[Key]], rows: Sequence[Mapping[str, Any]]
-) -> None:
-    """Raise InputError unless the rows are those of the first pairs, in their order."""
-    expected = [key for of_pair in keys for key in of_pair]
-    if len(rows) > len(expected):
-        raise InputError(f"{path}: more rows than the list has pairs")
-    for number, (key, row) in enumerate(zip(expected, rows, strict=False), start=2):
-        actual = tuple(row[field] for field in kind.identity)
-        if actual != key:
-            raise InputError(f"{path}:{number}: expected the row of {key}, found {actual}")
-
-
-def _read_rows(path: Path, kind: type[Score]) -> list[dict[str, Any]]:
+def _read_rows(
+    path: Path, kind: type[Score], keys: Sequence[Sequence[Key]]
+) -> list[dict[str, Any]]:
     """The complete rows of a table, by field; a row that a kill cut short is left out."""
     whole = read_bytes(path).rpartition(b"\n")[0] if path.exists() else b""
     hints, columns = get_type_hints(kind), _columns(kind, path.name)
     readers = {name: _READERS.get(hints[name], str) for name in kind.tables[path.name]}
+    expected = [key for of_pair in keys for key in of_pair]
     rows = []
     with read_as("a table of results", path):
         lines = csv.reader(whole.decode("utf-8", "replace").splitlines())
         if whole and next(lines) != columns:
             raise InputError(f"{path}:1: expected the columns {','.join(columns)}")
-        for number, line in enumerate(lines, start=2):
+        for number, line in enumerate(lines):
             try:
                 cells = zip(readers.items(), line, strict=True)
-                rows.append({name: read(text) for (name, read), text in cells})
-            except (KeyError, ValueError):
-                raise InputError(f"{path}:{number}: not a row of this table") from None
+                row = {name: read(text) for (name, read), text in cells}
+                in_order = tuple(row[name] for name in kind.identity) == expected[number]
+            except (KeyError, ValueError, IndexError):
+                in_order = False
+            if not in_order:
+                raise InputError(f"{path}:{number + 2}: not the row that this run has here")
+            rows.append(row)
     return rows

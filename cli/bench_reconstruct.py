@@ -11,7 +11,6 @@ from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.posed_views import views_of_dtu, views_of_list
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
-    Setting,
     run_method,
     score_table,
 )
@@ -79,13 +78,13 @@ def bench_reconstruct(
     options = batch_options(work)
     mapping = replace(reconstruction.mapping, mapper_threads=options.workers)
     reconstruction = replace(reconstruction, mapping=mapping)
-    setting = Setting(parse_pair_choice(comparison.pairs), reconstruction, estimation, options)
+    setting = parse_pair_choice(comparison.pairs), reconstruction, estimation, options
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     if scale != 1:
         views = views.resized(scale, out / "images")  # a later --resume reads them again
     for method in split_names(comparison.methods):
-        score = run_method(method, views, out / Path(method).stem, setting)
+        score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)
         click.echo(f"{method}: {score.registered} of {score.images} images", err=True)
     write_json(out / "summary.json", finite_data({"methods": [*map(asdict, scores)]}))

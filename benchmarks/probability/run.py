@@ -32,7 +32,6 @@ class Fitted:
     models: str  # JSON
     report: str
     figure: Figure
-    records: Sequence[Record]  # of all pairs and methods
 
 
 def fit_all(
@@ -63,9 +62,8 @@ def fit_all(
         for kind, rows in by_kind.items()
     }
     parts = [f"{WORDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
-    everything = [row for rows in by_kind.values() for row in rows]
     figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
-    return Fitted(text, "\n\n\n".join(parts), figure, everything)
+    return Fitted(text, "\n\n\n".join(parts), figure)
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:

@@ -133,10 +133,10 @@ def test_tables_that_were_changed_are_refused(finished, open_store) -> None:
     folder, whole = finished
     lines = whole.splitlines(keepends=True)
     for changed, reason in (
-        ([lines[0], *lines[2:]], "results.csv:2: expected the row of"),
+        ([lines[0], *lines[2:]], "results.csv:2: not the row"),
         ([lines[0].replace(b"status", b"state"), *lines[1:]], "expected the columns"),
-        ([lines[0], lines[1].replace(b"True", b"maybe"), *lines[2:]], "not a row"),
-        ([*lines, lines[-1]], "more rows"),
+        ([lines[0], lines[1].replace(b"True", b"maybe"), *lines[2:]], "results.csv:2: not the row"),
+        ([*lines, lines[-1]], "not the row"),
     ):
         (folder / "results.csv").write_bytes(b"".join(changed))
         with pytest.raises(InputError, match=reason):

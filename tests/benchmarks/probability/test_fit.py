@@ -138,12 +138,10 @@ def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
     assert "calibration error" in found.report and "key points" in found.report
     assert json.loads(found.models)["engine"]["sift"]["name"] == "scenes"
     assert len(found.figure.axes) == 2
-    likely = [
-        models["key_points"].probability(one.evidence) >= 0.5
-        for one in found.records
-        if one.evidence is not None
-    ]
-    right = [one.right for one in found.records if one.evidence is not None]
+    rows = [record(pair, OPTIONS) for pair in read_collection(out, "sift", sources)]
+    known = [row for row in rows if row.evidence is not None]
+    likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
+    right = [row.right for row in known]
     assert np.mean(np.equal(likely, right)) > 0.95
 
 
