@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any, Generic
 
-from dgc_pose.benchmarks.methods import MatchingPass, MatchingPasses, Method
+from dgc_pose.benchmarks.methods import MatchingPass, Method, Passes
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, score
@@ -31,7 +31,7 @@ class Evaluation(Generic[Score]):
 
     pairs: PairSet[Score]
     methods: Sequence[Method]
-    passes: MatchingPasses
+    passes: Passes
     workers: int = option(1, min=1)  # processes that estimate poses; one is this process
     batch: int = option(1, min=1)  # pairs that a network matches together
 
@@ -69,18 +69,22 @@ class Evaluation(Generic[Score]):
         return {
             "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
             "methods": [asdict(method) for method in self.methods],
-            "weights": self.passes.fingerprints,
+            "weights": {
+                options.weights: matching.matcher.fingerprint
+                for options, matching in self.passes.items()
+                if matching.matcher.fingerprint is not None
+            },
             "batch": self.batch,
             "device": device,
         }
 
     def _match(self, batch: Sequence[PosedPair]) -> list[list[MatchedPair[Score]]]:
         """The pairs of a batch, each by every method."""
-        passes = {id(matching): matching for matching in map(self.passes.of, self.methods)}
-        results = {key: _results(matching, batch) for key, matching in passes.items()}
+        keys = dict.fromkeys(method.matching_pass for method in self.methods)
+        results = {key: _results(self.passes[key], batch) for key in keys}
         return [
             [
-                self._selected(method, pair, results[id(self.passes.of(method))][number])
+                self._selected(method, pair, results[method.matching_pass][number])
                 for method in self.methods
             ]
             for number, pair in enumerate(batch)
@@ -88,7 +92,8 @@ class Evaluation(Generic[Score]):
 
     def _selected(self, method: Method, pair: PosedPair, result: _Result) -> MatchedPair[Score]:
         start = time.perf_counter()
-        matches = self.passes.of(method).matches(method, pair.image1, pair.image2, result.matched)
+        matching = self.passes[method.matching_pass]
+        matches = matching.matches(method, pair.image1, pair.image2, result.matched)
         selected = time.perf_counter() - start
         return MatchedPair(
             kind=self.pairs.kind,

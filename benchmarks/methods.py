@@ -12,9 +12,9 @@ one matching pass.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
-from pathlib import Path
+from functools import partial
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.errors import InputError
@@ -23,7 +23,6 @@ from dgc_pose.images.image import Image
 from dgc_pose.matchers import KINDS, DeviceName, MatcherCaches, MatcherOptions, refined
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
 from dgc_pose.refinement import RefinementOptions
@@ -33,11 +32,9 @@ from dgc_pose.system.options import field_types
 
 EVERYWHERE = "/all"
 _UNREFINED = RefinementOptions(source="none")
-_KEYS = {"source": "refine", "refine": "refine_pose"}  # of fields that are not called as their key
-
+_KEYS = {"source": "refine", "refine": "refine_pose"}  # of fields whose key is another word
 _SETTING = re.compile(r"[a-z]\w*=")
 
-Stem = Callable[[str, str], str]  # see FileMatcher
 Options = TypeVar("Options")
 
 
@@ -87,33 +84,7 @@ class MatchingPass:
         return refiner.refine(image1, image2, result).matches
 
 
-@dataclass(frozen=True)
-class MatchingPasses:
-    """What the methods match with."""
-
-    passes: Mapping[MatcherOptions, MatchingPass]
-
-    def of(self, method: Method) -> MatchingPass:
-        """The matching pass of a method."""
-        return self.passes[method.matching_pass]
-
-    @property
-    def caches(self) -> dict[str, MatcherCaches]:
-        """What is kept of images, by the name of the matcher."""
-        return {
-            options.weights: matching_pass.caches
-            for options, matching_pass in self.passes.items()
-            if matching_pass.caches is not None
-        }
-
-    @property
-    def fingerprints(self) -> dict[str, str]:
-        """Of weights, by the name of the matcher: a run is only resumed with the same weights."""
-        return {
-            options.weights: matching_pass.matcher.fingerprint
-            for options, matching_pass in self.passes.items()
-            if matching_pass.matcher.fingerprint is not None
-        }
+Passes = Mapping[MatcherOptions, MatchingPass]  # by `Method.matching_pass`
 
 
 def parse_methods(
@@ -138,10 +109,12 @@ def parse_methods(
     for text in specifications:
         if specifications.count(text) > 1:
             raise InputError(f"the method {text!r} is named twice")
-
-    def parse(text: str) -> Method:
-        return _parse(text, matcher or MatcherOptions(), estimation or EstimationOptions(), stored)
-
+    parse = partial(
+        _parse,
+        matcher=matcher or MatcherOptions(),
+        estimation=estimation or EstimationOptions(),
+        stored=stored,
+    )
     methods = [parse(text) for text in specifications]
     named = {method.matcher.weights for method in methods}
     methods += [parse(name) for name in stored if name not in named]
@@ -155,38 +128,34 @@ def load_passes(
     *,
     device: DeviceName,
     runtime: RuntimeName = "auto",
-    stored: Mapping[str, Path] | None = None,
-    stem: Stem | None = None,
+    stored: Mapping[str, Matcher] | None = None,
     keep_features: bool = False,
-) -> MatchingPasses:
+) -> Passes:
     """Load what the methods match with, each network once.
 
-    stored: folders of stored matches by name, whose files `stem` names. keep_features: whether what
-    is computed of an image serves later pairs of it, so that times are those of a list of pairs.
+    stored: matchers of stored matches by name. keep_features: whether what is computed of an image
+    serves later pairs of it, so that times are those of a list of pairs.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
-    folders = stored or {}
     caches: dict[str, MatcherCaches] = {}
     engines: dict[str, Engine | None] = {}
     passes: dict[MatcherOptions, MatchingPass] = {}
     for options in dict.fromkeys(method.matching_pass for method in methods):
         name = options.weights
-        if name in folders:
-            assert stem is not None
-            stored_matches = FileMatcher(folders[name], stem, name, options.matching)
-            passes[options] = MatchingPass(stored_matches)
+        if stored and name in stored:
+            passes[options] = MatchingPass(stored[name])
             continue
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
         wanted = replace(options, device=device, runtime=runtime)
         matcher = wanted.load(kept, engines.get(name))
         engines[name] = matcher.engine
         passes[options] = MatchingPass(matcher, kept)
-    return MatchingPasses(passes)
+    return passes
 
 
 def _parse(
-    text: str, matcher: MatcherOptions, estimation: EstimationOptions, stored: Sequence[str]
+    text: str, *, matcher: MatcherOptions, estimation: EstimationOptions, stored: Sequence[str]
 ) -> Method:
     parts = text.split(":")
     # A path may hold colons: the settings are what follows the last part that is none.

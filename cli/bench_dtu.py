@@ -112,15 +112,11 @@ def bench_dtu(
     views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
     pairs = dtu_pairs(dataset, views, protocol)
     require_images(pairs.pairs)
-    for directory in stored.values():
-        FileMatcher(directory, pairs.stem).require(pairs.stems)
+    files = {name: FileMatcher(path, pairs.stem, name) for name, path in stored.items()}
+    for stored_matches in files.values():
+        stored_matches.require(pairs.stems)
     passes = load_passes(
-        chosen,
-        device=run.device,
-        runtime=run.runtime,
-        stored=stored,
-        stem=pairs.stem,
-        keep_features=True,
+        chosen, device=run.device, runtime=run.runtime, stored=files, keep_features=True
     )
     evaluation = run.evaluation(pairs, chosen, passes)
     click.echo("\n".join(_opening(dataset, experiment.pairs, len(views))))
@@ -128,8 +124,9 @@ def bench_dtu(
     store = open_store(evaluation, experiment.out, run, settings, samples=True)
     write_pair_csv(out / "pairs.csv", views)
     scores = work(evaluation, store)
-    for name, caches in passes.caches.items():
-        if caches.features.asked:
+    caches_by_name = {options.weights: matching.caches for options, matching in passes.items()}
+    for name, caches in caches_by_name.items():
+        if caches is not None and caches.features.asked:
             made, asked = caches.features.made, caches.features.asked
             saved = 100 * (1 - made / asked)
             click.echo(f"{name}: {made} encoder passes instead of {asked}, {saved:.0f} % saved")

@@ -11,7 +11,7 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MatchingPasses, Method
+from dgc_pose.benchmarks.methods import Method, Passes
 from dgc_pose.benchmarks.posed_pairs import PairSet
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
@@ -48,7 +48,7 @@ class RunChoice:
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
 
     def evaluation(
-        self, pairs: PairSet[Score], methods: Sequence[Method], passes: MatchingPasses
+        self, pairs: PairSet[Score], methods: Sequence[Method], passes: Passes
     ) -> Evaluation[Score]:
         """Without --batch that of the device."""
         batch = self.batch or (GPU_BATCH if device_type(self.device) == "cuda" else 1)

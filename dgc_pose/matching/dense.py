@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -75,34 +76,40 @@ class DenseMatcher(Matcher):
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""
-        cache = feature_cache() if self.cache is None else self.cache
-        features = cache.get(*self._features(image, View.whole(image.size)))
+        view, cache = View.whole(image.size), self.cache or feature_cache()
+        features = cache.get((image, view), partial(self._encode, image, view))
         return np.concatenate(self.engine.coarsest(features))
 
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
-        """The map of each pair, with the cycle error if the options ask for one.
+        """The map of each pair, with the cycle error if the options ask for it.
 
-        Pairs are decoded together. Images are encoded one by one, so that the features of an image
-        are independent of the batch.
+        Pairs are decoded together. Each image is encoded alone, so that its features do not depend
+        on the batch.
         """
-        cache = feature_cache() if self.cache is None else self.cache
-        whole = [(View.whole(first.size), View.whole(second.size)) for first, second in pairs]
-        decoded = self._decode(pairs, whole, cache)
-        views = {
+        cache = self.cache or feature_cache()
+        views = [(View.whole(image1.size), View.whole(image2.size)) for image1, image2 in pairs]
+        decoded = self._decode(pairs, views, cache)
+        likely = {
             i: likely_views(self.engine, *pairs[i])
-            for i, (one, _) in enumerate(decoded)
-            if one.matchability.mean() < self.options.search_below
+            for i, (upright, _) in enumerate(decoded)
+            if upright.matchability.mean() < self.options.search_below
         }
-        suggested = {i: both for i, both in views.items() if both is not None}
-        again = self._decode([pairs[i] for i in suggested], list(suggested.values()), cache)
-        for (i, both), other in zip(suggested.items(), again, strict=True):
-            inside = both[1].inside(pairs[i][1].size, other[0].matchability.shape[::-1])
-            if other[0].matchability[inside].mean() > decoded[i][0].matchability.mean():
-                whole[i], decoded[i] = both, other
+        likely_by_pair = {i: pair_views for i, pair_views in likely.items() if pair_views}
+        again = self._decode(
+            [pairs[i] for i in likely_by_pair], list(likely_by_pair.values()), cache
+        )
+        for (i, pair_views), other in zip(likely_by_pair.items(), again, strict=True):
+            matchability = other[0].matchability
+            inside = pair_views[1].inside(pairs[i][1].size, matchability.shape[::-1])
+            if matchability[inside].mean() > decoded[i][0].matchability.mean():
+                views[i], decoded[i] = pair_views, other
         return [
-            self._upright_map(*pair, *both, *one)
-            for pair, both, one in zip(pairs, whole, decoded, strict=True)
+            self._upright_map(*images, *pair_views, *decoded_map)
+            for images, pair_views, decoded_map in zip(pairs, views, decoded, strict=True)
         ]
+
+    def _encode(self, image: Image, view: View) -> MapFeatures:
+        return self.engine.encode(view.cut(image.pixels))
 
     def _decode(
         self,
@@ -111,28 +118,22 @@ class DenseMatcher(Matcher):
         cache: FeatureCache,
     ) -> list[tuple[DecodedMap, np.ndarray | None]]:
         """The map between the views of each pair, and the cycle error if the options ask for it."""
-        wanted = [
-            self._features(pair[k], both[k])
+        sources, targets = (
+            [(pair[k], pair_views[k]) for pair, pair_views in zip(pairs, views, strict=True)]
             for k in (0, 1)
-            for pair, both in zip(pairs, views, strict=True)
-        ]
+        )
+        keys = [*sources, *targets]
+        wanted = [(key, partial(self._encode, *key)) for key in keys]
         features = cache.get_all(wanted, in_turn=not self.engine.concurrent)
         source, target = features[: len(pairs)], features[len(pairs) :]
-        finest = self.options.finest
-        forward = self.engine.decode(source, target, finest)
+        forward = self.engine.decode(source, target, self.options.finest)
         if self.options.cycle_px is None:
-            return [(one, None) for one in forward]
-        reverse = self.engine.decode(target, source, finest)
+            return [(decoded, None) for decoded in forward]
+        reverse = self.engine.decode(target, source, self.options.finest)
         return [
-            (one, _cycle_error(one, other, view2))
-            for one, other, (_, view2) in zip(forward, reverse, views, strict=True)
+            (there, _cycle_error(there, back, view2))
+            for there, back, (_, view2) in zip(forward, reverse, views, strict=True)
         ]
-
-    def _features(
-        self, image: Image, view: View
-    ) -> tuple[tuple[Image, View], Callable[[], MapFeatures]]:
-        """The key of the encoder's features of a view of an image, and what makes them."""
-        return (image, view), lambda: self.engine.encode(view.cut(image.pixels))
 
     def _upright_map(
         self,
@@ -140,25 +141,24 @@ class DenseMatcher(Matcher):
         image2: Image,
         view1: View,
         view2: View,
-        found: DecodedMap,
+        decoded: DecodedMap,
         cycle: np.ndarray | None,
     ) -> CorrespondenceMap:
         """The map over image 2 as it is, of one decoded between views.
 
         Cells that the view of image 2 does not show have matchability 0.
         """
-        values = [found.points, found.matchability, *(() if cycle is None else (cycle,))]
-        rows, columns = found.matchability.shape
-        grid = cell_centres((columns, rows), image2.size)
+        values = [decoded.points, decoded.matchability, *(() if cycle is None else (cycle,))]
+        cells = decoded.matchability.shape[::-1]
+        grid = cell_centres(cells, image2.size)
         if view2 != View.whole(image2.size):
             size = self.engine.config.input_size(image2.size)
             columns, rows = (side * self.options.finest // INPUT_SIZE for side in size)
             grid = cell_centres((columns, rows), image2.size)
             in_view = view2.to_view(grid)
-            cells = rescale(in_view, view2.size, found.matchability.shape[::-1])
-            values = [bilinear(value, cells) for value in values]
+            values = [bilinear(value, rescale(in_view, view2.size, cells)) for value in values]
             values[1] = np.where(within(in_view, view2.size), values[1], np.float32(0))
-        points1 = view1.to_image(rescale(values[0], found.size, view1.size))
+        points1 = view1.to_image(rescale(values[0], decoded.size, view1.size))
         return CorrespondenceMap(
             map=points1.astype(np.float32),
             grid=grid.astype(np.float32),
@@ -192,9 +192,8 @@ def load_dense_matcher(
 def _cycle_error(forward: DecodedMap, reverse: DecodedMap, view2: View) -> np.ndarray:
     """Distance (H, W) float32 between each cell of image 2's view and its image under both maps, in
     pixels of image 2."""
-    rows, columns = reverse.matchability.shape
-    returned = bilinear(reverse.points, rescale(forward.points, forward.size, (columns, rows)))
-    rows, columns = forward.matchability.shape
-    offset = returned - cell_centres((columns, rows), reverse.size)
+    cells1, cells2 = (decoded.matchability.shape[::-1] for decoded in (reverse, forward))
+    returned = bilinear(reverse.points, rescale(forward.points, forward.size, cells1))
+    offset = returned - cell_centres(cells2, reverse.size)
     pixel = np.divide(view2.size, reverse.size) / view2.scale
     return np.linalg.norm(offset * pixel, axis=-1).astype(np.float32)

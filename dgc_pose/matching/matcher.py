@@ -40,10 +40,9 @@ class CorrespondenceMap:
         areas = [w * h / cells for w, h in (self.size1, self.size2)]
         return sum(math.sqrt(area) for area in areas) / 2
 
-    def sample(self, side: int) -> Matches:
-        """Every k-th cell of every k-th row as matches, so that at most `side` are in a row."""
-        rows, columns = self.matchability.shape
-        step = max(1, -(-max(rows, columns) // side))
+    def sample(self) -> Matches:
+        """Every k-th cell of every k-th row as matches, `_SAMPLE` in a row at most."""
+        step = max(1, -(-max(self.matchability.shape) // _SAMPLE))
         cells = (slice(step // 2, None, step), slice(step // 2, None, step))
         return Matches(
             self.map[cells].reshape(-1, 2),
@@ -64,9 +63,7 @@ class MatchResult:
     def map_matches(self) -> Matches | None:
         """An even sample of the map, whatever its matchability, which is their confidence; None
         without a map. Evidence for or against a pose, not matches to estimate one from."""
-        if self.correspondence_map is None:
-            return None
-        return self.correspondence_map.sample(_SAMPLE)
+        return None if self.correspondence_map is None else self.correspondence_map.sample()
 
 
 class Matcher(ABC):

@@ -1,10 +1,10 @@
 """Which rotation and scale between two images makes the network sure of its matches.
 
-The network is trained on upright pairs of similar scale. Small copies of one image, rotated by
+The network is trained on upright pairs of similar scale. Small copies of an image, rotated by
 twelve angles, are compared with the other image, at equal fields of view and at fields that differ
-by 2 and by 4. Of all, the copy is taken whose coarse matching distribution has the lowest mean
-entropy, as REDI-Match does for quarter turns; nothing is trained for it. The most probable matches
-of that copy then give the similarity, from which the views of both images are cut.
+by 2 and by 4. The copy with the lowest mean entropy of the coarse matching distribution is taken,
+as REDI-Match does for quarter turns; nothing is trained for it. Its most probable matches give the
+similarity that the views of both images are cut by.
 
 Entropies are relative to each other within a pair, so that no bound depends on the weights'
 temperature.
@@ -78,23 +78,24 @@ class _Candidate:
 def likely_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
     """Views of both images at one rotation and scale; None if the images as they are match best.
 
-    An image that the network squeezes is not rotated: its copy would be nearly all border, and many
-    times as large as others.
+    An image that the network squeezes is not rotated: its copy would be nearly all border.
     """
     if any(max(image.size) > LONGEST * min(image.size) for image in (image1, image2)):
         return None
     thumbnails = _Thumbnails(engine, image1, image2)
-    found = [thumbnails.compare(angle, 0) for angle in _ANGLES]
-    upright = found[0].entropy
-    if _best(found).entropy > _CLEAR * _median(found):
-        found += [
+    candidates = [thumbnails.compare(angle, 0) for angle in _ANGLES]
+    upright, best = candidates[0], min(candidates, key=_entropy)
+    median = float(np.median([_entropy(candidate) for candidate in candidates]))
+    if best.entropy > _CLEAR * median:
+        candidates += [
             thumbnails.compare(angle, sign * octave)
             for octave in _OCTAVES
             for angle in _FEWER_ANGLES
             for sign in (1, -1)
         ]
-    best = _best(found)
-    if best is found[0] or best.entropy > _LOWER * min(upright, _median(found)):
+        best = min(candidates, key=_entropy)
+        median = float(np.median([_entropy(candidate) for candidate in candidates]))
+    if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
     return _views(best, image1.size, image2.size)
 
@@ -116,23 +117,23 @@ class _Thumbnails:
     def compare(self, angle_deg: int, octave: int) -> _Candidate:
         """The image of the smaller field of view is rotated, and shrunk to the other's scale."""
         small = 1 if octave >= 0 else 0
-        one = self._thumbnail(small, angle_deg if small == 1 else -angle_deg, 0)
-        other = self._thumbnail(1 - small, 0, abs(octave))
+        rotated = self._thumbnail(small, angle_deg if small == 1 else -angle_deg, 0)
+        wide = self._thumbnail(1 - small, 0, abs(octave))
         logarithms = matching_distribution(
-            other.features, one.features, one.inside, self.engine.correlation_scales
+            wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
         )
         peaks = logarithms.max(0)
         sure = peaks >= np.median(peaks)
-        large = other.points(self._sizes[1 - small])[logarithms.argmax(0)][sure]
-        own = one.points(self._sizes[small])[sure]
-        pixel = other.pixel_of(self._sizes[1 - small])
+        in_wide = wide.points(self._sizes[1 - small])[logarithms.argmax(0)][sure]
+        in_rotated = rotated.points(self._sizes[small])[sure]
+        pixel = wide.pixel_of(self._sizes[1 - small])
         return _Candidate(
             angle_deg,
             octave,
             mean_entropy(logarithms),
-            large if small == 1 else own,
-            own if small == 1 else large,
-            pixel / one.pixel_of(self._sizes[small]),
+            in_wide if small == 1 else in_rotated,
+            in_rotated if small == 1 else in_wide,
+            pixel / rotated.pixel_of(self._sizes[small]),
             STRIDE * pixel,
         )
 
@@ -158,17 +159,17 @@ def matching_distribution(
 
     scales: inverse temperatures of the levels, the coarsest first; at most two are compared.
     """
-    rows = np.flatnonzero(inside)
-    evidence = scales[0] * (_rows(source.coarse) @ _rows(target.coarse)[rows].T)
+    cells = np.flatnonzero(inside)
+    coarse1, coarse2 = (
+        features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
+    )
+    evidence = scales[0] * (coarse1 @ coarse2[cells].T)
     if len(scales) > 1:
         children1, children2 = (
-            cells.transpose(1, 0, 2)
-            for cells in (source.middle_by_cell, target.middle_by_cell[rows])
+            children.transpose(1, 0, 2).reshape(-1, children.shape[2])
+            for children in (source.middle_by_cell, target.middle_by_cell[cells])
         )
-        cosines = (
-            children1.reshape(-1, children1.shape[2]) @ children2.reshape(-1, children2.shape[2]).T
-        )
-        four = cosines.reshape(4, len(evidence), 4, len(rows))
+        four = (children1 @ children2.T).reshape(4, len(evidence), 4, len(cells))
         evidence = evidence + scales[1] * four.max(0).mean(1)
     return log_softmax(match_scores(evidence), 0)
 
@@ -238,14 +239,5 @@ def _whole(size: tuple[int, int], angle_deg: float) -> View:
     return View.whole(size, angle_deg, min(1.0, _PIXELS / math.sqrt(math.prod(size))))
 
 
-def _best(found: list[_Candidate]) -> _Candidate:
-    return min(found, key=lambda one: one.entropy)
-
-
-def _median(found: list[_Candidate]) -> float:
-    return float(np.median([one.entropy for one in found]))
-
-
-def _rows(level: np.ndarray) -> np.ndarray:
-    """The cells of a level (h, w, C) one by one: (h * w, C)."""
-    return level.reshape(-1, level.shape[2])
+def _entropy(candidate: _Candidate) -> float:
+    return candidate.entropy

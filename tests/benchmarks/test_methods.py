@@ -14,6 +14,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
+from dgc_pose.matching.files import FileMatcher
 from dgc_pose.refinement import RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
@@ -134,10 +135,10 @@ def test_points_have_no_everywhere() -> None:
 
 def test_a_matcher_is_loaded_once(tmp_path) -> None:
     methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
-    folders = {"mine": tmp_path}
-    loaded = load_passes(methods, device="cpu", stored=folders, stem=lambda *names: "pair")
-    assert [options.weights for options in loaded.passes] == ["dis", "mine"]
-    assert not loaded.caches
+    mine = FileMatcher(tmp_path, lambda *names: "pair")
+    loaded = load_passes(methods, device="cpu", stored={"mine": mine})
+    assert [options.weights for options in loaded] == ["dis", "mine"]
+    assert loaded[methods[2].matching_pass].matcher is mine
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
         load_passes(parse_methods(["nowhere"]), device="cpu")
 
@@ -146,9 +147,8 @@ def test_a_network_is_read_once_for_all_its_passes() -> None:
     names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
     methods = parse_methods(names)
     loaded = load_passes(methods, device="cpu", keep_features=True)
-    assert len(loaded.passes) == 2
-    assert set(loaded.caches) == set(loaded.fingerprints) == {"dgcm-lite0"}
-    refined, coarse, plain = (loaded.of(method) for method in methods)
+    assert len(loaded) == 2
+    refined, coarse, plain = (loaded[method.matching_pass] for method in methods)
     assert coarse is plain is not refined
     assert coarse.matcher.engine is refined.matcher.engine is not None
     assert coarse.caches is refined.caches

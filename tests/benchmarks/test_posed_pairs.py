@@ -12,7 +12,7 @@ from photos import write_photos
 
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MatchingPass, MatchingPasses, Method
+from dgc_pose.benchmarks.methods import MatchingPass, Method
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPosedPairs, require_images
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
@@ -54,7 +54,7 @@ def run(pairs, matchers, options):
         Method(name, MatcherOptions(name, refinement=unrefined), options) for name in matchers
     ]
     passes = {one.matching_pass: MatchingPass(matchers[one.name]) for one in methods}
-    for scored in Evaluation(ListedPairs(pairs), methods, MatchingPasses(passes)).run():
+    for scored in Evaluation(ListedPairs(pairs), methods, passes).run():
         yield from (one.score for one in scored)
 
 

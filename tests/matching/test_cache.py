@@ -12,7 +12,8 @@ from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher, MatchingOptions
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.dense import feature_cache
-from dgc_pose.matching.sift import SiftMatcher, key_point_cache
+from dgc_pose.matching.key_points import key_point_cache
+from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dgc_pose.images.image import Image
-from dgc_pose.matching.sift import SiftMatcher, SiftOptions
+from dgc_pose.matching.sift import RATIO, SiftMatcher
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
 
@@ -19,7 +19,7 @@ def test_matches_lie_on_the_true_map() -> None:
     seen = pair.visible[y, x]
     error = np.linalg.norm(pair.map[y, x] - matches.points1, axis=1)[seen]
     assert np.median(error) < 1.0 and (error < 3).mean() > 0.8
-    assert matches.confidence.min() >= 1 - SiftOptions().ratio
+    assert matches.confidence.min() >= 1 - RATIO
     assert matches.key_points
 
 

@@ -18,7 +18,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FlowMatcher
-from dgc_pose.matching.sift import SiftMatcher, SiftOptions
+from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
 from dgc_pose.refinement import Refiner
 from dgc_pose.refinement.refiner import MapMatches
@@ -65,7 +65,7 @@ def _stored(folder: Path) -> FileMatcher:
 SOURCES: dict[str, Callable[[Path], Matcher]] = {
     "map": lambda folder: _Everywhere(),
     "map refined": lambda folder: Refiner(_Everywhere(), [MapMatches()]),
-    "sift": lambda folder: SiftMatcher(SiftOptions(features=1000)),
+    "sift": lambda folder: SiftMatcher(),
     "files": _stored,
     "files refined": lambda folder: Refiner(_stored(folder)),
     "dis": lambda folder: FlowMatcher(),
