@@ -34,18 +34,20 @@ def run_sift(
     root: Path | None = None,
     pairs: str | None = "exhaustive",
     K: str | None = K_text(),  # noqa: B008, a constant
+    matcher: MatcherOptions = MatcherOptions("sift"),  # noqa: B008
     estimation: EstimationOptions = EstimationOptions(runs=1, iterations=300),  # noqa: B008
     workers: int = 1,
     resume: bool = False,
     start_workers: Workers = local_workers,
 ) -> Batch:
-    """A batch with SIFT, and the K of the rendered views; K None for guessed focal lengths."""
+    """A batch, by default with SIFT and the K of the rendered views; K None: focal lengths are
+    guessed."""
     return run_batch(
         open_source(source, root),
         read_calibration(K, guess=K is None),
         None if pairs is None else parse_pair_choice(pairs),
         out,
-        matcher=MatcherOptions("sift"),
+        matcher=matcher,
         estimation=estimation,
         options=BatchOptions(workers=workers, resume=resume),
         start_workers=start_workers,

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, contextmanager
 from functools import cached_property
-from typing import Protocol
 
 import cv2
 
@@ -18,12 +17,8 @@ from dgc_pose.system.processes import process_pools
 
 # Worked through in any order; the same outcomes whatever the workers.
 RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
-
-
-class Workers(Protocol):
-    """Starts workers for a job; within the context tasks can be run, several times."""
-
-    def __call__(self, job: Job, workers: int) -> AbstractContextManager[RunTasks]: ...
+# Starts so many workers for a job; within the context tasks can be run, several times.
+Workers = Callable[[Job, int], AbstractContextManager[RunTasks]]
 
 
 @contextmanager

@@ -8,8 +8,9 @@ with the fewest loads is taken. If all images fit, each is loaded once by each w
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -42,17 +43,10 @@ def tile_order(pairs: np.ndarray, count: int, capacity: int) -> np.ndarray:
 def loads(pairs: np.ndarray, capacity: int) -> int:
     """How often an image is loaded for pairs (P, 2) in this order, if the memory holds `capacity`
     images and drops the least recently used."""
-    held: OrderedDict[int, None] = OrderedDict()
-    count = 0
+    load = lru_cache(capacity)(lambda image: None)
     for image in pairs.ravel().tolist():
-        if image in held:
-            held.move_to_end(image)
-            continue
-        count += 1
-        held[image] = None
-        if len(held) > capacity:
-            held.popitem(last=False)
-    return count
+        load(image)
+    return load.cache_info().misses
 
 
 def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:

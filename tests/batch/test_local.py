@@ -11,13 +11,8 @@ from pathlib import Path
 
 import pytest
 from batch_runs import assert_same_result, run_sift, view_folder
-from multi_view import K_text
 
-from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.local import RunTasks, local_workers
-from dgc_pose.batch.pair_choice import parse_pair_choice
-from dgc_pose.batch.run import BatchOptions, run_batch
-from dgc_pose.batch.source import open_source
 from dgc_pose.batch.work import Describe, Job, Outcome, Task
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions
@@ -54,15 +49,8 @@ def test_what_cannot_be_loaded_is_said_as_by_the_matcher(
     (tmp_path / "damaged.safetensors").write_bytes(b"\x08\0\0\0\0\0\0\0{}")
     path = tmp_path / weights if weights.startswith("damaged") else weights
     with pytest.raises(error, match=words):
-        run_batch(
-            open_source(photos),
-            read_calibration(K_text()),
-            parse_pair_choice("exhaustive"),
-            tmp_path / "out",
-            matcher=MatcherOptions(str(path), device=device),
-            estimation=EstimationOptions(),
-            options=BatchOptions(workers=workers),
-        )
+        options = MatcherOptions(str(path), device=device)
+        run_sift(photos, tmp_path / "out", matcher=options, workers=workers)
     assert not (tmp_path / "out").exists()
     assert capfd.readouterr() == ("", "")
 

@@ -9,18 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
-from multi_view import K_text
 
-from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.rows import read_rows
-from dgc_pose.batch.run import BatchOptions, read_batch, run_batch
+from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
+from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import SiftMatcher
 
 COUNT = 4
@@ -135,20 +134,16 @@ def test_a_photograph_that_was_touched_gives_the_same(
     assert_same_result(out, whole)
 
 
-class _Raises:
-    """`SiftMatcher._match` that raises once an image is LAST."""
+def _raising(error: Exception) -> Callable[..., object]:
+    """`SiftMatcher._match`, but raising once an image is LAST."""
+    match = SiftMatcher._match
 
-    def __init__(self, error: Exception) -> None:
-        self.error = error
-        self.match = SiftMatcher._match
+    def raising(matcher: SiftMatcher, image1: Image, image2: Image) -> object:
+        if image2.name.endswith(LAST):
+            raise error
+        return match(matcher, image1, image2)
 
-    def __call__(self) -> Callable[..., object]:
-        def match(matcher: SiftMatcher, image1: object, image2: object) -> object:
-            if str(getattr(image2, "name", "")).endswith(LAST):
-                raise self.error
-            return self.match(matcher, image1, image2)  # type: ignore[arg-type]
-
-        return match
+    return raising
 
 
 def test_a_failure_is_no_bad_input_and_is_matched_again(
@@ -156,7 +151,7 @@ def test_a_failure_is_no_bad_input_and_is_matched_again(
 ) -> None:
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(SiftMatcher, "_match", _Raises(np.linalg.LinAlgError("singular"))())
+        patch.setattr(SiftMatcher, "_match", _raising(np.linalg.LinAlgError("singular")))
         batch = run_sift(photos, out)
     failed = [row for row in batch.rows if row.status == "failed"]
     assert [row.name2 for row in failed] == [LAST] * (COUNT - 1)
@@ -171,7 +166,7 @@ def test_a_lack_of_memory_ends_the_batch_which_resumes(
 ) -> None:
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr(SiftMatcher, "_match", _Raises(MemoryError("60 GiB"))())
+        patch.setattr(SiftMatcher, "_match", _raising(MemoryError("60 GiB")))
         with pytest.raises(MemoryError, match="60 GiB"):
             run_sift(photos, out)
     with pytest.raises(InputError, match="not finished"):
@@ -196,9 +191,7 @@ def test_warnings_of_images_and_cameras_are_in_the_rows(photos: Path, tmp_path: 
 
 
 def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
-    from PIL import Image
-
-    with Image.open(photos / "view0.png") as image:
+    with PIL.Image.open(photos / "view0.png") as image:
         exif = image.getexif()
         exif[0x0112] = 6
         image.save(photos / "view0.jpg", exif=exif, quality=95)
@@ -220,20 +213,15 @@ def test_another_list_of_pairs_of_the_same_photographs(photos: Path, tmp_path: P
         run_sift(listed, tmp_path / "out", pairs=None, resume=True)
 
 
-def test_a_batch_without_pairs_has_an_empty_result(photos: Path, tmp_path: Path) -> None:
+def test_a_batch_without_pairs_has_an_empty_result(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As where no image can be compared with another; also when it is resumed before its result."""
     out = tmp_path / "out"
     none = replace(open_source(photos), pairs=())
+    monkeypatch.setattr("batch_runs.open_source", lambda *_: none)
     for resume in (False, True):
-        batch = run_batch(
-            none,
-            read_calibration(K_text()),
-            None,
-            out,
-            matcher=MatcherOptions("sift"),
-            estimation=EstimationOptions(),
-            options=BatchOptions(resume=resume),
-        )
+        batch = run_sift(photos, out, pairs=None, resume=resume)
         assert batch.rows == [] and batch.summary["pairs"] == 0
         (out / "summary.json").unlink()
 
