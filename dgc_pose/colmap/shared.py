@@ -65,28 +65,13 @@ class SharedMatches:
         return lengths[lengths > 1]
 
 
-def fits_pose(
-    row: PairRow,
-    cameras: Mapping[str, Camera],
-    points1: np.ndarray,
-    points2: np.ndarray,
-    max_error_px: float,
-) -> np.ndarray:
-    """Whether matches (N, 2) fit the pose of a row: Sampson distance, in pixels of the originals.
-
-    All fit a row without a translation.
-    """
-    distance = epipolar_error_px(row, cameras, points1, points2)
-    return np.ones(len(points1), bool) if distance is None else distance <= max_error_px
-
-
 def epipolar_error_px(
     row: PairRow, cameras: Mapping[str, Camera], points1: np.ndarray, points2: np.ndarray
-) -> np.ndarray | None:
+) -> np.ndarray:
     """Sampson distances (N,) of matches to the pose of a row, pixels of the originals; infinite
-    where distortion cannot be undone, and None for a row without a translation."""
+    where distortion cannot be undone, and 0 for a row without a translation."""
     if row.R is None or row.t is None:
-        return None
+        return np.zeros(len(points1))
     camera1, camera2 = cameras[row.name1], cameras[row.name2]
     E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
     focal = (camera1.focal + camera2.focal) / 2

@@ -22,7 +22,7 @@ from dgc_pose.colmap.shared import (
     Names,
     PairGeometry,
     SharedMatches,
-    fits_pose,
+    epipolar_error_px,
     one_to_one,
     pairs_by_image,
 )
@@ -107,7 +107,7 @@ def _tracks_of(
         if pair.row.name1 == name:
             points1, points2 = points2, points1
         tolerance = _MAX_ERROR_PX * max(1.0, scale)
-        good &= fits_pose(pair.row, cameras, points1, points2, tolerance)
+        good &= epipolar_error_px(pair.row, cameras, points1, points2) <= tolerance
         arrays = (aligned.index, aligned.points1, aligned.zncc)
         tracks.append(Track(other, *(array[good] for array in arrays)))
     return corners, tracks
@@ -216,7 +216,7 @@ class _Builder:
             track1.corner, track2.corner, assume_unique=True, return_indices=True
         )
         points = track1.points[in1], track2.points[in2]
-        fits = fits_pose(self._rows[names], self._cameras, *points, _MAX_ERROR_PX)
+        fits = epipolar_error_px(self._rows[names], self._cameras, *points) <= _MAX_ERROR_PX
         in1, in2 = in1[fits], in2[fits]
         scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
         self._add_matches(names, index1[in1], index2[in2], scores)

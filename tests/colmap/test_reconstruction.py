@@ -14,11 +14,10 @@ import numpy as np
 import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
-from click.testing import CliRunner
+from command_line import assert_refused, run
 from multi_view import K_text, View
 
 from dgc_pose.batch.run import Batch, read_batch
-from dgc_pose.cli.main import main
 from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.options import (
     MapperName,
@@ -84,10 +83,8 @@ def test_cameras_are_those_that_rendered_the_views(
 
 def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    arguments = ["reconstruct", str(views[0]), "--out", str(out), "--K", K_text(), *SIFT]
-    arguments += ["--workers", "1"]
-    done = CliRunner().invoke(main, arguments)
-    assert done.exit_code == 0, done.output
+    arguments = ("reconstruct", views[0], "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
+    assert run(*arguments).exit_code == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["images"] == summary["registered"] == COUNT
     assert summary["pairs"] == 10
@@ -95,52 +92,36 @@ def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_pa
     assert set(summary["seconds"]) == {"match", "map"}
     expected = {"batch", "database.db", "sparse", "points.ply", "picture.png", "summary.json"}
     assert {path.name for path in out.iterdir()} == expected
-    refused = CliRunner().invoke(main, arguments)
-    assert refused.exit_code == 2
-    assert "is there already" in refused.output
-    again = CliRunner().invoke(main, [*arguments, "--resume"])
-    assert again.exit_code == 0
-    assert f"{COUNT} of {COUNT} images" in again.output
+    assert_refused(run(*arguments), "is there already")
+    assert f"{COUNT} of {COUNT} images" in run(*arguments, "--resume").output
 
 
 def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
-    """To COLMAP, and to hloc's files, read as hloc reads them."""
-    database, hloc = tmp_path / "database.db", tmp_path / "hloc"
-    arguments = ["export-colmap", str(batch.folder), "--database", str(database)]
-    done = CliRunner().invoke(main, [*arguments, "--hloc", str(hloc), "--sharing", "cells"])
-    assert done.exit_code == 0, done.output
-    with pycolmap.Database.open(database) as opened:
-        assert opened.num_images() == COUNT
-        assert opened.num_verified_image_pairs() == 10
-    before = database.read_bytes()
-    refused = CliRunner().invoke(main, arguments)
-    assert refused.exit_code == 2
-    assert "--overwrite" in refused.output
-    assert database.read_bytes() == before
-    assert CliRunner().invoke(main, [*arguments, "--overwrite"]).exit_code == 0
-    assert CliRunner().invoke(main, arguments[:2]).exit_code == 2
-    _assert_hloc_reads(hloc, before)
-
-
-def _assert_hloc_reads(folder: Path, database: bytes) -> None:
-    """What hloc's triangulation puts into a database from its files is what was exported there.
+    """To COLMAP, and to hloc's files: what hloc's triangulation puts into a database from these is
+    what was exported there.
 
     It reads `keypoints` and adds half a pixel; it looks for a pair as `name0/name1` or the other
     way round, and takes the `matches0` that are not -1.
     """
-    path = folder / "exported.db"
-    path.write_bytes(database)
+    path, hloc = tmp_path / "database.db", tmp_path / "hloc"
+    arguments = ("export-colmap", batch.folder, "--database", path, "--sharing", "cells")
+    assert run(*arguments, "--hloc", hloc).exit_code == 0
+    assert_refused(run(*arguments), "--overwrite")
+    assert run(*arguments, "--overwrite").exit_code == 0
+    assert_refused(run(*arguments[:2]), "give --database, or --hloc")
     with (
         pycolmap.Database.open(path) as exported,
-        h5py.File(folder / "features.h5") as features,
-        h5py.File(folder / "matches.h5") as matches,
+        h5py.File(hloc / "features.h5") as features,
+        h5py.File(hloc / "matches.h5") as matches,
     ):
+        assert exported.num_images() == COUNT
+        assert exported.num_verified_image_pairs() == 10
         ids = {image.name: image.image_id for image in exported.read_all_images()}
         for name, number in ids.items():
             points = np.asarray(features[name]["keypoints"])
             np.testing.assert_array_equal(points + 0.5, exported.read_keypoints(number)[:, :2])
             assert len(features[name]["scores"]) == len(points)
-        lines = (folder / "pairs.txt").read_text().splitlines()
+        lines = (hloc / "pairs.txt").read_text().splitlines()
         assert len(lines) == 10
         for line in lines:
             for name0, name1 in (line.split(), line.split()[::-1]):
