@@ -47,16 +47,15 @@ def test_normalise_inverts_K_with_its_skew() -> None:
     np.testing.assert_allclose(Camera(K).normalise(pixels), expected, atol=1e-13)
 
 
-def test_no_points_are_no_error() -> None:
-    distorted = parse_camera(text_of(colmap_camera("OPENCV", [-0.2, 0.05, 0.001, 0], 2)))
-    for camera in (Camera(K), distorted):
-        assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
-
-
-@pytest.mark.parametrize("shape", [(2,), (4, 3), (2, 2, 2)])
-def test_points_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="points"):
-        Camera(K).normalise(np.zeros(shape))
+@pytest.mark.parametrize("distortion", [None, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001))])
+def test_points_that_are_none_not_finite_or_of_another_shape(distortion: Distortion | None) -> None:
+    camera = Camera(K, SIZE, distortion)
+    assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
+    normalised = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
+    assert np.isfinite(normalised).all(axis=1).tolist() == [False, False, True]
+    for shape in ((2,), (4, 3), (2, 2, 2)):
+        with pytest.raises(InputError, match="points"):
+            camera.normalise(np.zeros(shape))
 
 
 def test_a_camera_keeps_its_own_matrix() -> None:
@@ -124,8 +123,8 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
     spot[26, 41] = 1
     blurred = cv2.GaussianBlur(spot, (0, 0), 4)
     small = camera.resized((20, 16))
-    found = centre_of_mass(resize_by_areas(blurred, 4))
-    np.testing.assert_allclose(small.K[:2, 2], found, atol=1e-3)
+    spot_in_small = centre_of_mass(resize_by_areas(blurred, 4))
+    np.testing.assert_allclose(small.K[:2, 2], spot_in_small, atol=1e-3)
     assert (small.K[0, 0], small.size) == (25, (20, 16))
     naive = camera.K[:2, 2] / 4
     assert np.abs(naive - small.K[:2, 2]).min() > 0.3
@@ -344,21 +343,15 @@ def test_what_opencv_distorts_is_undone(model: str, coefficients: tuple[float, .
 def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
     fisheye = parse_camera("SIMPLE_FISHEYE,640,480,100,320,240")
     beyond = np.array([[319.5 + 100 * np.pi / 2 + 1, 239.5], [319.5 + 100, 239.5]])
-    found = fisheye.normalise(beyond)
-    assert np.isnan(found[0]).all()
-    np.testing.assert_allclose(found[1], [np.tan(1), 0], atol=1e-9)
+    normalised = fisheye.normalise(beyond)
+    assert np.isnan(normalised[0]).all()
+    np.testing.assert_allclose(normalised[1], [np.tan(1), 0], atol=1e-9)
     # x (1 - 0.4 x^2) never exceeds 0.61.
     barrel = Camera(np.eye(3), None, Distortion("SIMPLE_RADIAL", (-0.4,)))
-    found = barrel.normalise(np.array([[0.7, 0.0], [0.3, 0.0]]))
-    assert np.isnan(found[0]).all()
-    assert found[1, 0] * (1 - 0.4 * found[1, 0] ** 2) == pytest.approx(0.3, abs=1e-9)
-
-
-def test_points_that_are_not_finite_stay_so() -> None:
-    camera = parse_camera(text_of(colmap_camera("OPENCV", [-0.2, 0.05, 0.002, -0.001], 2)))
-    found = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
-    assert not np.isfinite(found[:2]).all(axis=1).any()
-    assert np.isfinite(found[2]).all()
+    normalised = barrel.normalise(np.array([[0.7, 0.0], [0.3, 0.0]]))
+    assert np.isnan(normalised[0]).all()
+    x = normalised[1, 0]
+    assert x * (1 - 0.4 * x**2) == pytest.approx(0.3, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -26,18 +28,15 @@ def pair_file(tmp_path, text, name="pairs.txt"):
 def test_fields_are_read_in_superglues_order(tmp_path):
     k1 = " ".join(str(v) for v in [500, 1, 320, 0, 510, 240, 0, 0, 1])
     k2 = " ".join(str(v) for v in [700, 2, 420, 0, 710, 340, 0, 0, 1])
-    (pair,) = read_pairs(pair_file(tmp_path, line(names="x/a.png y/b.png", k1=k1, k2=k2)))
+    path = pair_file(tmp_path, line(names="x/a.png y/b.png", k1=k1, k2=k2))
+    (pair,) = read_pairs(path)
     assert (pair.name1, pair.name2) == ("x/a.png", "y/b.png")
     assert (pair.path1, pair.path2) == (tmp_path / "x/a.png", tmp_path / "y/b.png")
+    assert read_pairs(path, root="images")[0].path1 == Path("images/x/a.png")
     assert np.array_equal(pair.camera1.K, [[500, 1, 320], [0, 510, 240], [0, 0, 1]])
     assert np.array_equal(pair.camera2.K, [[700, 2, 420], [0, 710, 340], [0, 0, 1]])
     assert np.allclose(pair.R, R, atol=1e-12)
     assert np.array_equal(pair.t, [1, 2, -3])
-
-
-def test_root_replaces_the_folder_of_the_list(tmp_path):
-    (pair,) = read_pairs(pair_file(tmp_path, line()), root=tmp_path / "images")
-    assert pair.path1 == tmp_path / "images" / "a.png"
 
 
 def test_blank_lines_are_passed_over_but_counted(tmp_path):
@@ -93,12 +92,10 @@ def changed(row, column, value):
 
 BAD_LINES = {
     "short": ("a.png b.png 0 0\n", "needs 38 fields, and this line has 4"),
-    "long": (line().strip() + " 7\n", "needs 38 fields, and this line has 39"),
     "word": (line(k1="500 0 320 0 f 240 0 0 1"), "could not convert string to float: 'f'"),
     "nan": (line(k2="nan 0 320 0 510 240 0 0 1"), "must be finite"),
     "negative focal": (line(k1="-500 0 320 0 510 240 0 0 1"), "K1 "),
     "K of K2": (line(k2="500 0 320 0 510 240 0 0 2"), "K2 "),
-    "scaled rotation": (line(pose=changed(0, 0, 1.5)), "not a rotation"),
     "mirror": (line(pose=mirrored()), "not a rotation"),
     "last row": (line(pose=changed(3, 2, 1.0)), "last row of T must be 0 0 0 1"),
     "no translation": (

@@ -52,16 +52,16 @@ class Options:
 
 
 def _invoke(*words: str, **settings: Any) -> tuple[Any, Any]:
-    got: list[Any] = []
+    passed: list[Any] = []
 
     @click.command()
     @dataclass_options(Options, "options", **settings)
     @click.option("--own", default=1)
     def command(options: Options, own: int) -> None:
-        got.append(options)
+        passed.append(options)
 
     result = CliRunner().invoke(command, words)
-    return result, got[0] if got else None
+    return result, passed[0] if passed else None
 
 
 def test_without_words_the_class_has_its_own_defaults() -> None:

@@ -10,11 +10,11 @@ from dgc_pose.files.outputs import staged, writing
 
 
 def test_outputs_appear_together_at_the_end(tmp_path):
-    one, two = str(tmp_path / "one.txt"), str(tmp_path / "two.txt")
-    with staged(one, None, two) as stage:
-        stage(one).write_text("1")
-        stage(two).write_text("2")
-        assert not os.path.exists(one) and not os.path.exists(two)
+    first, second = str(tmp_path / "one.txt"), str(tmp_path / "two.txt")
+    with staged(first, None, second) as stage:
+        stage(first).write_text("1")
+        stage(second).write_text("2")
+        assert not os.path.exists(first) and not os.path.exists(second)
     assert sorted(os.listdir(tmp_path)) == ["one.txt", "two.txt"]
     assert (tmp_path / "one.txt").read_text() == "1"
     assert (tmp_path / "two.txt").read_text() == "2"

@@ -169,13 +169,6 @@ def test_a_raw_file_is_no_photograph_of_the_size_of_its_thumbnail(
         load_image(path)
 
 
-@pytest.mark.parametrize("name", ["photo", "photo.jfif", "photo.mp4", "photo.HEIC"])
-def test_the_content_tells_the_format(tmp_path: Path, rgb: np.ndarray, name: str) -> None:
-    path = tmp_path / name
-    PIL.Image.fromarray(rgb).save(path, "PNG")
-    np.testing.assert_array_equal(load_image(path).pixels, rgb)
-
-
 def heic(path: Path, pixels: np.ndarray, orientation: int = 1) -> Path:
     """An orientation becomes HEIF's own rotation, as in the files of telephones."""
     pytest.importorskip("pillow_heif").register_heif_opener()
