@@ -53,13 +53,13 @@ class TrainFiles:
 
     def load_real(self) -> DepthScenes | None:
         """The frames that train; the rest of each sequence is held back."""
-        from dgc_pose.synthesis.depth_scenes import PAIR_CHOICES, hold_back, load_depth_scenes
+        from dgc_pose.synthesis.depth_scenes import FRAME_PAIRS, load_depth_scenes, training_frames
         from dgc_pose.synthesis.posed_depth import read_rgbd
 
         if not self.rgbd:
             return None
-        scenes = [hold_back(read_rgbd(folder))[0] for folder in self.rgbd]
-        return load_depth_scenes(scenes, PAIR_CHOICES[self.real_pairs])
+        scenes = [training_frames(read_rgbd(folder)) for folder in self.rgbd]
+        return load_depth_scenes(scenes, FRAME_PAIRS[self.real_pairs])
 
 
 @click.command()

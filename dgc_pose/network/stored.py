@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,6 +15,7 @@ from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.network.config import PRESETS, preset
 
 SUFFIX = ".safetensors"
+_FOLDER = Path(__file__).parents[1] / "weights"
 COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and unused here
 _BATCH_NORM_EPSILON = 1e-5
 Shape = tuple[int, ...]
@@ -23,22 +23,17 @@ Shape = tuple[int, ...]
 
 def shipped() -> list[str]:
     """Names of the weights inside the package."""
-    folder = resources.files("dgc_pose") / "weights"
-    if not folder.is_dir():
-        return []
-    return sorted(p.name[: -len(SUFFIX)] for p in folder.iterdir() if p.name.endswith(SUFFIX))
+    return sorted(path.stem for path in _FOLDER.glob(f"*{SUFFIX}"))
 
 
 def find_weights(weights: str | Path) -> Path:
     """The file of shipped weights by name, or of a path. Raises WeightsError if there is none."""
     name = str(weights)
     if name in shipped():
-        return Path(str(resources.files("dgc_pose") / "weights" / (name + SUFFIX)))
+        return _FOLDER / (name + SUFFIX)
     if name in PRESETS:
-        raise WeightsError(
-            f"no weights are shipped for {name} (there are: {', '.join(shipped()) or 'none'}); "
-            f"give a file"
-        )
+        known = ", ".join(shipped()) or "none"
+        raise WeightsError(f"no weights are shipped for {name} (there are: {known}); give a file")
     path = Path(weights)
     if "\0" in name or not path.exists():
         raise WeightsError(f"{path}: no such weights file, and none shipped of that name")
@@ -68,23 +63,22 @@ def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, d
 
 
 def check_state(
-    path: Path, name: str, found: Mapping[str, Shape], wanted: Mapping[str, Shape]
+    path: Path, name: str, shapes: Mapping[str, Shape], wanted: Mapping[str, Shape]
 ) -> None:
     """Raise WeightsError if keys or shapes of weights differ, naming the first ones."""
     expected = {key: shape for key, shape in wanted.items() if not key.endswith(COUNTER)}
-    missing = [key for key in expected if key not in found]
-    unexpected = [key for key in found if key not in expected]
+    missing = [key for key in expected if key not in shapes]
+    unexpected = [key for key in shapes if key not in expected]
     reshaped = [
-        f"{key} {tuple(found[key])} instead of {tuple(shape)}"
+        f"{key} {tuple(shapes[key])} instead of {tuple(shape)}"
         for key, shape in expected.items()
-        if key in found and tuple(found[key]) != tuple(shape)
+        if key in shapes and tuple(shapes[key]) != tuple(shape)
     ]
     for what, keys in (("lacks", missing), ("has", unexpected), ("has", reshaped)):
         if keys:
             more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-            raise WeightsError(
-                f"{path}: not weights of {name}: it {what} {', '.join(keys[:3])}{more}"
-            )
+            listed = ", ".join(keys[:3]) + more
+            raise WeightsError(f"{path}: not weights of {name}: it {what} {listed}")
 
 
 def check_values(path: Path, state: Mapping[str, np.ndarray]) -> None:

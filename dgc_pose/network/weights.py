@@ -37,7 +37,8 @@ def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cp
     differ, if it is missing, unreadable or of another network.
     """
     path = find_weights(weights)
-    name, state = _read(path)
+    is_ours = path.suffix == SUFFIX
+    name, state = read_safetensors(path, "pt") if is_ours else _read_checkpoint(path)
     net = DGCNet(preset(name))
     shapes = ({k: v.shape for k, v in values.items()} for values in (state, net.state_dict()))
     check_state(path, name, *shapes)
@@ -81,18 +82,12 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
 
 
 def _check_archive(path: Path) -> None:
-    """Raise WeightsError if the archive of a checkpoint is packed: torch stores its tensors as they
-    are, and a packed one could need any amount of memory."""
+    """Raise WeightsError for a packed archive, which could need any amount of memory: torch stores
+    tensors as they are."""
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as archive:
             if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
                 raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
-
-
-def _read(path: Path) -> tuple[str, dict[str, Tensor]]:
-    if path.suffix == SUFFIX:
-        return read_safetensors(path, "pt")
-    return _read_checkpoint(path)
 
 
 def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:

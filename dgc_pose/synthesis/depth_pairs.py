@@ -31,7 +31,7 @@ def depth_pairs(
 
     A pixel of the target is visible if it projects into the source view and the source's depth
     agrees there. It is not visible if it projects outside, or well behind the source's depth.
-    It is not known if its own depth or the source's is missing, or the two contradict each other.
+    It is not known if the depth of either is missing, or the two contradict each other.
     """
     device = scenes.images.device
     chosen = torch.randint(len(scenes.pairs), (batch,), generator=generator)
@@ -58,8 +58,8 @@ def depth_pairs(
     in_view = (projected - shift1[:, None]) @ torch.linalg.inv_ex(linear1).inverse.mT
     inside = in_front & (in_view >= 0).all(-1) & (in_view <= size - 1).all(-1)
 
-    found, seen = depth_at(scenes.depth, source, projected)
-    ratio = found / expected
+    measured1, seen = depth_at(scenes.depth, source, projected)
+    ratio = measured1 / expected
     visible = inside & seen & ((ratio - 1).abs() < options.agree)
     hidden = inside & seen & (ratio < 1 - options.hidden)
     known = measured & (visible | hidden | ~inside)

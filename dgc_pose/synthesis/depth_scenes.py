@@ -29,7 +29,7 @@ _PROBE = 16  # overlap is counted on so many pixels squared
 
 
 @dataclass(frozen=True)
-class PairChoice:
+class FramePairOptions:
     """The ranges of two frames of a scene that make a pair."""
 
     # Share of the target's pixels of known depth that are visible in the source.
@@ -45,9 +45,9 @@ class PairChoice:
         check_options(self)
 
 
-PAIR_CHOICES = {
-    "near": PairChoice(),
-    "far": PairChoice((0.15, 0.97), (0.03, 2.5), rotation_deg=90.0, per_frame=40),
+FRAME_PAIRS = {
+    "near": FramePairOptions(),
+    "far": FramePairOptions((0.15, 0.97), (0.03, 2.5), rotation_deg=90.0, per_frame=40),
 }
 # A pair's chance: degrees of rotation, plus so many for a baseline of one median depth (at most 1.5
 # of them count), over _VIEW_CHANGE_DEG, within _CHANCE.
@@ -71,17 +71,14 @@ class DepthScenes:
         return replace(changed(self, lambda values: values.to(device)), pairs=self.pairs)
 
 
-def hold_back(
-    frames: Sequence[PosedFrame], share: float = 0.1
-) -> tuple[Sequence[PosedFrame], Sequence[PosedFrame]]:
-    """The frames that train, and the last `share` of the sequence, which validates."""
-    first = len(frames) - round(share * len(frames))
-    return frames[:first], frames[first:]
+def training_frames(frames: Sequence[PosedFrame]) -> Sequence[PosedFrame]:
+    """The frames of a walk without its last tenth, which is held back."""
+    return frames[: len(frames) - round(0.1 * len(frames))]
 
 
 def load_depth_scenes(
     scenes: Sequence[Sequence[PosedFrame]],
-    choice: PairChoice = PairChoice(),
+    choice: FramePairOptions = FramePairOptions(),
     side: int = SIDE,
 ) -> DepthScenes:
     """Read the frames of scenes and choose their pairs.
@@ -101,7 +98,7 @@ def load_depth_scenes(
 
 
 def _load_scene(
-    frames: Sequence[PosedFrame], choice: PairChoice, side: int, bar: tqdm
+    frames: Sequence[PosedFrame], choice: FramePairOptions, side: int, bar: tqdm
 ) -> DepthScenes:
     squares = []
     for frame in frames:
@@ -172,14 +169,14 @@ def close_cracks(depth: Tensor, reach: int) -> Tensor:
 
     def nearest(step: int) -> tuple[Tensor, Tensor]:
         """The first known depth in that direction and its distance in steps; 0 and 1 if none."""
-        found = torch.zeros_like(pixel, dtype=depth.dtype)
-        distance = torch.ones_like(found)
+        first = torch.zeros_like(pixel, dtype=depth.dtype)
+        distance = torch.ones_like(first)
         for steps in range(reach, 0, -1):
             there = flat[pixel + steps * step]
             known = there > 0
-            found = torch.where(known, there, found)
+            first = torch.where(known, there, first)
             distance.masked_fill_(known, steps)
-        return found, distance
+        return first, distance
 
     total, count = torch.zeros_like(flat[pixel]), torch.zeros_like(flat[pixel])
     lowest, highest = torch.full_like(total, torch.inf), torch.zeros_like(total)
@@ -224,14 +221,14 @@ def _median_depth(depth: Tensor) -> float:
 
 
 def _choose(
-    depth: Tensor, K: Tensor, cam_from_world: Tensor, choice: PairChoice
+    depth: Tensor, K: Tensor, cam_from_world: Tensor, choice: FramePairOptions
 ) -> tuple[Tensor, Tensor]:
     """Pairs (P, 2) of the frames of one scene, source and target, and their poses (P, 3, 4)."""
     count, side = len(depth), depth.shape[-1]
     pixel = (torch.arange(_PROBE, dtype=torch.float64) + 0.5) * side / _PROBE - 0.5
     points = torch.stack(torch.meshgrid(pixel, pixel, indexing="xy"), -1).view(1, -1, 2)
     frames = torch.arange(count)
-    found, poses = [], []
+    pairs, poses = [], []
     for target in range(count):
         z, known = depth_at(depth, frames[target : target + 1], points)
         total = int(known.sum())
@@ -254,8 +251,8 @@ def _choose(
         fits &= rotation <= choice.rotation_deg
         fits[target] = False
         sources = frames[fits]
-        found.append(torch.stack([sources, torch.full_like(sources, target)], 1))
+        pairs.append(torch.stack([sources, torch.full_like(sources, target)], 1))
         poses.append(relative[fits, :3])
-    if not found:
+    if not pairs:
         return torch.empty(0, 2, dtype=torch.int64), torch.empty(0, 3, 4, dtype=torch.float64)
-    return torch.cat(found), torch.cat(poses)
+    return torch.cat(pairs), torch.cat(poses)

@@ -100,7 +100,7 @@ class SceneOptions:
     shadow: float = option(0.0, min=0, max=1)  # share of the light lost in shadow; costs a ray cast
     light_change: float = option(0.2, min=0)  # sigma of the light's motion between the views
     min_overlap: float = option(0.2, min=0, max=1)  # of image 2's pixels, visible in image 1
-    tries: int = option(6, min=1)  # scenes drawn for a pair of too little overlap; best one kept
+    tries: int = option(6, min=1)  # scenes drawn for a pair of too little overlap
     supersample: int = option(1, min=1)  # samples per pixel and axis; above 1 against aliasing
 
     def __post_init__(self) -> None:
@@ -113,7 +113,7 @@ class DepthOptions:
 
     view_scale: Range = option((0.6, 1.0), above=0, max=1)  # of the frame's side
     view_roll_deg: float = 8.0  # standard deviation of the view's rotation in the frame
-    # The ratio of the source's own depth at a target's pixel to the depth expected there:
+    # The ratio of the source's depth at a target's pixel to the depth expected there:
     agree: float = 0.02  # within this of 1, the pixel is visible
     hidden: float = 0.05  # smaller than 1 by more, the pixel is occluded; else it is not known
 

@@ -15,11 +15,11 @@ from dgc_pose.errors import InputError
 from dgc_pose.synthesis.depth_pairs import depth_pairs, random_views
 from dgc_pose.synthesis.depth_scenes import (
     DepthScenes,
-    PairChoice,
+    FramePairOptions,
     close_cracks,
     depth_at,
-    hold_back,
     load_depth_scenes,
+    training_frames,
 )
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.synthesis.options import DepthOptions, PairOptions
@@ -29,7 +29,7 @@ from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.scene_pair import RenderedPair
 
-_ALL = PairChoice(overlap=(0.0, 1.0), baseline=(0.0, 10.0), rotation_deg=180.0)
+_ALL = FramePairOptions(overlap=(0.0, 1.0), baseline=(0.0, 10.0), rotation_deg=180.0)
 _WHOLE = DepthOptions(view_scale=(1.0, 1.0), view_roll_deg=0.0)
 _SIDE = 96
 
@@ -220,10 +220,9 @@ def test_scenes_do_not_mix(tmp_path: Path) -> None:
     assert median == pytest.approx([1.0, 1.0], abs=0.05)
 
 
-def test_hold_back_takes_the_end_of_the_walk(pair: RenderedPair, tmp_path: Path) -> None:
+def test_the_end_of_the_walk_is_held_back(pair: RenderedPair, tmp_path: Path) -> None:
     frames = read_rgbd(write_rgbd(tmp_path / "a", pair)) * 5
-    training, held_back = hold_back(frames, 0.2)
-    assert len(training) == 8 and list(held_back) == frames[8:]
+    assert training_frames(frames) == frames[:9]
 
 
 def test_make_pairs_mixes_real_scenes_in(scenes: DepthScenes) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.synthesis.depth_scenes import PairChoice, load_depth_scenes
+from dgc_pose.synthesis.depth_scenes import FramePairOptions, load_depth_scenes
 from dgc_pose.synthesis.posed_depth import read_rgbd
 
 FRAMES, STEP, DEPTH = 12, 0.15, 2.0  # metres
@@ -33,7 +33,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_pairs_lie_within_the_ranges(walk: Path) -> None:
-    choice = PairChoice(overlap=(0.5, 0.93), baseline=(0.1, 0.35))
+    choice = FramePairOptions(overlap=(0.5, 0.93), baseline=(0.1, 0.35))
     scenes = load_depth_scenes([read_rgbd(walk)], choice)
     apart = (scenes.pairs[:, 0] - scenes.pairs[:, 1]).abs()
     # A frame sees 64 / 40 depths of the wall across; a step is 0.075 depths.
@@ -48,9 +48,9 @@ def test_pairs_lie_within_the_ranges(walk: Path) -> None:
 
 def test_far_pairs_are_likelier_and_the_draw_repeats(walk: Path) -> None:
     ranges = dict(overlap=(0.3, 0.99), baseline=(0.01, 2.0))
-    everything = load_depth_scenes([read_rgbd(walk)], PairChoice(**ranges))
-    drawn = [load_depth_scenes([read_rgbd(walk)], PairChoice(**ranges, per_frame=3))] * 2
-    drawn[1] = load_depth_scenes([read_rgbd(walk)], PairChoice(**ranges, per_frame=3))
+    everything = load_depth_scenes([read_rgbd(walk)], FramePairOptions(**ranges))
+    drawn = [load_depth_scenes([read_rgbd(walk)], FramePairOptions(**ranges, per_frame=3))] * 2
+    drawn[1] = load_depth_scenes([read_rgbd(walk)], FramePairOptions(**ranges, per_frame=3))
     assert len(everything.pairs) > len(drawn[0].pairs) == 3 * FRAMES
     assert torch.equal(drawn[0].pairs, drawn[1].pairs)
     assert torch.equal(drawn[0].source_from_target, drawn[1].source_from_target)

@@ -10,11 +10,11 @@ import pytest
 from depth_folder import METRES, poses, rendered, write_rgbd
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.synthesis.depth_scenes import PairChoice
+from dgc_pose.synthesis.depth_scenes import FramePairOptions
 from dgc_pose.synthesis.posed_depth import read_rgbd
 from dgc_pose.synthesis.render.scene_pair import RenderedPair
 
-_ALL = PairChoice(overlap=(0.0, 1.0), baseline=(0.0, 10.0))
+_ALL = FramePairOptions(overlap=(0.0, 1.0), baseline=(0.0, 10.0))
 
 
 @pytest.fixture(scope="module")

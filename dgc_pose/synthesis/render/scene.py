@@ -76,8 +76,7 @@ def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
     """Two batches merged: rows of the first if mask (B,) is True, else of the second."""
 
     def merged(pair: list[Tensor]) -> Tensor:
-        one, other = pair
-        return torch.where(mask.view((-1,) + (1,) * (one.ndim - 1)), one, other)
+        return torch.where(mask.view((-1,) + (1,) * (pair[0].ndim - 1)), pair[0], pair[1])
 
     return combined([first, second], merged)
 
