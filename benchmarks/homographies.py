@@ -100,11 +100,18 @@ def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
         path = Path(folder) / f"hpatches_1_{k}.csv"
         if not path.is_file():
             raise InputError(f"{path}: no such list; there are five, hpatches_1_2 to hpatches_1_6")
-        for pair in _read_list(path, Path(root), viewpoint):
-            if pair.path1.is_file() and pair.path2.is_file():
-                pairs.append(pair)
-            else:
-                missing.append(pair.name)
+        text = io.StringIO(read_text(path, "a list of pairs"), newline="")
+        with read_as("a list of pairs", path):
+            reader = csv.DictReader(text)
+            absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+            if absent:
+                raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
+            for row in reader:
+                pair = _list_pair(row, f"{path}:{reader.line_num}", Path(root), viewpoint)
+                if pair.path1.is_file() and pair.path2.is_file():
+                    pairs.append(pair)
+                else:
+                    missing.append(pair.name)
     if not pairs:
         raise InputError(f"{root}: holds no image of the {len(missing)} pairs listed in {folder}")
     return HomographySet(tuple(pairs), tuple(missing))
@@ -209,16 +216,6 @@ def _image(stem: Path) -> Path | None:
     """The image file of that name, whatever its suffix."""
     paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
     return next((path for path in paths if path.is_file()), None)
-
-
-def _read_list(path: Path, root: Path, viewpoint: str) -> list[HomographyPair]:
-    text = io.StringIO(read_text(path, "a list of pairs"), newline="")
-    with read_as("a list of pairs", path):
-        reader = csv.DictReader(text)
-        absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-        if absent:
-            raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
-        return [_list_pair(row, f"{path}:{reader.line_num}", root, viewpoint) for row in reader]
 
 
 def _list_pair(row: dict[str, str], where: str, root: Path, viewpoint: str) -> HomographyPair:

@@ -105,13 +105,13 @@ class FilePairs(PairSet[Score]):
         return camera
 
     def _prepared(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
-        image, stored = self._images.get(path, lambda: self._read(path))
+        def read() -> tuple[Image, tuple[int, int]]:
+            image = load_image(path)
+            return self.prepare(image), image.size
+
+        image, stored = self._images.get(path, read)
         check_size(camera, stored, f"K of {image.name}")
         return image, self.prepare_camera(camera, stored, image.size)
-
-    def _read(self, path: Path) -> tuple[Image, tuple[int, int]]:
-        image = load_image(path)
-        return self.prepare(image), image.size
 
 
 class ListedPairs(FilePairs[PairScore]):

@@ -16,7 +16,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
 from dgc_pose.benchmarks.posed_pairs import Truth
-from dgc_pose.benchmarks.samples import MatchSample, read_sample
+from dgc_pose.benchmarks.samples import read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.files.json_files import finite_data
@@ -36,6 +36,7 @@ _CAPTIONS = {
     "epipolar.svg": "Median symmetric epipolar distance of a pair: share of pairs not above it",
     "motion.png": "Errors against the true rotation and the baseline, with medians",
 }
+_MIME = {"svg": "image/svg+xml", "png": "image/png", "jpg": "image/jpeg"}
 _THUMBNAIL = 240  # longest side, pixels
 _JPEG_QUALITY = 70
 _DIGITS = 10  # of an entry of F: a point in the largest image needs fewer
@@ -99,7 +100,10 @@ def write_report(
             facts=facts,
             table=table,
             plots=[
-                {"source": _picture_uri(name, files[name]), "caption": caption}
+                {
+                    "source": _data_uri(name[-3:], files[name].read_bytes()),
+                    "caption": caption,
+                }
                 for name, caption in _CAPTIONS.items()
             ],
             data=data,
@@ -167,28 +171,20 @@ def _rank(row: DtuScore) -> tuple[object, ...]:
     return -max(row.rotation_error_deg, row.translation_folded_deg), row.key
 
 
-def _picture_uri(name: str, file: Path) -> str:
-    kind = "image/svg+xml" if name.endswith(".svg") else "image/png"
-    return _data_uri(kind, file.read_bytes())
-
-
 def _data_uri(kind: str, content: bytes) -> str:
-    """A file of the MIME type `kind` within a page."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+    """A file within a page; kind: its name's ending."""
+    return f"data:{_MIME[kind]};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def _result(out: Path, row: DtuScore, pictured: Collection[ViewKey]) -> dict[str, Any]:
     result: dict[str, Any] = finite_data({k: getattr(row, name) for k, name in _RESULT.items()})
     if row.key[1:] in pictured:
-        result["sample"] = _flat(read_sample(out, row.key))
+        # x1, y1, x2, y2 in tenths of a pixel and 1 for an inlier or 0, match after match
+        sample = read_sample(out, row.key)
+        tenths = np.rint(np.column_stack([sample.points1, sample.points2]) * 10)
+        flat = np.column_stack([tenths, sample.inliers]).ravel()
+        result["sample"] = flat.astype(int).tolist()
     return result
-
-
-def _flat(sample: MatchSample) -> list[int]:
-    """x1, y1, x2, y2 in tenths of a pixel and 1 for an inlier or 0, match after match."""
-    tenths = np.column_stack([sample.points1, sample.points2]) * 10
-    columns = np.column_stack([np.rint(tenths), sample.inliers])
-    return [int(value) for value in columns.ravel()]
 
 
 def _thumbnail(image: Image) -> dict[str, Any]:
@@ -198,7 +194,7 @@ def _thumbnail(image: Image) -> dict[str, Any]:
     bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
     _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     width, height = image.size
-    source = _data_uri("image/jpeg", encoded.tobytes())
+    source = _data_uri("jpg", encoded.tobytes())
     return {"width": width, "height": height, "source": source}
 
 

@@ -135,12 +135,10 @@ def _stored(name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray]) -> St
 
 
 def _arrays(prefix: str, matches: Matches) -> dict[str, object]:
-    values = {prefix + name: getattr(matches, name) for name in _FIELDS}
     # Both sides are in pixels: a float32 keeps a thousandth of one.
-    return {
-        name: value.astype(np.float32) if isinstance(value, np.ndarray) else value
-        for name, value in values.items()
-    }
+    values = {name: getattr(matches, name) for name in _FIELDS}
+    values |= {name: values[name].astype(np.float32) for name in _FIELDS[:3]}
+    return {prefix + name: value for name, value in values.items()}
 
 
 def _matches(prefix: str, arrays: Mapping[str, np.ndarray]) -> Matches:

@@ -71,11 +71,7 @@ def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
     kinds = {match_kind(row.evidence) for row in rows if row.evidence is not None}
     if "network" not in kinds:
         return {kind: list(rows) for kind in kinds}
-    return {"network": list(rows), "matches": [_without_map(row) for row in rows]}
-
-
-def _without_map(record: Record) -> Record:
-    if record.evidence is None:
-        return record
-    blank = dict.fromkeys(("map_matchability", "map_agreement", "map_chance"))
-    return replace(record, evidence=replace(record.evidence, **blank))  # type: ignore[arg-type]
+    blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
+    evidence = [row.evidence and replace(row.evidence, **blank) for row in rows]  # type: ignore[arg-type]
+    without = [replace(row, evidence=e) for row, e in zip(rows, evidence, strict=True)]
+    return {"network": list(rows), "matches": without}
