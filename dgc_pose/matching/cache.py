@@ -43,8 +43,8 @@ class BoundedCache(Generic[Key, Value]):
         if in_turn:
             return [self.get(key, make) for key, make in wanted]
         missing = {key: make for key, make in wanted if key not in self._kept}
-        found = in_threads(lambda key: missing[key](), list(missing))
-        made = dict(zip(missing, found, strict=True))
+        values = in_threads(lambda make: make(), list(missing.values()))
+        made = dict(zip(missing, values, strict=True))
         return [
             self.get(key, partial(made.__getitem__, key) if key in made else make)
             for key, make in wanted

@@ -1,4 +1,4 @@
-"""Dense maps, flows and matches that another program computed: one file for each pair.
+"""Dense maps, flows and matches that another program computed: a file for each pair.
 
 A flow or map is defined on the pixels of image 2 and points into image 1. (For an optical flow
 program image 2 is the first image.) A map of any size W x H is one over both images resized to
@@ -17,7 +17,6 @@ W x H. Formats:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +38,7 @@ _ERROR_PX = 1.0  # of points without an error_px, pixels of the images as stored
 
 
 class FileMatcher(Matcher):
-    """The files of one program in one folder, found by the names of the two images.
+    """The files of a program in a folder, by the names of the two images.
 
     stem: from the two `Image.name`s to the name of the pair's file without its ending.
     """
@@ -71,14 +70,14 @@ class FileMatcher(Matcher):
     def path(self, name1: str, name2: str) -> Path:
         """The file of a pair. Raises InputError if there is none, or more than one."""
         stem = self.folder / self.stem(name1, name2)
-        found = [path for end in ENDINGS if (path := Path(f"{stem}{end}")).is_file()]
-        if len(found) != 1:
-            what = "no such file" if not found else f"{len(found)} files"
+        paths = [path for end in ENDINGS if (path := Path(f"{stem}{end}")).is_file()]
+        if len(paths) != 1:
+            what = "no such file" if not paths else f"{len(paths)} files"
             raise InputError(
                 f"{stem}: {what} with the ending {', '.join(ENDINGS[:-1])} or {ENDINGS[-1]}; "
                 "expected one for each pair of the list"
             )
-        return found[0]
+        return paths[0]
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The stored map with the matches selected from it, or the stored points without a map; in
@@ -150,17 +149,20 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
     points1 = np.where(known[..., None], points1, -np.inf)
     matchability = np.where(known, _matchability(arrays, known.shape), np.float32(0))
     if grid is None:
-        return _thinned(scaled_map(points1, matchability, image1.size, image2.size))
-    if grid.shape != points1.shape:
+        stored = scaled_map(points1, matchability, image1.size, image2.size)
+    elif grid.shape != points1.shape:
         raise InputError(f"map has shape {points1.shape}, grid {grid.shape}")
-    found = CorrespondenceMap(
-        map=_from_stored(points1, image1).astype(np.float32),
-        grid=_from_stored(grid, image2).astype(np.float32),
-        matchability=matchability,
-        size1=image1.size,
-        size2=image2.size,
-    )
-    return _thinned(found)
+    else:
+        stored = CorrespondenceMap(
+            map=_from_stored(points1, image1).astype(np.float32),
+            grid=_from_stored(grid, image2).astype(np.float32),
+            matchability=matchability,
+            size1=image1.size,
+            size2=image2.size,
+        )
+    # No finer than the pixels of image 2.
+    shares = np.divide(known.shape[::-1], image2.size)
+    return stored.thinned(max(1, *(round(share) for share in shares.tolist())))
 
 
 def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
@@ -178,8 +180,8 @@ def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> n
 
 def _points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Matches:
     if "points1" not in arrays or "points2" not in arrays:
-        found = ", ".join(sorted(arrays)) or "nothing"
-        raise InputError(f"expected flow, map, or points1 and points2, found {found}")
+        names = ", ".join(sorted(arrays)) or "nothing"
+        raise InputError(f"expected flow, map, or points1 and points2, found {names}")
     points1, points2 = (np.asarray(arrays[key], np.float64) for key in ("points1", "points2"))
     if points1.ndim != 2 or points1.shape[1] != 2 or points1.shape != points2.shape:
         raise InputError(
@@ -198,7 +200,7 @@ def _points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> M
 
 
 def _single(arrays: Mapping[str, np.ndarray], name: str, default: float, what: str) -> np.ndarray:
-    """The one value () of an array, or the default if it is missing. `what`: it must be."""
+    """The only value () of an array, or the default if it is missing. `what`: it must be."""
     value = np.asarray(arrays.get(name, default))
     if value.size != 1:
         raise InputError(f"{name} must be {what}, not {value.size} values")
@@ -206,34 +208,17 @@ def _single(arrays: Mapping[str, np.ndarray], name: str, default: float, what: s
 
 
 def _from_stored(points: np.ndarray, image: Image) -> np.ndarray:
-    """Points in pixels of an image as stored, in pixels of the image given."""
+    """Points in pixels of an image as stored, in pixels of the image itself."""
     return rescale(points, image.stored_size or image.size, image.size)
-
-
-def _thinned(found: CorrespondenceMap) -> CorrespondenceMap:
-    """Every k-th cell of a map that is finer than the pixels of image 2."""
-    rows, columns = found.matchability.shape
-    step = max(1, round(columns / found.size2[0]), round(rows / found.size2[1]))
-    if step == 1:
-        return found
-    cells = (slice(step // 2, None, step), slice(step // 2, None, step))
-    return replace(
-        found,
-        map=found.map[cells],
-        grid=found.grid[cells],
-        matchability=found.matchability[cells],
-    )
 
 
 def _planes_last(array: np.ndarray, name: str) -> np.ndarray:
     """(H, W, 2) float64 from (H, W, 2), from (2, H, W), or from a batch of one of either."""
-    found = np.asarray(array)
-    if found.dtype.kind not in "iuf":
-        raise InputError(f"{name} must be numbers, not {found.dtype}")
-    if found.ndim == 4 and found.shape[0] == 1:
-        found = found[0]
-    if found.ndim == 3 and found.shape[-1] != 2 and found.shape[0] == 2:
-        found = np.moveaxis(found, 0, -1)
-    if found.ndim != 3 or found.shape[-1] != 2 or found.size == 0:
+    planes = array[0] if array.ndim == 4 and array.shape[0] == 1 else array
+    if planes.dtype.kind not in "iuf":
+        raise InputError(f"{name} must be numbers, not {planes.dtype}")
+    if planes.ndim == 3 and planes.shape[-1] != 2 and planes.shape[0] == 2:
+        planes = np.moveaxis(planes, 0, -1)
+    if planes.ndim != 3 or planes.shape[-1] != 2 or planes.size == 0:
         raise InputError(f"{name} must have shape (H, W, 2) or (2, H, W), not {array.shape}")
-    return found.astype(np.float64)
+    return planes.astype(np.float64)

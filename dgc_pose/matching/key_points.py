@@ -18,7 +18,7 @@ KeyPointCache = BoundedCache[Image, KeyPoints]  # by the object, not by its pixe
 def key_point_cache() -> KeyPointCache:
     """A cache of the default size. The images that it keeps alive count towards it."""
     return BoundedCache(
-        lambda image, found: image.pixels.nbytes + found[0].nbytes + found[1].nbytes
+        lambda image, arrays: image.pixels.nbytes + sum(array.nbytes for array in arrays)
     )
 
 

@@ -40,15 +40,15 @@ class CorrespondenceMap:
         areas = [w * h / cells for w, h in (self.size1, self.size2)]
         return sum(math.sqrt(area) for area in areas) / 2
 
-    def sample(self) -> Matches:
-        """Every k-th cell of every k-th row as matches, `_SAMPLE` in a row at most."""
-        step = max(1, -(-max(self.matchability.shape) // _SAMPLE))
+    def thinned(self, step: int) -> CorrespondenceMap:
+        """Every `step`-th cell of every `step`-th row."""
         cells = (slice(step // 2, None, step), slice(step // 2, None, step))
-        return Matches(
-            self.map[cells].reshape(-1, 2),
-            self.grid[cells].reshape(-1, 2),
-            self.matchability[cells].ravel(),
-            error_px=ERROR_CELLS * self.cell_size,
+        return replace(
+            self,
+            map=self.map[cells],
+            grid=self.grid[cells],
+            matchability=self.matchability[cells],
+            cycle=None if self.cycle is None else self.cycle[cells],
         )
 
 
@@ -63,7 +63,16 @@ class MatchResult:
     def map_matches(self) -> Matches | None:
         """An even sample of the map, whatever its matchability, which is their confidence; None
         without a map. Evidence for or against a pose, not matches to estimate one from."""
-        return None if self.correspondence_map is None else self.correspondence_map.sample()
+        if self.correspondence_map is None:
+            return None
+        side = max(self.correspondence_map.matchability.shape)
+        sample = self.correspondence_map.thinned(max(1, -(-side // _SAMPLE)))
+        return Matches(
+            sample.map.reshape(-1, 2),
+            sample.grid.reshape(-1, 2),
+            sample.matchability.ravel(),
+            error_px=ERROR_CELLS * self.correspondence_map.cell_size,
+        )
 
 
 class Matcher(ABC):

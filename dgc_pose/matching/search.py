@@ -69,8 +69,9 @@ class _Candidate:
     angle_deg: float  # that image 2 is rotated by
     octave: int  # log2 of the ratio of the fields of view: positive if image 1 shows more
     entropy: float  # mean over the cells of the small copy, 1 for a uniform distribution
-    points1: np.ndarray  # (N, 2) most probable matches, pixels of image 1
-    points2: np.ndarray  # (N, 2) pixels of image 2
+    # (N, 2) most probable matches, pixels of the images with the larger and the smaller field
+    in_wide: np.ndarray
+    in_narrow: np.ndarray
     ratio: float  # pixels of the image with the larger field of view per pixel of the other
     cell_px: float  # side of a cell of the larger copy in pixels of its image
 
@@ -124,15 +125,13 @@ class _Thumbnails:
         )
         peaks = logarithms.max(0)
         sure = peaks >= np.median(peaks)
-        in_wide = wide.points(self._sizes[1 - small])[logarithms.argmax(0)][sure]
-        in_rotated = rotated.points(self._sizes[small])[sure]
         pixel = wide.pixel_of(self._sizes[1 - small])
         return _Candidate(
             angle_deg,
             octave,
             mean_entropy(logarithms),
-            in_wide if small == 1 else in_rotated,
-            in_rotated if small == 1 else in_wide,
+            wide.points(self._sizes[1 - small])[logarithms.argmax(0)][sure],
+            rotated.points(self._sizes[small])[sure],
             pixel / rotated.pixel_of(self._sizes[small]),
             STRIDE * pixel,
         )
@@ -211,13 +210,11 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
 
     That which most of the matches fit; without one, by the angle and the octave that were compared.
     """
-    small, large = best.points2, best.points1
-    if best.octave < 0:
-        small, large = large, small
+    narrow, wide = best.in_narrow, best.in_wide
     matrix, fits = None, 0
-    if len(small) >= _LEAST:
+    if len(narrow) >= _LEAST:
         matrix, mask = cv2.estimateAffinePartial2D(
-            small, large, ransacReprojThreshold=_REACH * best.cell_px
+            narrow, wide, ransacReprojThreshold=_REACH * best.cell_px
         )
         fits = int(mask.sum())
     expected = View(
@@ -229,7 +226,7 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
         off, grown = abs(math.atan2(change[0, 1], change[0, 0])), float(np.hypot(*change[0]))
         if off < math.radians(_ANGLE_OFF) and 1 / _SCALE_OFF < grown < _SCALE_OFF:
             return matrix[:, :2], matrix[:, 2]
-    return linear, np.median(large - small @ linear.T, 0)
+    return linear, np.median(wide - narrow @ linear.T, 0)
 
 
 def _whole(size: tuple[int, int], angle_deg: float) -> View:

@@ -25,16 +25,16 @@ class MatchingOptions:
     finest: FinestLevel = option(240, "Cells a side of the dense map: the coarser, the faster.")
     matchability: float = option(
         0.7,
-        "Least matchability of a match of the map, 0 to 1; matches of --refine features, and so of "
-        "auto, are found without it.",
+        "Least matchability of a match of the map, 0 to 1. The matches of --refine features and "
+        "auto are not selected by it.",
         metavar="T",
         min=0,
         max=1,
     )
     cycle_px: float | None = option(  # pixels of image 2
         None,
-        "Compute the reverse map too, and drop matches of the map of a larger cycle error; matches "
-        "of --refine features, and so of auto, are found without it.",
+        "Compute the reverse map too, and drop matches of the map with a larger cycle error. The "
+        "matches of --refine features and auto are not selected by it.",
         flag="--cycle",
         metavar="PX",
         above=0,

@@ -1,9 +1,9 @@
 """Where an image has structure: no match is made without it.
 
 Two blank patches, or two patches of noise, agree with each other wherever they lie. A point can be
-found again if the image changes around it in every direction: if both eigenvalues of the structure
-tensor (Förstner and Gülch 1987) are larger than those of the image's own noise. Along an edge or a
-stripe the smaller one is not (the aperture problem). Uniform bars at the border belong to no scene.
+located where the image changes around it in every direction: where both eigenvalues of the
+structure tensor (Förstner and Gülch 1987) are larger than those of the image's noise. Along an edge
+or a stripe the smaller one is not (the aperture problem). Uniform bars at the border are no scene.
 """
 
 from __future__ import annotations
@@ -68,25 +68,24 @@ def textured(matches: Matches, image1: Image, image2: Image) -> Matches:
 
 def texture(image: Image) -> Texture:
     """Where an image has structure; computed once for each image."""
-    found = _KEPT.get(image)
-    if found is None:
+    if image not in _KEPT:
         shrunk = resize_by(image.pixels, min(1.0, LONG_SIDE / max(image.size)))
         grey = cv2.cvtColor(shrunk, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        found = _KEPT[image] = Texture(structured(grey), image.size)
-    return found
+        _KEPT[image] = Texture(structured(grey), image.size)
+    return _KEPT[image]
 
 
 def structured(grey: np.ndarray) -> np.ndarray:
     """Where an image (H, W) float32, in grey levels, has structure in every direction: (H, W)."""
     mask = np.zeros(grey.shape, dtype=bool)
-    rows, columns = _without_bars(grey)
+    rows = _content(grey)
+    columns = _content(grey[rows].T)
     content = grey[rows, columns]
     if min(content.shape) <= 2 * _EDGE:
         return mask
     least = _TIMES_NOISE * _NOISE_GRADIENT * max(noise_level(content), _LEAST_NOISE) ** 2
     small, large = _eigenvalues(content)
-    found = (small > least) & (small > _LEAST_RATIO * large)
-    mask[rows, columns] = np.pad(found, _EDGE)
+    mask[rows, columns] = np.pad((small > least) & (small > _LEAST_RATIO * large), _EDGE)
     return mask
 
 
@@ -118,14 +117,8 @@ def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return mean - half, mean + half
 
 
-def _without_bars(grey: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of an image between uniform bars at its border."""
-    rows = _content(grey)
-    return rows, _content(grey[rows].T)
-
-
 def _content(grey: np.ndarray) -> slice:
-    """The rows from the first to the last that is not uniform, without the edges of the bars."""
+    """The rows between uniform bars at the border, without the edges of the bars."""
     count = len(grey)
     before = next((k for k, row in enumerate(grey) if _varied(row)), count)
     after = next((k for k, row in enumerate(grey[::-1]) if _varied(row)), count)

@@ -17,7 +17,7 @@ _BORDER = (124, 116, 104)
 
 @dataclass(frozen=True)
 class View:
-    """A window on an image, rotated and resized. A value, so that features are kept by it."""
+    """A window on an image, rotated and resized; hashable, so that caches take it as a key."""
 
     angle_deg: float  # of the image's rotation, counter-clockwise, as by `numpy.rot90`
     scale: float  # pixels of the view per pixel of the image
@@ -26,12 +26,12 @@ class View:
 
     @staticmethod
     def whole(size: Size, angle_deg: float = 0.0, scale: float = 1.0) -> View:
-        """Of the smallest size that holds the whole of an image of `size` (width, height)."""
+        """The smallest view that holds the whole of an image of `size` (width, height)."""
         return View.window(size, ((size[0] - 1) / 2, (size[1] - 1) / 2), angle_deg, scale)
 
     @staticmethod
     def window(extent: Size, centre: tuple[float, float], angle_deg: float, scale: float) -> View:
-        """That holds a window of the image of `extent` (width, height) around a pixel of it."""
+        """The smallest view that holds `extent` (width, height) of the image around a pixel."""
         cosine, sine = _cosine_sine(angle_deg)
         width = abs(extent[0] * cosine) + abs(extent[1] * sine)
         height = abs(extent[0] * sine) + abs(extent[1] * cosine)
@@ -62,7 +62,7 @@ class View:
 
     def cut(self, pixels: np.ndarray) -> np.ndarray:
         """The view (height, width, 3) of an image (H, W, 3) uint8: area means to shrink, bilinear
-        otherwise, one colour outside the image."""
+        otherwise, ImageNet's mean colour outside the image."""
         size = (pixels.shape[1], pixels.shape[0])
         if self == View.whole(size, self.angle_deg) and self.angle_deg % 90 == 0:
             return np.ascontiguousarray(np.rot90(pixels, round(self.angle_deg / 90)))
