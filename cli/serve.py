@@ -60,13 +60,14 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
     try:
         import uvicorn
 
-        from dgc_pose.serve.app import Example, Server
+        from dgc_pose.serve.app import Server
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'dgc-pose[serve]'") from None
     from dgc_pose.serve.guard import local_hosts
 
     pair = bundled_pair()
-    example = Example((pair.path1, pair.path2), (_k_text(pair.camera1), _k_text(pair.camera2)))
+    views = ((pair.path1, pair.camera1), (pair.path2, pair.camera2))
+    example = [(path, _k_text(camera)) for path, camera in views]
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
     make_estimator = partial(_estimator, matcher, weights)
     token = secrets.token_urlsafe(24)

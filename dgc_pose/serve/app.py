@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -22,7 +21,7 @@ from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.serve.cameras import CameraRequest
-from dgc_pose.serve.decoder import ImageDecoder, Preview, data_url
+from dgc_pose.serve.decoder import ImageDecoder
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.options import ServeOptions
 from dgc_pose.serve.store import ImageStore, StoredImage
@@ -41,26 +40,19 @@ _MAX_NAME = 200  # characters of an image's name
 _DECODER_MEMORY = 2 * 2**30  # bytes
 
 
-@dataclass(frozen=True)
-class Example:
-    """The pair that the page offers."""
-
-    paths: tuple[Path, Path]
-    k: tuple[str, str]  # of both cameras, as the command takes them
-
-
 class Server:
     """The workers, the images, and an ASGI application of them.
 
-    make_estimator: makes the `Estimator` in its process. folder: for the images; empty, and removed
-    by the caller when the server has ended. token: what the page must know. hosts: see
+    make_estimator: makes the `Estimator` in its process. example: the images that the page offers,
+    each with its K as the command takes it. folder: for the images; empty, and removed by the
+    caller when the server has ended. token: what the page must know. hosts: see
     `guard.local_hosts`.
     """
 
     def __init__(
         self,
         make_estimator: Callable[[], Any],
-        example: Example,
+        example: Sequence[tuple[Path, str]],
         folder: Path,
         *,
         token: str,
@@ -124,8 +116,8 @@ class Server:
 
     async def _bundled(self, request: Request) -> Response:
         """The bundled pair, as if it had been sent."""
-        images = [await self._described(path, str(path)) for path in self._example.paths]
-        return JSONResponse({"images": images, "k": list(self._example.k)})
+        images = [await self._described(path, str(path)) for path, _ in self._example]
+        return JSONResponse({"images": images, "k": [k for _, k in self._example]})
 
     async def _pose(self, request: Request) -> Response:
         """Lines of JSON: what is being done, and at last the result or an error."""
@@ -185,16 +177,11 @@ class Server:
 
     async def _described(self, path: Path, name: str) -> dict[str, Any]:
         """The image, once it is decoded and stored, as the page is told of it."""
-        preview: Preview = await asyncio.to_thread(
+        preview = await asyncio.to_thread(
             self._decoder.call, "preview", path, seconds=self.options.decode_seconds
         )
-        return {
-            "id": self._store.keep(StoredImage(path, name, preview.size)),
-            "name": name,
-            "size": list(preview.size),
-            "picture": data_url(preview.jpeg, "image/jpeg"),
-            "warnings": list(preview.warnings),
-        }
+        identifier = self._store.keep(StoredImage(path, name, tuple(preview["size"])))
+        return {"id": identifier, "name": name, **preview}
 
 
 async def _refused(request: Request, error: Exception) -> Response:
@@ -203,8 +190,8 @@ async def _refused(request: Request, error: Exception) -> Response:
 
 
 async def _body(request: Request, most: int, too_large: str) -> AsyncIterator[bytes]:
-    """The parts of a body of at most so many bytes. Raises HTTPException for a larger one, if its
-    length is announced before any part."""
+    """The parts of a body of at most so many bytes. Raises HTTPException for a larger body, before
+    the first part if the length is announced."""
     received = 0
     if int(request.headers.get("content-length", 0)) > most:
         raise HTTPException(413, too_large)

@@ -10,6 +10,7 @@ import base64
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -23,30 +24,26 @@ THE_FILE = "the file"  # what errors call it: its path is none of the client's b
 
 
 @dataclass(frozen=True)
-class Preview:
-    """An image as the browser shows it."""
-
-    jpeg: bytes
-    size: tuple[int, int]  # (width, height) of the image itself, pixels
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class ImageDecoder:
     """Reads images of at most so many pixels."""
 
     max_pixels: int
 
-    def preview(self, report: Report, path: Path) -> Preview:
-        """Read the image. Raises ImageError, without the path, if it cannot be read."""
+    def preview(self, report: Report, path: Path) -> dict[str, Any]:
+        """The size (width, height) of an image, a picture of it for the browser, and warnings.
+
+        Raises ImageError, without the path, if it cannot be read.
+        """
         os.environ[MAX_PIXELS_VARIABLE] = str(self.max_pixels)  # of this process alone
         try:
             image = load_image(path)
         except DgcPoseError as error:
             raise ImageError(str(error).replace(str(path), THE_FILE)) from None
-        warnings = tuple(text.replace(str(path), THE_FILE) for text in image.warnings)
-        jpeg = encoded(".jpg", shrunk(image.pixels), cv2.IMWRITE_JPEG_QUALITY, 88)
-        return Preview(jpeg, image.size, warnings)
+        return {
+            "size": list(image.size),
+            "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
+            "warnings": [text.replace(str(path), THE_FILE) for text in image.warnings],
+        }
 
 
 def shrunk(pixels: np.ndarray) -> np.ndarray:
@@ -54,14 +51,9 @@ def shrunk(pixels: np.ndarray) -> np.ndarray:
     return resize_by(pixels, min(1.0, SHOWN_SIDE / max(pixels.shape[:2])))
 
 
-def encoded(ending: str, pixels: np.ndarray, *settings: int) -> bytes:
-    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as a file of OpenCV's format of this ending."""
+def picture_url(pixels: np.ndarray, kind: Literal["jpeg", "webp"], *settings: int) -> str:
+    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as text that a page shows."""
     order = [2, 1, 0, 3][: pixels.shape[2]]
-    done, data = cv2.imencode(ending, np.ascontiguousarray(pixels[..., order]), list(settings))
+    done, data = cv2.imencode(f".{kind}", np.ascontiguousarray(pixels[..., order]), list(settings))
     assert done
-    return data.tobytes()
-
-
-def data_url(data: bytes, kind: str) -> str:
-    """A file of a media type such as image/jpeg as text that a page shows."""
-    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+    return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode()}"

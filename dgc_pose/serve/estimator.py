@@ -19,7 +19,7 @@ from dgc_pose.matching.warp import warp_image
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace, match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
-from dgc_pose.serve.decoder import data_url, encoded, shrunk
+from dgc_pose.serve.decoder import picture_url, shrunk
 from dgc_pose.serve.store import StoredImage
 from dgc_pose.serve.worker import Report
 
@@ -125,12 +125,8 @@ def _map(trace: Trace) -> dict[str, str]:
         (255 * np.clip(share, 0, 1)).astype(np.uint8) for share in (known, matchability)
     )
     coloured = cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS)[..., ::-1]
+    pictures = {"warp": (warped, alpha), "matchability": (coloured, np.full_like(alpha, 255))}
     return {
-        "warp": _webp_url(warped, alpha),
-        "matchability": _webp_url(coloured, np.full_like(alpha, 255)),
+        name: picture_url(np.dstack(channels), "webp", cv2.IMWRITE_WEBP_QUALITY, 85)
+        for name, channels in pictures.items()
     }
-
-
-def _webp_url(pixels: np.ndarray, alpha: np.ndarray) -> str:
-    image = np.dstack([pixels, alpha])
-    return data_url(encoded(".webp", image, cv2.IMWRITE_WEBP_QUALITY, 85), "image/webp")

@@ -20,7 +20,7 @@ from starlette.testclient import TestClient
 
 import dgc_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.serve.app import Example, Server
+from dgc_pose.serve.app import Server
 from dgc_pose.serve.guard import TOKEN_HEADER, local_hosts
 from dgc_pose.serve.options import ServeOptions
 
@@ -41,11 +41,9 @@ def pictures(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def server(folder, pictures):
-    example = Example(pictures, (dense_scene.K_TEXT, dense_scene.K_TEXT))
-    hosts = local_hosts(PORT)
-    server = Server(
-        serve_parts.estimator, example, folder, token=TOKEN, hosts=hosts, options=OPTIONS
-    )
+    example = [(path, dense_scene.K_TEXT) for path in pictures]
+    settings = {"token": TOKEN, "hosts": local_hosts(PORT), "options": OPTIONS}
+    server = Server(serve_parts.estimator, example, folder, **settings)
     yield server
     server.close()
 
