@@ -8,25 +8,18 @@ from functools import lru_cache
 from pathlib import Path
 
 import cv2
+import multi_view
 import numpy as np
-import torch
-from demo_scene import demo_scene
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.synthesis.options import SceneOptions
-from dgc_pose.synthesis.render.bank import TextureBank
-from dgc_pose.synthesis.render.cameras import Cameras
-from dgc_pose.synthesis.render.procedural import procedural_textures
-from dgc_pose.synthesis.render.raycast import cast, describe, shade
 
 SIZE = (160, 120)
 # DTU's camera at a tenth of its size.
 K = Camera(np.array([[2892.0, 0, 823], [0, 2883, 619], [0, 0, 1]]), (1600, 1200)).resized(SIZE).K
 DISTANCE = 650.0  # mm from the object that all views look at
-MM_PER_UNIT = 325.0  # of the rendered scene, whose cameras stand two units from its middle
-LOOK_AT = (0.0, -1.0, 0.5)  # units
-TILT_DEG = 16.0  # of the rendered views, from above
+LOOK_AT = (0.0, 0.2, 4.6)  # units of the rendered scene
+MM_PER_UNIT = DISTANCE / LOOK_AT[2]
 
 
 @dataclass(frozen=True)
@@ -57,29 +50,15 @@ def grey_scan(degrees: Sequence[float] | np.ndarray) -> Scan:
 
 @lru_cache(maxsize=4)
 def rendered_scan(degrees: tuple[float, ...] = (-20.0, -8.0, 0.0, 7.0, 18.0)) -> Scan:
-    """The demo's room with a laid table, ray-cast from an arc around the table's middle."""
-    scene, _, _ = demo_scene()
-    bank = _textures()
+    """The scene of `multi_view` from an arc around its middle."""
+    textures = multi_view.draw_textures()
     views, images, depths = {}, {}, {}
     for number, on_arc in arc(degrees).items():
-        tilt = np.radians(TILT_DEG)
-        c, s = np.cos(tilt), np.sin(tilt)
-        R = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ on_arc.R
-        view = DtuView(K, R, on_arc.t - R @ (np.array(LOOK_AT) * MM_PER_UNIT))
-        cameras = Cameras(
-            torch.tensor(view.K)[None],
-            torch.tensor(view.R)[None],
-            torch.tensor(view.t / MM_PER_UNIT)[None],
-            SIZE,
-        )
-        hits = cast(scene, cameras, cameras.pixels())
-        surface = describe(scene, cameras, hits)
-        options = SceneOptions(shading=0.4, shadow=0.3)
-        colours = shade(scene, cameras, hits, surface, bank, light=scene.light, options=options)
-        pixels = (colours[0].T * 255).round().clamp(0, 255).byte()
+        view = DtuView(K, on_arc.R, on_arc.t - on_arc.R @ (np.array(LOOK_AT) * MM_PER_UNIT))
+        centre = -view.R.T @ view.t / MM_PER_UNIT
         views[number] = view
-        images[number] = pixels.reshape(SIZE[1], SIZE[0], 3).numpy()
-        depths[number] = hits.depth.reshape(SIZE[1], SIZE[0]).numpy() * MM_PER_UNIT
+        images[number] = multi_view.render(view.R, centre, textures, K, SIZE, fine=4)[0]
+        depths[number] = multi_view.render(view.R, centre, textures, K, SIZE, 1)[1] * MM_PER_UNIT
     return Scan(views, images, depths)
 
 
@@ -156,11 +135,6 @@ def write_cam(path: Path, view: DtuView) -> None:
 def write_image(path: Path, pixels: np.ndarray) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), pixels[:, :, ::-1])
-
-
-@lru_cache(maxsize=1)
-def _textures() -> TextureBank:
-    return TextureBank.from_photos(procedural_textures(13, 192))
 
 
 def _extrinsic(view: DtuView) -> np.ndarray:

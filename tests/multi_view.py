@@ -37,14 +37,13 @@ class View:
 
 def render_views(count: int, *, seed: int = 0, step: float = 0.35) -> list[View]:
     """Views of cameras on an arc of `step` units between neighbours, which look at the middle."""
-    rng = np.random.default_rng(seed)
-    textures = [_texture(rng) for _ in _PLANES]
+    textures = draw_textures(seed)
     views = []
     for i in range(count):
         x = (i - (count - 1) / 2) * step
         centre = np.array([x, 0.15 * np.sin(2.0 * i), 0.05 * x * x + 0.1 * np.cos(1.5 * i)])
         R = _look_at(centre, np.array([0.0, 0.2, 4.6]))
-        views.append(View(_render(R, centre, textures), R, -R @ centre))
+        views.append(View(render(R, centre, textures)[0], R, -R @ centre))
     return views
 
 
@@ -63,6 +62,12 @@ def K_text() -> str:
     return f"{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}"
 
 
+def draw_textures(seed: int = 0) -> list[np.ndarray]:
+    """Of the planes."""
+    rng = np.random.default_rng(seed)
+    return [_texture(rng) for _ in _PLANES]
+
+
 def _texture(rng: np.random.Generator) -> np.ndarray:
     side = int(8 * _TEXELS)
     layers = []
@@ -79,9 +84,19 @@ def _look_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z])
 
 
-def _render(R: np.ndarray, centre: np.ndarray, textures: list[np.ndarray]) -> np.ndarray:
-    fine = 2  # samples a pixel along each axis
-    width, height = SIZE
+def render(
+    R: np.ndarray,
+    centre: np.ndarray,
+    textures: list[np.ndarray],
+    K: np.ndarray = K,
+    size: tuple[int, int] = SIZE,
+    fine: int = 2,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The image (H, W, 3) of a camera, uint8, and its depths, infinite where there is no plane.
+
+    The depths are those of the `fine` samples that a pixel has along each axis.
+    """
+    width, height = size
     u, v = np.meshgrid(
         (np.arange(width * fine) + 0.5) / fine - 0.5, (np.arange(height * fine) + 0.5) / fine - 0.5
     )
@@ -102,4 +117,5 @@ def _render(R: np.ndarray, centre: np.ndarray, textures: list[np.ndarray]) -> np
         sampled = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         colours[hit] = sampled[hit]
         nearest[hit] = depth[hit]
-    return np.rint(cv2.resize(colours, SIZE, interpolation=cv2.INTER_AREA)).astype(np.uint8)
+    pixels = np.rint(cv2.resize(colours, size, interpolation=cv2.INTER_AREA)).astype(np.uint8)
+    return pixels, nearest

@@ -94,17 +94,6 @@ def test_a_preset_without_weights_lists_those_that_are_shipped() -> None:
         load_network("dgc")
 
 
-def test_a_pickle_that_would_run_code_is_refused(tmp_path: Path) -> None:
-    class Harm:
-        def __reduce__(self) -> tuple[object, ...]:
-            return (Path.touch, (tmp_path / "harmed",))
-
-    torch.save({"state_dict": Harm()}, tmp_path / "evil.pth")
-    with pytest.raises(WeightsError, match=r"evil\.pth"):
-        load_network(tmp_path / "evil.pth")
-    assert not (tmp_path / "harmed").exists()
-
-
 def test_the_first_differing_keys_are_named(tmp_path: Path) -> None:
     state = dict(_random_net("dgc").state_dict())
     del state["reg_4.conv0.0.weight"]
