@@ -12,8 +12,6 @@ from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher, MatchingOptions
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.dense import feature_cache
-from dgc_pose.matching.key_points import key_point_cache
-from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -106,15 +104,3 @@ def test_views_have_features_of_their_own(monkeypatch: pytest.MonkeyPatch) -> No
     )
     assert np.array_equal(found.map, expected.map)
     assert matcher.cache is not None and matcher.cache.made == 3
-
-
-def test_sift_detects_once_an_image() -> None:
-    cache = key_point_cache()
-    images = _images(3)
-    plain, cached = SiftMatcher(), SiftMatcher(cache=cache)
-    for first, second in ((0, 1), (0, 2), (1, 2)):
-        expected, found = (
-            matcher.match(images[first], images[second]).matches for matcher in (plain, cached)
-        )
-        assert np.array_equal(found.points1, expected.points1)
-    assert (cache.asked, cache.made) == (6, 3)

@@ -11,10 +11,10 @@ import pytest
 import torch
 from map_nets import SMALL
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import within
 from dgc_pose.images.image import Image
-from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions, load_dense_matcher
+from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -125,18 +125,6 @@ def test_a_mask_network_has_no_coarser_level() -> None:
         MatchingOptions(finest=100)  # type: ignore[arg-type]
 
 
-def test_the_same_images_give_the_same_matches() -> None:
-    torch.manual_seed(0)
-    matcher = DenseMatcher(
-        TorchEngine(DGCNet(preset("dgcm-lite0"))), MatchingOptions(matchability=0.0)
-    )
-    pair = _image(200, 150, 1), _image(180, 240, 2)
-    one, two = matcher.match(*pair).matches, matcher.match(*pair).matches
-    assert len(one) > 0
-    assert np.array_equal(one.points1, two.points1)
-    assert np.array_equal(one.confidence, two.confidence)
-
-
 def test_nothing_is_nan_whatever_the_network_says() -> None:
     net = _constant_net()
     with torch.no_grad():
@@ -195,16 +183,6 @@ def test_a_part_of_image_1_is_decoded_as_one(monkeypatch: pytest.MonkeyPatch) ->
     found = _map(DenseMatcher(engine), first, second)
     expected = found.grid + (100 - 44.5, 80 - 29.5)  # the same scale: 180 pixels show 90
     np.testing.assert_allclose(found.map, expected, atol=0.01)
-
-
-def test_missing_weights_and_devices_are_refused() -> None:
-    with pytest.raises(WeightsError, match="no such weights"):
-        load_dense_matcher("nowhere.safetensors")
-    with pytest.raises(InputError, match="device"):
-        load_dense_matcher(device="quantum")
-    if not torch.cuda.is_available():
-        with pytest.raises(InputError, match="CUDA"):
-            load_dense_matcher(device="cuda")
 
 
 def test_a_batch_gives_what_its_pairs_give_alone() -> None:

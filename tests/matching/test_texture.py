@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+from dgc_pose.matching import Matcher
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.sift import SiftMatcher
@@ -37,23 +38,10 @@ def _blank(kind: BlankKind, seed: int = 0) -> Image:
     return Image(blank(kind, SIZE, np.random.default_rng([seed, BLANKS.index(kind)])))
 
 
-class _Everywhere(Matcher):
+def _everywhere() -> Matcher:
     """A network that is sure of every pixel of any two images."""
-
-    name = "sure"
-
-    def _match(self, image1: Image, image2: Image) -> MatchResult:
-        found = dense_scene.true_map()
-        sure = np.ones_like(found.matchability)
-        given = MatchResult(
-            Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0),
-            type(found)(found.map, found.grid, sure, found.size1, found.size2),
-        )
-        from dgc_pose.matching import select_matches
-
-        assert given.correspondence_map is not None
-        matches = select_matches(given.correspondence_map, MatchingOptions())
-        return MatchResult(textured(matches, image1, image2), given.correspondence_map)
+    dense = dense_scene.true_map()
+    return dense_scene.MapMatcher(replace(dense, matchability=np.ones_like(dense.matchability)))
 
 
 def _stored(folder: Path) -> FileMatcher:
@@ -63,8 +51,8 @@ def _stored(folder: Path) -> FileMatcher:
 
 
 SOURCES: dict[str, Callable[[Path], Matcher]] = {
-    "map": lambda folder: _Everywhere(),
-    "map refined": lambda folder: Refiner(_Everywhere(), [MapMatches()]),
+    "map": lambda folder: _everywhere(),
+    "map refined": lambda folder: Refiner(_everywhere(), [MapMatches()]),
     "sift": lambda folder: SiftMatcher(),
     "files": _stored,
     "files refined": lambda folder: Refiner(_stored(folder)),

@@ -16,8 +16,10 @@ from dgc_pose.matching.view import View
 from dgc_pose.refinement.features import (
     FeatureMatches,
     _views,
+    cells_at,
     equal_scales,
     mutual_neighbours,
+    native_cache,
     subcell_points,
 )
 from dgc_pose.refinement.options import FeatureOptions
@@ -69,6 +71,20 @@ def test_factors_make_the_scales_equal(
     found = equal_scales(size1, size2, scale, 800)
     assert found == pytest.approx(expected)
     assert found[0] * scale == pytest.approx(found[1])
+
+
+def test_sides_become_the_nearest_multiples_of_16() -> None:
+    assert cells_at((320, 200), 0.5) == (10, 6)
+    assert cells_at((1600, 1200), 0.5) == (50, 38)
+    assert cells_at((1600, 3), 0.1) == (10, 1)
+
+
+def test_a_cache_counts_images_and_features(engine: TorchEngine) -> None:
+    cache, image = native_cache(), Image(_picture(64, 48))
+    key = (image, View.whole(image.size), (4, 3))
+    features = cache.get(key, lambda: engine.native(image.pixels, (4, 3)))
+    values = sum(level.size for level in (features.coarse, features.middle, features.fine))
+    assert cache.held_bytes == image.pixels.nbytes + 4 * values
 
 
 def _match(

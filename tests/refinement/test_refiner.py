@@ -24,7 +24,7 @@ from dgc_pose.refinement import (
     RefinementOptions,
     Refiner,
 )
-from dgc_pose.refinement.features import FeatureMatches, native_cache
+from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.refinement.refiner import MapMatches
 from dgc_pose.runtime.torch_engine import TorchEngine
 
@@ -178,19 +178,6 @@ def test_few_aligned_matches_are_completed(images: tuple[Image, Image]) -> None:
     assert 0.02 < moved.mean() and np.median(_errors(completed)) < np.median(_errors(as_found))
 
 
-def test_a_cache_spares_native_passes_and_changes_nothing(
-    images: tuple[Image, Image], engine: TorchEngine
-) -> None:
-    cache = native_cache()
-    plain, cached = (
-        Refiner(_noisy(), [FeatureMatches(engine, cache=one)]) for one in (None, cache)
-    )
-    for pair in (images, images[::-1]):
-        expected, found = plain.match(*pair).matches, cached.match(*pair).matches
-        assert np.array_equal(found.points1, expected.points1)
-    assert cache.made < cache.asked
-
-
 def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: TorchEngine) -> None:
     first = Image(dense_scene.pictures()[0])
     grid = dense_scene.grid(dense_scene.CELLS, dense_scene.CELLS)
@@ -206,13 +193,7 @@ def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: To
     [
         (RefinementOptions, "source", "nothing"),
         (FeatureOptions, "long_side", 16),
-        (FeatureOptions, "similar", 0),
-        (FeatureOptions, "likely", 0),
         (AlignmentOptions, "min_zncc", 0.0),
-        (AlignmentOptions, "neighbours", 3),
-        (AlignmentOptions, "patch_radius", 1),
-        (AlignmentOptions, "min_matches", 0),
-        (AlignmentOptions, "min_aligned", 0),
     ],
 )
 def test_options_out_of_range_are_named(options: type, name: str, value: object) -> None:
