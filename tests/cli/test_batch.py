@@ -68,8 +68,14 @@ def copied(finished: Path, tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", ["batch", "reconstruct"])
-@pytest.mark.parametrize(("count", "reason"), [(0, "no image"), (1, "a single image")])
+@pytest.mark.parametrize(
+    ("command", "count", "reason"),
+    [
+        ("batch", 0, "no image there, and a pair needs two"),
+        ("reconstruct", 1, "a single image there, and a pair needs two"),
+        ("reconstruct", 2, "2 images, and a model needs 3"),
+    ],
+)
 def test_too_few_images(
     photos: Path, tmp_path: Path, command: str, count: int, reason: str
 ) -> None:
@@ -78,7 +84,7 @@ def test_too_few_images(
     for i in range(count):
         (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
     options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    assert_refused(run(command, folder, *options), str(folder), reason, "a pair needs two")
+    assert_refused(run(command, folder, *options), str(folder), reason)
     assert not out.exists()
 
 
@@ -105,27 +111,12 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     assert f"warning: {left_out}\n" in done.stderr
 
 
-@pytest.mark.parametrize("kind", ["csv", "colmap", "nerf"])
-def test_a_K_for_another_size(photos: Path, tmp_path: Path, kind: str) -> None:
+def test_a_K_for_another_size(photos: Path, tmp_path: Path) -> None:
     """Twice the size, which the file says: the image that it does not fit is named."""
-    twice = 2 * SIZE[0], 2 * SIZE[1]
-    fx, fy, cx, cy = 2 * K[0, 0], 2 * K[1, 1], 2 * K[0, 2] + 1, 2 * K[1, 2] + 1
-    numbers = f"{twice[0]} {twice[1]} {fx} {fy} {cx} {cy}"
-    names = [f"view{i}.png" for i in range(3)]
-    if kind == "csv":
-        path = tmp_path / "K.csv"
-        rows = [f"{name},{fx},{fy},{cx},{cy},{twice[0]},{twice[1]}" for name in names]
-        path.write_text("\n".join(["name,fx,fy,cx,cy,width,height", *rows]))
-    elif kind == "colmap":
-        path = tmp_path / "cameras.txt"
-        path.write_text(f"1 PINHOLE {numbers}\n")
-    else:
-        path = tmp_path / "transforms.json"
-        shared = f'"fl_x": {fx}, "fl_y": {fy}, "w": {twice[0]}, "h": {twice[1]}'
-        path.write_text(f'{{{shared}, "frames": [{{"file_path": "{names[0]}"}}]}}')
-    out = tmp_path / "out"
+    path, out = tmp_path / "cameras.txt", tmp_path / "out"
+    path.write_text("1 PINHOLE 480 360 400 400 240 180\n")
     options = ["--out", out, "--pairs", "exhaustive", "--K", path, *SIFT]
-    assert_refused(run("batch", photos, *options), str(path), "view0.png", "480", "240")
+    assert_refused(run("batch", photos, *options), str(path), "view0.png", "480 x 360", "240 x 180")
     assert not out.exists()
 
 
@@ -195,18 +186,6 @@ def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
     assert done.exit_code == 2, done.output
     assert "matches.h5" in done.stderr.splitlines()[-1]
     assert [path.name for path in out.iterdir()] == ["batch"]
-
-
-def test_two_photographs_are_refused_before_they_are_matched(photos: Path, tmp_path: Path) -> None:
-    folder, out = tmp_path / "folder", tmp_path / "out"
-    folder.mkdir()
-    for i in range(2):
-        (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
-    assert_refused(
-        run("reconstruct", folder, "--out", out, "--K", K_text(), *SIFT),
-        f"{folder}: 2 images, and a model needs 3",
-    )
-    assert not out.exists()
 
 
 def test_a_batch_of_another_precision_is_not_resumed(photos: Path, finished: Path) -> None:
