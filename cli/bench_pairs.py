@@ -43,7 +43,7 @@ from dgc_pose.system.options import MAX_SEED, option
 
 
 @dataclass(frozen=True)
-class PairOptions:
+class PairBenchOptions:
     """Which pairs, and where the results go."""
 
     root: str | None = option(
@@ -87,7 +87,7 @@ class PairOptions:
 
 @click.command()
 @click.argument("pair_list", metavar="[LIST]", required=False)
-@dataclass_options(PairOptions, "options")
+@dataclass_options(PairBenchOptions, "options")
 @dataclass_options(ImageChange, "change")
 @click.option(
     "--methods",
@@ -102,7 +102,7 @@ class PairOptions:
 @dataclass_options(EstimationOptions, "estimation")
 def bench_pairs(
     pair_list: str | None,
-    options: PairOptions,
+    options: PairBenchOptions,
     change: ImageChange,
     methods: str,
     run: RunChoice,

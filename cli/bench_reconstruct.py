@@ -27,7 +27,7 @@ from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ReconstructBenchOptions:
     """What is compared with what."""
 
     out: Path = option(
@@ -53,13 +53,13 @@ class Comparison:
 
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
-@dataclass_options(Comparison, "comparison")
+@dataclass_options(ReconstructBenchOptions, "bench")
 @dataclass_options(ReconstructionOptions, "reconstruction")
 @dataclass_options(WorkChoice, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(
     folder: Path,
-    comparison: Comparison,
+    bench: ReconstructBenchOptions,
     reconstruction: ReconstructionOptions,
     work: WorkChoice,
     estimation: EstimationOptions,
@@ -69,7 +69,7 @@ def bench_reconstruct(
     K is known and stays fixed. Positions are compared after the best similarity; "% of extent" is
     their rms over the largest distance of two cameras. All methods map with the same options.
     """
-    out, truth, scale = comparison.out, comparison.truth, comparison.scale
+    out, truth, scale = bench.out, bench.truth, bench.scale
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of images")
     views = views_of_dtu(truth, folder) if truth.is_dir() else views_of_list(truth, folder)
@@ -78,12 +78,12 @@ def bench_reconstruct(
     options = batch_options(work)
     mapping = replace(reconstruction.mapping, mapper_threads=options.workers)
     reconstruction = replace(reconstruction, mapping=mapping)
-    setting = parse_pair_choice(comparison.pairs), reconstruction, estimation, options
+    setting = parse_pair_choice(bench.pairs), reconstruction, estimation, options
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     if scale != 1:
         views = views.resized(scale, out / "images")  # a later --resume reads them again
-    for method in split_names(comparison.methods):
+    for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)
         click.echo(f"{method}: {score.registered} of {score.images} images", err=True)

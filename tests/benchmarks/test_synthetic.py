@@ -10,7 +10,6 @@ import torch.nn.functional as F
 
 from dgc_pose.benchmarks.map_run import MapCase
 from dgc_pose.benchmarks.synthetic import SETS, synthetic_cases
-from dgc_pose.errors import InputError
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.render.procedural import procedural_textures
 
@@ -119,8 +118,3 @@ def test_changed_pairs_have_the_same_kind_of_map_in_another_light(photos: Photos
     torch.testing.assert_close(plain.map, changed.map)
     assert (plain.image1 - changed.image1).abs().mean() > 0.03
     assert (plain.valid & ~changed.valid).any() and not (changed.valid & ~plain.valid).any()
-
-
-def test_an_unknown_set_is_refused(photos: Photos) -> None:
-    with pytest.raises(InputError, match="there are affine, affine-tps, homography, scenes"):
-        next(synthetic_cases(photos, "tps", 1, 0))

@@ -137,12 +137,6 @@ def test_unrelated_scenes_are_photographs_of_two_folders(tmp_path):
         list(unrelated_scenes([folders[0], tmp_path / "empty"], 1, seed=0))
 
 
-def test_fewer_than_two_photographs_held_back_are_too_few(tmp_path):
-    (tmp_path / "photos").mkdir()
-    with pytest.raises(InputError, match="need two"):
-        list(unrelated_photos(tmp_path / "photos", 1, seed=0))
-
-
 def test_of_a_list_an_even_choice_is_taken(tmp_path):
     write_photos(tmp_path / "scene", 10)
     K = "90 0 47.5 0 90 39.5 0 0 1"

@@ -29,12 +29,6 @@ def test_a_turn_by_half_the_field_of_view_halves_the_overlap():
     assert overlap(turned(0), turned(half), SIZE) == pytest.approx(0.5, abs=0.05)
 
 
-def test_the_order_of_the_views_does_not_matter():
-    a, b = turned(5), DtuView(K, turned(-3, "x").R, np.array([80.0, -20.0, 10.0]))
-    assert 0 < overlap(a, b, SIZE) < 1
-    assert overlap(a, b, SIZE) == overlap(b, a, SIZE)
-
-
 def test_overlap_falls_with_the_baseline():
     shares = [
         overlap(turned(0), DtuView(K, np.eye(3), np.array([shift, 0.0, 0.0])), SIZE)
