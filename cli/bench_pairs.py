@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
@@ -19,9 +17,9 @@ from dgc_pose.benchmarks.posed_pairs import (
     RenderedPosedPairs,
     require_images,
 )
-from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.summary import (
     by_method,
+    columns,
     heading,
     summarise,
     summarise_epipolar,
@@ -36,7 +34,7 @@ from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.files.outputs import replaced, save_text, staged, write_text
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import MAX_SEED, option
@@ -130,20 +128,14 @@ def bench_pairs(
         if options.json_path is not None:
             save_text(stage(options.json_path), data)
     if options.out is not None:
-        _write_summary(options.out, data, results)
-    click.echo(heading(estimation))
-    click.echo(summary_table(summaries))
+        from dgc_pose.viz import plot_errors, save_figure
 
-
-def _write_summary(out: str, data: str, results: Mapping[str, Sequence[PairScore]]) -> None:
-    """summary.json and errors.png beside results.csv."""
-    from dgc_pose.viz import plot_errors, save_figure
-
-    rotation, translation = (
-        {method: np.array([getattr(row, name) for row in rows]) for method, rows in results.items()}
-        for name in ("rotation_error_deg", "translation_folded_deg")
-    )
-    summary, errors = str(Path(out, "summary.json")), str(Path(out, "errors.png"))
-    with staged(summary, errors) as stage:
-        save_text(stage(summary), data)
-        save_figure(plot_errors(rotation, translation), stage(errors))
+        numbers = columns(row for rows in results.values() for row in rows)
+        rotation, translation = (
+            {method: column[name] for method, column in numbers.items()}
+            for name in ("rotation_error_deg", "translation_folded_deg")
+        )
+        write_text(Path(options.out, "summary.json"), data)
+        with replaced(Path(options.out, "errors.png")) as file:
+            save_figure(plot_errors(rotation, translation), file)
+    click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
