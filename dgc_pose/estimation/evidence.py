@@ -65,6 +65,21 @@ class Evidence:
     map_agreement: float | None = None
     map_chance: float | None = None
 
+    @property
+    def over_chance(self) -> float:
+        """The inlier ratio, over that of wrong matches."""
+        return self.inlier_ratio / max(self.chance_ratio, 1e-6)
+
+    @property
+    def log10_rarity(self) -> float:
+        """How rare so many inliers are in random matches."""
+        return -self.log10_false_alarms
+
+    @property
+    def map_over_chance(self) -> float:
+        """How much more of the dense map agrees with the pose than by chance."""
+        return (self.map_agreement or 0.0) - (self.map_chance or 0.0)
+
 
 def gather(
     problem: TwoViewProblem,
@@ -94,6 +109,8 @@ def gather(
     across = epipolar_angles(rotated.points1, rotated.points2, model.E)
     angles = triangulation_angles_deg(inliers.points1, inliers.points2, model.R)
     rotation_90, translation_90 = error_radii_deg(covariance)
+    side1, side2 = problem.cells
+    in_cells = inliers.points1 / side1, inliers.points2 / side2
     return Evidence(
         num_inliers=model.count,
         inlier_ratio=float(is_inlier.mean()),
@@ -109,13 +126,15 @@ def gather(
         median_triangulation_angle_deg=_median(angles),
         homography_ratio=homography_ratio,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
-        occupied_cells=_occupied_cells(inliers),
+        occupied_cells=min(
+            len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells
+        ),
         key_points=problem.key_points,
         jackknife_rotation_90_deg=rotation_90,
         jackknife_translation_90_deg=translation_90,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
-        hull_cells=_hull_cells(inliers),
+        hull_cells=min(_hull_area(cells) for cells in in_cells),
         depth_spread=_depth_spread(problem.subset(model.inliers_in_front), model),
         confidence=_median(inliers.confidence),
         run_agreement=_mean([run.angle_to(model.R, model.t) <= DISTINCT_DEG for run in runs]),
@@ -146,20 +165,11 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     return R
 
 
-def _occupied_cells(problem: TwoViewProblem) -> int:
-    """Grid cells with matches, in the image with fewer of them."""
-    sides = zip((problem.points1, problem.points2), problem.cells, strict=True)
-    cells = (np.floor(points / side).astype(int) for points, side in sides)
-    return min(len(np.unique(cell, axis=0)) for cell in cells)
-
-
-def _hull_cells(problem: TwoViewProblem) -> float:
-    """Area of the matches' convex hull in grid cells, in the image where it is smaller."""
-    if len(problem) < 3:
+def _hull_area(points: np.ndarray) -> float:
+    """Area of the convex hull of points (N, 2)."""
+    if len(points) < 3:
         return 0.0
-    sides = zip((problem.points1, problem.points2), problem.cells, strict=True)
-    hulls = (cv2.convexHull((points / side).astype(np.float32)) for points, side in sides)
-    return min(float(cv2.contourArea(hull)) for hull in hulls)
+    return float(cv2.contourArea(cv2.convexHull(points.astype(np.float32))))
 
 
 def _depth_spread(inliers: TwoViewProblem, model: Model) -> float:

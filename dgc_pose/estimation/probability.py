@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -33,11 +33,21 @@ def match_kind(evidence: Evidence) -> MatchKind:
 
 
 class Feature(NamedTuple):
-    """A number made of the evidence e; the logistic model is linear in it."""
+    """A number made of the evidence; the logistic model is linear in it."""
 
-    value: Callable[[Evidence], float]
+    field: str  # of the evidence
     sign: int  # of its weight: 1 if more of it speaks for the pose, -1 if against
-    against: str  # what speaks against a pose that has little, or much, of it; formatted with e
+    against: str  # what speaks against a pose that has little, or much, of it; e: the evidence
+    # The logarithm is taken within this range, so that the model never extrapolates; None: the
+    # number itself, a share of at most 1.
+    log_range: tuple[float, float] | None = None
+
+    def value(self, evidence: Evidence) -> float:
+        """The number."""
+        number: float | None = getattr(evidence, self.field)
+        if self.log_range is None:
+            return min(number or 0.0, 1.0)
+        return _log(number, *self.log_range)
 
     def words(self, evidence: Evidence) -> str:
         """`against` for this evidence."""
@@ -48,87 +58,58 @@ def _log(value: float | None, low: float, high: float) -> float:
     return math.log(min(max(high if value is None else value, low), high))
 
 
-# Each value is cut off where more of it says no more, so that the model never extrapolates.
 FEATURES: Mapping[str, Feature] = {
-    "inliers": Feature(lambda e: _log(e.num_inliers, 5, 2000), 1, "only {e.num_inliers} inliers"),
+    "inliers": Feature("num_inliers", 1, "only {e.num_inliers} inliers", (5, 2000)),
     "inlier_ratio": Feature(
-        lambda e: e.inlier_ratio, 1, "only {e.inlier_ratio:.0%} of the matches are inliers"
+        "inlier_ratio", 1, "only {e.inlier_ratio:.0%} of the matches are inliers"
     ),
     "over_chance": Feature(
-        lambda e: _log(e.inlier_ratio / max(e.chance_ratio, 1e-6), 1, 100),
-        1,
-        "wrong matches have {e.chance_ratio:.0%} inliers as well",
+        "over_chance", 1, "wrong matches have {e.chance_ratio:.0%} inliers as well", (1, 100)
     ),
-    "false_alarms": Feature(
-        lambda e: _log(-e.log10_false_alarms, 1, 5000), 1, "so many inliers could be chance"
-    ),
+    "false_alarms": Feature("log10_rarity", 1, "so many inliers could be chance", (1, 5000)),
     "cheirality": Feature(
-        lambda e: e.cheirality_ratio,
-        1,
-        "only {e.cheirality_ratio:.0%} lie in front of both cameras",
+        "cheirality_ratio", 1, "only {e.cheirality_ratio:.0%} lie in front of both cameras"
     ),
     "occupied_cells": Feature(
-        lambda e: _log(e.occupied_cells, 3, 400),
-        1,
-        "the inliers lie in only {e.occupied_cells} grid cells",
+        "occupied_cells", 1, "the inliers lie in only {e.occupied_cells} grid cells", (3, 400)
     ),
     "hull": Feature(
-        lambda e: _log(e.hull_cells, 2, 400),
-        1,
-        "the inliers cover only {e.hull_cells:.0f} grid cells",
+        "hull_cells", 1, "the inliers cover only {e.hull_cells:.0f} grid cells", (2, 400)
     ),
     "rotation_error": Feature(
-        lambda e: _log(e.jackknife_rotation_90_deg, 0.02, 60),
-        -1,
-        "the inliers hardly determine the rotation",
+        "jackknife_rotation_90_deg", -1, "the inliers hardly determine the rotation", (0.02, 60)
     ),
     "translation_error": Feature(
-        lambda e: _log(e.jackknife_translation_90_deg, 0.05, 120),
+        "jackknife_translation_90_deg",
         -1,
         "the inliers hardly determine the translation",
+        (0.05, 120),
     ),
-    "residual": Feature(lambda e: e.residual, -1, "the inliers do not agree closely"),
-    "threshold": Feature(
-        lambda e: _log(e.threshold_cells, 0.01, 0.5), -1, "the matches are inaccurate"
-    ),
-    "parallax": Feature(lambda e: _log(e.parallax, 0.7, 40), 1, "there is little parallax"),
-    "rotation_share": Feature(
-        lambda e: min(e.rotation_share, 1.0), -1, "a rotation alone explains most matches"
-    ),
+    "residual": Feature("residual", -1, "the inliers do not agree closely"),
+    "threshold": Feature("threshold_cells", -1, "the matches are inaccurate", (0.01, 0.5)),
+    "parallax": Feature("parallax", 1, "there is little parallax", (0.7, 40)),
+    "rotation_share": Feature("rotation_share", -1, "a rotation alone explains most matches"),
     "triangulation": Feature(
-        lambda e: _log(e.median_triangulation_angle_deg, 0.2, 30),
+        "median_triangulation_angle_deg",
         1,
         "small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)",
+        (0.2, 30),
     ),
     "homography": Feature(
-        lambda e: e.homography_ratio,
-        -1,
-        "one homography explains {e.homography_ratio:.0%} of the inliers",
+        "homography_ratio", -1, "one homography explains {e.homography_ratio:.0%} of the inliers"
     ),
-    "depth_spread": Feature(lambda e: min(e.depth_spread, 1.0), 1, "the inliers have little depth"),
-    "confidence": Feature(lambda e: e.confidence, 1, "the matched patches are not alike"),
+    "depth_spread": Feature("depth_spread", 1, "the inliers have little depth"),
+    "confidence": Feature("confidence", 1, "the matched patches are not alike"),
     "run_agreement": Feature(
-        lambda e: e.run_agreement,
-        1,
-        "only {e.run_agreement:.0%} of the RANSAC runs found this pose",
+        "run_agreement", 1, "only {e.run_agreement:.0%} of the RANSAC runs found this pose"
     ),
-    "rival": Feature(
-        lambda e: min(e.rival_ratio, 1.0),
-        -1,
-        "another pose has {e.rival_ratio:.0%} as many inliers",
-    ),
-    "matchability": Feature(
-        lambda e: e.map_matchability or 0.0, 1, "the dense map is hardly matchable"
-    ),
+    "rival": Feature("rival_ratio", -1, "another pose has {e.rival_ratio:.0%} as many inliers"),
+    "matchability": Feature("map_matchability", 1, "the dense map is hardly matchable"),
     "map_agreement": Feature(
-        lambda e: e.map_agreement or 0.0,
-        1,
-        "only {e.map_agreement:.0%} of the dense map agrees with it",
+        "map_agreement", 1, "only {e.map_agreement:.0%} of the dense map agrees with it"
     ),
     "map_over_chance": Feature(
-        lambda e: (e.map_agreement or 0.0) - (e.map_chance or 0.0),
-        1,
-        "the dense map agrees with it no more than by chance",
+        "map_over_chance", 1, "the dense map agrees with it no more than by chance"
     ),
 }
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
