@@ -11,8 +11,7 @@ from torch import Tensor
 from dgc_pose.metrics import aepe, endpoint_errors
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.synthesis.map_pairs import MapPairs, level_truth
 
 

@@ -1,14 +1,16 @@
-"""Correlation of features: global over the coarsest level, local around a warped cell."""
+"""Correlation of features, neighbourhood consensus by belief propagation (ours), and peaks."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.network.constants import EPSILON, PEAK_WINDOW
+from dgc_pose.network.constants import EPSILON, FLOOR, PEAK_WINDOW, REACH, WEIGHT
 
 
 def l2_normalise(features: Tensor) -> Tensor:
@@ -36,11 +38,9 @@ def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
     """
     height, width = target.shape[2:]
     padded = F.pad(warped, (radius,) * 4)
-    rows = range(2 * radius + 1)
     scores = [
         (padded[:, :, dy : dy + height, dx : dx + width] * target).sum(1)
-        for dy in rows
-        for dx in rows
+        for dy, dx in itertools.product(range(2 * radius + 1), repeat=2)
     ]
     return torch.stack(scores, 1)
 
@@ -88,6 +88,45 @@ def match_scores(evidence: Tensor) -> Tensor:
     """
     logits = evidence.flatten(2)
     return (logits.log_softmax(1) + logits.log_softmax(2)).view_as(evidence)
+
+
+def consensus(scores: Tensor, passes: int, grid: tuple[int, int] | None = None) -> Tensor:
+    """Log-probabilities of each target cell's source cell, after belief propagation.
+
+    scores: (B, h1 * w1, h2, w2) log-likelihoods, laid out as by `global_correlation`; grid:
+    (h1, w1), by default (h2, w2). Sum-product belief propagation on the grid of target cells, with
+    `passes` rounds: the match (s, t) of a target cell t is supported by the matches (s + d, t + d)
+    of its eight neighbours, blurred over s, as views are rotated, scaled and distorted.
+    """
+    batch, _, height, width = scores.shape
+    rows, columns = grid or (height, width)
+    # A Gaussian over the source's cells, column by column on both axes.
+    axes = (torch.arange(n, dtype=scores.dtype, device=scores.device) for n in (columns, rows))
+    along_x, along_y = (torch.exp(-((a[:, None] - a) ** 2) / (2 * REACH**2)) for a in axes)
+    blur = torch.kron(along_x, along_y) / (2 * math.pi * REACH**2)
+    belief = scores.log_softmax(1)
+    for _ in range(passes):
+        messages = torch.matmul(blur, belief.exp().flatten(2)).add(FLOOR).log()
+        support = _sum_of_neighbours(messages.view(batch, columns, rows, height, width))
+        belief = (scores + WEIGHT * support.view_as(scores)).log_softmax(1)
+    return belief
+
+
+def _sum_of_neighbours(messages: Tensor) -> Tensor:
+    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (B, w1, h1, h2, w2).
+
+    Messages about cells outside the source have the smallest value; there are none from cells
+    outside the target.
+    """
+    columns, rows, height, width = messages.shape[1:]
+    messages = F.pad(messages, (0, 0, 0, 0, 1, 1, 1, 1), value=math.log(FLOOR))
+    messages = F.pad(messages, (1, 1, 1, 1))
+    neighbours = [
+        messages[:, dx : dx + columns, dy : dy + rows, dy : dy + height, dx : dx + width]
+        for dy, dx in itertools.product(range(3), repeat=2)
+        if (dy, dx) != (1, 1)
+    ]
+    return torch.stack(neighbours).sum(0)
 
 
 def peaks(

@@ -19,11 +19,11 @@ from dgc_pose.network.config import (
     EfficientNet,
     NetworkConfig,
 )
-from dgc_pose.network.consensus import consensus
-from dgc_pose.network.constants import PASSES, PEAK
+from dgc_pose.network.constants import DEVIATION, MEAN, PASSES, PEAK
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import (
     cell_correlations,
+    consensus,
     l2_normalise,
     local_correlation,
     match_evidence,
@@ -279,6 +279,12 @@ class DGCNet(nn.Module):
 def _grid(features: Tensor) -> tuple[int, int]:
     """Rows and columns of a level's features (B, C, H, W)."""
     return features.shape[2], features.shape[3]
+
+
+def normalise(images: Tensor) -> Tensor:
+    """RGB images (B, 3, H, W) in [0, 1] to the network's input, by ImageNet's statistics."""
+    mean, deviation = (images.new_tensor(v)[:, None, None] for v in (MEAN, DEVIATION))
+    return (images - mean) / deviation
 
 
 def upsample(state: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """Likely cells of stride 16 for each cell, by consensus among neighbours, at native resolution.
 
-Belief propagation as in `network.consensus`: a match (s, t) is supported by matches near (s + d,
+Belief propagation as in `network.correlation`: a match (s, t) is supported by matches near (s + d,
 t + d) of the eight neighbours t + d. All pairs of thousands of cells would be too many: each cell
 has a few candidates, the most similar cells and those that the dense map points to.
 """

@@ -89,7 +89,7 @@ def log_softmax(values: np.ndarray, axis: int) -> np.ndarray:
 
 def consensus(scores: np.ndarray, passes: int, source: Grid, target: Grid) -> np.ndarray:
     """Log-probabilities of each target cell's source cell, after `passes` rounds of belief
-    propagation; see `network.consensus`."""
+    propagation; see `network.correlation.consensus`."""
     # A Gaussian over the source's cells, column by column on both axes.
     axes = (np.arange(side, dtype=np.float32) for side in source[::-1])
     along_x, along_y = (np.exp(-((a[:, None] - a) ** 2) / (2 * REACH**2)) for a in axes)

@@ -18,8 +18,7 @@ from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.inference import for_inference
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_network, network_fingerprint
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 

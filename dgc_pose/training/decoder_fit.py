@@ -16,8 +16,7 @@ from torch.nn.functional import unfold
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import COARSEST, LEVEL_SIZES
-from dgc_pose.network.net import DGCNet, upsample
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise, upsample
 from dgc_pose.synthesis.map_pairs import MapPairs
 
 _CELLS = 2400  # most cells of a batch and level that enter the fit

@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from dgc_pose.network.constants import DEVIATION, MEAN
 from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid, InvertedResidual, even_kernel
-from dgc_pose.network.statistics import DEVIATION, MEAN
 
 _EPSILON = 1e-3  # of the checkpoint's batch norms
 _OFFSET, _RANGE = 127.0, 128.0  # the checkpoint's input is (x - 127) / 128, x in 0..255

@@ -11,8 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.network.consensus import consensus
-from dgc_pose.network.correlation import match_scores
+from dgc_pose.network.correlation import consensus, match_scores
 from dgc_pose.training.processes import joint_sum
 
 _ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.config import INPUT_SIZE, preset
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.synthesis.depth_scenes import DepthScenes
 from dgc_pose.synthesis.draw import Draw, seeded

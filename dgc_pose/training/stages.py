@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 
 import torch
@@ -14,9 +15,8 @@ from dgc_pose.network.constants import PASSES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid
-from dgc_pose.network.net import Correlation, DGCNet, upsample
+from dgc_pose.network.net import Correlation, DGCNet, normalise, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
-from dgc_pose.network.statistics import normalise
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.map_pairs import MapPairs, level_known, level_truth
 from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mask_loss
@@ -68,13 +68,8 @@ class EncoderStage(nn.Module):
         halves = [l2_normalise(features[k].float()).chunk(2) for k in self.correlated]
         correlations = cell_correlations(*zip(*halves, strict=True))
         evidence = match_evidence(correlations, scales[: len(self.correlated)])
-        total, share = _coarsest_loss(evidence, pairs)
-        shares = {f"found{COARSEST}": share}
-        for level, scale in zip(_CONTRASTED, scales[len(self.correlated) :], strict=True):
-            part, share = _level_contrast(level, features[level], pairs, scale, draw)
-            total = total + part
-            shares[f"found{level}"] = share
-        return total, shares
+        contrasted = {level: features[level] for level in _CONTRASTED}
+        return _contrast(evidence, 0, contrasted, scales[len(self.correlated) :], pairs, draw)
 
     def write(self, net: DGCNet) -> None:
         """Copy the trained pyramid, batch norm folded, and the temperatures into the network."""
@@ -140,17 +135,11 @@ class CoarsestStage(nn.Module):
         would drift with the layers that they share with the coarsest.
         """
         assert correlation.evidence is not None
+        levels = _CONTRASTED if self.unfrozen == "encoder" else ()
+        features = {level: torch.cat([source[level], target[level]]) for level in levels}
+        scales = pairs.image1.new_full((len(levels),), _SCALE)
         passes = PASSES if self.net.config.any_shape else 0
-        total, share = _coarsest_loss(correlation.evidence, pairs, passes)
-        shares = {f"found{COARSEST}": share}
-        if self.unfrozen == "encoder":
-            for level in _CONTRASTED:
-                features = torch.cat([source[level], target[level]])
-                scale = features.new_tensor(_SCALE)
-                part, share = _level_contrast(level, features, pairs, scale, draw)
-                total = total + part
-                shares[f"found{level}"] = share
-        return total, shares
+        return _contrast(correlation.evidence, passes, features, scales, pairs, draw)
 
 
 class DecoderStage(CoarsestStage):
@@ -264,17 +253,35 @@ class DecoderStage(CoarsestStage):
         return torch.cat([noised.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
 
-def _coarsest_loss(evidence: Tensor, pairs: MapPairs, passes: int = 0) -> tuple[Tensor, Tensor]:
-    """The contrastive loss of the coarsest level's evidence, and the share of its cells found."""
+def _contrast(
+    evidence: Tensor,
+    passes: int,
+    features: Mapping[int, Tensor],
+    scales: Tensor,
+    pairs: MapPairs,
+    draw: Draw,
+) -> Loss:
+    """The contrastive loss of the coarsest level's evidence, and of other levels alone.
+
+    features: (2B, C, n, n) of these levels, each with its inverse temperature. The figures are the
+    shares of cells whose match is right.
+    """
     truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
-    logits, stride = evidence.flatten(2), 2**COARSEST
-    return contrastive_loss(logits, truth.flatten(1, 2), valid.flatten(1), stride, passes)
+    total, share = contrastive_loss(
+        evidence.flatten(2), truth.flatten(1, 2), valid.flatten(1), 2**COARSEST, passes
+    )
+    shares = {f"found{COARSEST}": share}
+    for (level, values), scale in zip(features.items(), scales, strict=True):
+        part, share = _level_contrast(level, values, pairs, scale, draw)
+        total = total + part
+        shares[f"found{level}"] = share
+    return total, shares
 
 
 def _level_contrast(
     level: int, features: Tensor, pairs: MapPairs, scale: Tensor, draw: Draw
 ) -> tuple[Tensor, Tensor]:
-    """The contrastive loss of a level alone, and the share of its cells found.
+    """The contrastive loss of a level alone, and the share of its cells whose match is right.
 
     features: (2B, C, n, n). Level 2 takes a random sample of the target cells.
     """

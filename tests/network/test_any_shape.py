@@ -7,8 +7,7 @@ import torch
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.dense import load_dense_matcher
 from dgc_pose.network.config import preset
-from dgc_pose.network.consensus import consensus
-from dgc_pose.network.correlation import cell_correlation, global_correlation, peaks
+from dgc_pose.network.correlation import cell_correlation, consensus, global_correlation, peaks
 from dgc_pose.network.net import DGCNet
 
 

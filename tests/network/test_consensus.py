@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.network import consensus as module
-from dgc_pose.network.consensus import consensus
-from dgc_pose.network.correlation import peaks
+from dgc_pose.network import constants as module
+from dgc_pose.network.correlation import consensus, peaks
 
 
 def _loops(scores: np.ndarray, passes: int) -> np.ndarray:

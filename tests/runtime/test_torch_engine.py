@@ -9,8 +9,7 @@ import torch.nn.functional as F
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.inference import for_inference
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import network_fingerprint, save_weights
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 

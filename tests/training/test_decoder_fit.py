@@ -8,8 +8,7 @@ import torch
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import EfficientNet, preset
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.synthesis.draw import seeded
 from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.training.decoder_fit import fit_decoders

@@ -7,8 +7,7 @@ import math
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.network.consensus import consensus
-from dgc_pose.network.correlation import global_correlation, l2_normalise, match_scores
+from dgc_pose.network.correlation import consensus, global_correlation, l2_normalise, match_scores
 from dgc_pose.synthesis.map_pairs import level_truth
 from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss
 

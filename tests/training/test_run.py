@@ -17,8 +17,7 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import NetworkConfig, preset
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.statistics import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import PairOptions
