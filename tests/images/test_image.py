@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import os
 import struct
 import sys
-import zlib
 from pathlib import Path
 
 import cv2
@@ -226,10 +224,8 @@ def test_heic_without_its_package_is_not_corrupt(
     path = tmp_path / "IMG_1.HEIC"
     path.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(ImageError) as caught:
+    with pytest.raises(ImageError, match="HEIC is HEIC, which needs pillow-heif: pip install"):
         load_image(path)
-    needs = "is HEIC, which needs pillow-heif: pip install pillow-heif"
-    assert str(caught.value) == f"{path} {needs}"
 
 
 def test_missing_empty_folder_and_too_large(tmp_path: Path) -> None:
@@ -247,38 +243,19 @@ def test_missing_empty_folder_and_too_large(tmp_path: Path) -> None:
         load_image(tmp_path / "empty.png")
 
 
-def huge_png_header(width: int, height: int) -> bytes:
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        crc = zlib.crc32(kind + body)
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", crc)
-
-    ihdr = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    rows = zlib.compress(b"\0" * 1000)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", ihdr) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
-
-
-@pytest.mark.parametrize("suffix", ["png", "bmp", "ppm"])
-def test_a_huge_image_is_refused_by_its_header(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"huge.{suffix}"
-    if suffix == "png":
-        path.write_bytes(huge_png_header(60_000, 50_000))
-    elif suffix == "ppm":
-        path.write_bytes(b"P6\n60000 50000\n255\n" + b"\0" * 100)
-    else:
-        small = io.BytesIO()
-        PIL.Image.new("RGB", (4, 4)).save(small, "BMP")
-        data = bytearray(small.getvalue())
-        data[18:26] = struct.pack("<ii", 60_000, 50_000)
-        path.write_bytes(data)
-    with pytest.raises(ImageError, match=rf"huge\.{suffix} is too large: 60000 x 50000"):
-        load_image(path)
-
-
-def test_an_image_beyond_pillows_own_limit_is_not_too_large(tmp_path: Path) -> None:
-    # 16,384 x 12,288 is what a telephone takes. The pixels are missing, so it is corrupt instead.
-    path = tmp_path / "telephone.png"
-    path.write_bytes(huge_png_header(16_384, 12_288))
-    with pytest.raises(ImageError, match=r"telephone\.png is corrupt"):
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        ((60_000, 50_000), "is too large: 60000 x 50000"),
+        ((16_384, 12_288), "is corrupt"),  # what a telephone takes, beyond Pillow's limit
+    ],
+)
+def test_the_header_alone_tells_a_huge_image(
+    tmp_path: Path, size: tuple[int, int], said: str
+) -> None:
+    path = tmp_path / "huge.ppm"
+    path.write_bytes(b"P6\n%d %d\n255\n" % size + bytes(100))
+    with pytest.raises(ImageError, match=rf"huge\.ppm {said}"):
         load_image(path)
 
 
