@@ -14,7 +14,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import partial
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.errors import InputError
@@ -67,17 +66,14 @@ class MatchingPass:
     caches: MatcherCaches | None = None  # what is kept of images, if anything is
 
     def matches(self, method: Method, image1: Image, image2: Image, result: MatchResult) -> Matches:
-        """The matches that go into the pose, of what the matcher found in two images."""
+        """The matches that go into the pose, of the matcher's result for two images."""
         if result.correspondence_map is not None:
             selected = select_matches(result.correspondence_map, method.matcher.matching)
             if not method.everywhere:
                 selected = textured(selected, image1, image2)
             result = replace(result, matches=selected)
         elif method.everywhere:
-            raise InputError(
-                f"{method.name}: {self.matcher.name} gives points and no map, so {EVERYWHERE} says "
-                "nothing"
-            )
+            raise InputError(f"{method.name}: {self.matcher.name} gives points and no map")
         if method.matcher.refinement.source == "none":
             return result.matches
         refiner = refined(self.matcher, method.matcher, self.caches)
@@ -109,15 +105,10 @@ def parse_methods(
     for text in specifications:
         if specifications.count(text) > 1:
             raise InputError(f"the method {text!r} is named twice")
-    parse = partial(
-        _parse,
-        matcher=matcher or MatcherOptions(),
-        estimation=estimation or EstimationOptions(),
-        stored=stored,
-    )
-    methods = [parse(text) for text in specifications]
+    matcher, estimation = matcher or MatcherOptions(), estimation or EstimationOptions()
+    methods = [_parse(text, matcher, estimation, stored) for text in specifications]
     named = {method.matcher.weights for method in methods}
-    methods += [parse(name) for name in stored if name not in named]
+    methods += [_parse(name, matcher, estimation, stored) for name in stored if name not in named]
     if not methods:
         raise InputError("no methods named")
     return methods
@@ -147,15 +138,15 @@ def load_passes(
             passes[options] = MatchingPass(stored[name])
             continue
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
-        wanted = replace(options, device=device, runtime=runtime)
-        matcher = wanted.load(kept, engines.get(name))
+        loaded_options = replace(options, device=device, runtime=runtime)
+        matcher = loaded_options.load(kept, engines.get(name))
         engines[name] = matcher.engine
         passes[options] = MatchingPass(matcher, kept)
     return passes
 
 
 def _parse(
-    text: str, *, matcher: MatcherOptions, estimation: EstimationOptions, stored: Sequence[str]
+    text: str, matcher: MatcherOptions, estimation: EstimationOptions, stored: Sequence[str]
 ) -> Method:
     parts = text.split(":")
     # A path may hold colons: the settings are what follows the last part that is none.
@@ -190,8 +181,8 @@ def _parse(
 
 
 def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:
-    """Options (a dataclass) with settings put in wherever a field has their name, as well in the
-    dataclasses within; the names found are added to `used`."""
+    """Options (a dataclass) with each setting put into every field of that name, also of the
+    dataclasses within; those names are added to `used`."""
     cls: Any = type(options)
     changes: dict[str, Any] = {}
     for name, (kind, optional) in field_types(cls).items():

@@ -43,8 +43,8 @@ class CameraChoice:
         missing, unusable, or does not fit its image."""
         return self._camera(1, self.k1, image1), self._camera(2, self.k2, image2)
 
-    def _camera(self, number: int, own: str | None, image: Image) -> Camera:
-        name, text = ("--K", self.k) if own is None else (f"--K{number}", own)
+    def _camera(self, number: int, k: str | None, image: Image) -> Camera:
+        name, text = ("--K", self.k) if k is None else (f"--K{number}", k)
         if text is not None:
             return camera_for(text, image.size, name)
         if self.guess_focal:

@@ -1,4 +1,4 @@
-"""The frozen network as a matcher: images of any size in, matches in their own pixels out."""
+"""The frozen network as a matcher of images of any size."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ W x H. Formats:
   0 to 1 (or `certainty`), by default 1. With `grid` (H, W, 2), `map` and `grid` are in pixels of
   the images as stored, as `dgc-pose match` writes them. Or `points1` and `points2` (N, 2) alone, in
   pixels of the images as stored, with optional `confidence` (N,), `error_px`, and `key_points`,
-  true if each match was found independently.
+  true if the matches are independent detections.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class CorrespondenceMap:
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
-    """What a matcher found in two images."""
+    """The matches of two images."""
 
     matches: Matches  # those that a pose is estimated from, pixels of the images matched
     correspondence_map: CorrespondenceMap | None  # None for a matcher of key points

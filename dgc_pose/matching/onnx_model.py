@@ -27,7 +27,7 @@ from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.key_points import KeyPointCache, KeyPointMatcher, KeyPoints
 from dgc_pose.network.stored import find_weights
 
-LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model has a size of its own
+LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model takes one size alone
 ERROR_PX = 1.0  # of a match along one axis, pixels of the model's image
 MAX_POINTS = 4096  # of an image, those of the highest scores
 _MULTIPLE = 32  # pixels that the sides of the model's image are a multiple of
@@ -80,7 +80,7 @@ class OnnxMatcher(KeyPointMatcher):
         planes = np.ascontiguousarray(pixels.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
         try:
             outputs = self._session(planes)
-        except Exception as error:  # onnxruntime's errors have no common base of their own
+        except Exception as error:  # onnxruntime's errors have no common base
             raise InputError(f"{self.path}: {reason(error)}") from error
         role = {name: np.asarray(outputs[index]) for name, index in self._roles.items()}
         decode = _decode_grid if "logits" in role else _decode_points

@@ -33,7 +33,7 @@ _OCTAVES = (1, 2)  # of the ratio between the fields of view
 # which it is taken.
 _LOWER = 0.92
 _CLEAR = 0.8  # relative to the median: below it, other scales are not tried
-_PIXELS = 480  # square root of the area of a view, before the network's own resizing
+_PIXELS = 480  # square root of the area of a view, before the network resizes it
 _MARGIN = 1.5  # sides of a window, relative to what the other image is expected to cover
 _LEAST = 6  # matches that a similarity must fit
 _ANGLE_STEP = 5  # degrees that views are rotated by a multiple of
@@ -52,13 +52,13 @@ class _Thumbnail:
     inside: np.ndarray  # (h, w) bool, which cells of stride 16 show the image
 
     def points(self, size: Size) -> np.ndarray:
-        """Centres (N, 2) of the cells inside, pixels of the image at its own `size`."""
+        """Centres (N, 2) of the cells inside, pixels of the image at `size`."""
         rows, columns = self.inside.shape
         centres = cell_centres((columns, rows), self.view.size)[self.inside]
         return rescale(self.view.to_image(centres), self.size, size)
 
     def pixel_of(self, size: Size) -> float:
-        """Side of a pixel of the copy in pixels of the image at its own `size`."""
+        """Side of a pixel of the copy in pixels of the image at `size`."""
         return math.sqrt(math.prod(size) / math.prod(self.size)) / self.view.scale
 
 

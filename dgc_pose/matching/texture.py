@@ -90,7 +90,7 @@ def structured(grey: np.ndarray) -> np.ndarray:
 
 
 def noise_level(grey: np.ndarray) -> float:
-    """Standard deviation of the noise of an image (H, W), H, W >= 3, in its own unit.
+    """Standard deviation of the noise of an image (H, W), H, W >= 3, in the image's unit.
 
     From the upper quartile of the response to the difference of two Laplacians, which cancels
     planes and straight edges (Immerkær 1996). Fine texture counts as noise. Not the median: noise

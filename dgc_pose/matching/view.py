@@ -22,7 +22,7 @@ class View:
     angle_deg: float  # of the image's rotation, counter-clockwise, as by `numpy.rot90`
     scale: float  # pixels of the view per pixel of the image
     centre: tuple[float, float]  # pixel of the image, x and y, at the centre of the view
-    size: Size  # (width, height) of the view in its own pixels
+    size: Size  # (width, height) of the view, its pixels
 
     @staticmethod
     def whole(size: Size, angle_deg: float = 0.0, scale: float = 1.0) -> View:

@@ -126,7 +126,7 @@ def _from_coarse(
 
 @dataclass(frozen=True, eq=False)
 class _Shrunk:
-    """Two images, each shrunk by its own factor, and matches of their pixels."""
+    """Two images, each shrunk by a factor, and matches of their pixels."""
 
     pixels1: np.ndarray
     pixels2: np.ndarray

@@ -1,4 +1,4 @@
-"""Matches of the frozen encoder's own features at native resolution, guided by the dense map.
+"""Matches of the frozen encoder's features at native resolution, guided by the dense map.
 
 The encoder is fully convolutional, so the image keeps its shape and most of its resolution. At
 stride 16 each cell of image 2 gets a few candidate cells of image 1: the likeliest by consensus

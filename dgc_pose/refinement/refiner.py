@@ -40,10 +40,10 @@ class MapMatches:
 
 
 class Refiner(Matcher):
-    """A matcher with refinement of its matches. The dense map stays the matcher's own.
+    """A matcher with refinement of its matches. The dense map is the matcher's.
 
     sources: tried in this order until one gives enough matches. For a pair without a map the
-    matcher's own matches are aligned instead. max_matches: an even subsample of at most so many.
+    matcher's matches are aligned instead. max_matches: an even subsample of at most so many.
     """
 
     def __init__(
