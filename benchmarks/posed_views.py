@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,15 +63,13 @@ def views_of_list(path: Path, folder: Path) -> PosedViews:
         steps.setdefault(name2, []).append((name1, np.linalg.inv(step)))
         cameras.setdefault(name1, pair.camera1)
         cameras.setdefault(name2, pair.camera2)
-    start = min(steps)
-    poses = {start: np.eye(4)}
-    queue = deque([start])
-    while queue:
-        name = queue.popleft()
+    reached = [min(steps)]
+    poses = {reached[0]: np.eye(4)}
+    for name in reached:  # grows on the way
         for other, step in steps[name]:
             if other not in poses:
                 poses[other] = step @ poses[name]
-                queue.append(other)
+                reached.append(other)
     if len(poses) < len(cameras):
         raise InputError(f"{path}: its pairs do not connect all images")
     sized = {name: _sized(camera, folder / name) for name, camera in sorted(cameras.items())}

@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
@@ -87,20 +87,14 @@ def rates(scores: Sequence[VerdictScore], gates: VerdictOptions) -> tuple[float,
     without such pairs."""
     false = [succeeds(score, gates) for score in scores if score.kind == "unrelated"]
     missed = [not succeeds(score, gates) for score in scores if score.kind == "true"]
-    unrelated_rate, true_rate = (
-        float(np.mean(flags)) if flags else float("nan") for flags in (false, missed)
-    )
-    return unrelated_rate, true_rate
+    return float(np.mean(false or np.nan)), float(np.mean(missed or np.nan))
 
 
 def candidates() -> Iterator[VerdictOptions]:
     """The gates to choose among, the defaults first."""
-    default = VerdictOptions()
-    yield default
+    yield VerdictOptions()
     for inliers, ratio, cells in itertools.product(_MIN_INLIERS, _MIN_RATIOS, _MIN_CELLS):
-        yield replace(
-            default, min_inliers=inliers, min_inlier_ratio=ratio, min_occupied_cells=cells
-        )
+        yield VerdictOptions(min_inliers=inliers, min_inlier_ratio=ratio, min_occupied_cells=cells)
 
 
 def choose_gates(scores: Sequence[VerdictScore]) -> VerdictOptions:
