@@ -10,7 +10,7 @@ scene whose depth is mirrored.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,8 +45,16 @@ def rivals(
     H (3, 3). Before refinement a rival has at least 0.3 of the model's inliers.
     """
     least = max(_WORTH_REFINING * model.count_in_front, 1)
+    candidates = [*runs]
+    share, H = homography
+    if H is not None and share >= _LEAST_PLANAR:
+        candidates += planar_models(problem, H)
+    left = problem.subset(~model.inliers)
+    if len(left) >= max(_LEAST_LEFT, least):
+        seconds = sampled_models(left, replace(options, runs=1))
+        candidates += [Model.of_pose(problem, second.R, second.t) for second in seconds]
     distinct = [model]
-    for candidate in _candidates(problem, model, runs, homography, options):
+    for candidate in candidates:
         if candidate.count_in_front < least or _known(candidate, distinct):
             continue
         # A bad fit of a pose that is known becomes that pose.
@@ -83,23 +91,6 @@ def _reflection(direction: np.ndarray) -> np.ndarray:
     unit = direction / np.linalg.norm(direction)
     reflection: np.ndarray = np.eye(3) - 2 * np.outer(unit, unit)
     return reflection
-
-
-def _candidates(
-    problem: TwoViewProblem,
-    model: Model,
-    runs: Iterable[Model],
-    homography: tuple[float, np.ndarray | None],
-    options: EstimationOptions,
-) -> Iterator[Model]:
-    yield from runs
-    share, H = homography
-    if H is not None and share >= _LEAST_PLANAR:
-        yield from planar_models(problem, H)
-    left = problem.subset(~model.inliers)
-    if len(left) >= max(_LEAST_LEFT, _WORTH_REFINING * model.count_in_front):
-        for second in sampled_models(left, replace(options, runs=1))[:1]:
-            yield Model.of_pose(problem, second.R, second.t)
 
 
 def _known(candidate: Model, models: Iterable[Model]) -> bool:

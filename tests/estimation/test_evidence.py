@@ -20,11 +20,6 @@ def test_the_rotation_is_found_among_inliers_of_a_wrong_essential_matrix(rotatio
     assert rotation_error_deg(R, scene.R) < 0.05
 
 
-def test_the_rotation_of_one_match_is_the_identity():
-    point = np.array([[0.1, 0.2]])
-    assert np.array_equal(robust_rotation(normalised_problem(point, point)), np.eye(3))
-
-
 def test_the_evidence_of_the_true_pose():
     scene = two_view_scene("general", seed=1, count=800, sigma_px=0.5)
     problem = scene.problem(THRESHOLD, CELLS)
