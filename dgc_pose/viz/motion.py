@@ -105,22 +105,16 @@ def binned_medians(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _epipolar(methods: Columns, styles: Styles, protocol: str) -> Figure:
     panels = {"epipolar_all_px": "all pixels", "epipolar_confident_px": "the pose's matches"}
-    figure = new_figure(9.0, 4.5)
-    errors = [
-        {
-            name: values[field]
-            for name, values in methods.items()
-            if not np.isnan(values[field]).any()
-        }
-        for field in panels
-    ]
-    limit = max(shown_limit(by_method, EPIPOLAR_LIMITS) for by_method in errors if by_method)
+    errors = [{method: values[field] for method, values in methods.items()} for field in panels]
+    known = [{k: v for k, v in group.items() if not np.isnan(v).any()} for group in errors]
+    limit = max(shown_limit(group, EPIPOLAR_LIMITS) for group in known if group)
     quantity = f"median D_e of a pair, {protocol} protocol"
-    for axes, by_method, title in zip(figure.subplots(1, 2), errors, panels.values(), strict=True):
+    figure = new_figure(9.0, 4.5)
+    for axes, group, title in zip(figure.subplots(1, 2), known, panels.values(), strict=True):
         axes.set_title(title, fontsize=10)
-        if by_method:
+        if group:
             draw_cumulative(
-                axes, by_method, quantity=quantity, limit=limit, unit="pixels", styles=styles
+                axes, group, quantity=quantity, limit=limit, unit="pixels", styles=styles
             )
         else:
             axes.set_axis_off()

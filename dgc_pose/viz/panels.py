@@ -28,7 +28,7 @@ _BAR = (1.1, 0.12)  # width and height of a colour bar, inches
 
 def draw_image(axes: Axes, pixels: np.ndarray, title: str = "") -> None:
     """Draw an image (H, W, 3) uint8 RGB."""
-    _show(axes, shrunk(pixels), _size(pixels), title)
+    _show(axes, shrunk(pixels), pixels.shape[1::-1], title)
 
 
 def draw_matches(
@@ -50,7 +50,7 @@ def draw_matches(
 
     Returns what a colour bar needs.
     """
-    (width1, height1), (width2, height2) = _size(pixels1), _size(pixels2)
+    (width1, height1), (width2, height2) = pixels1.shape[1::-1], pixels2.shape[1::-1]
     scale = height1 / height2
     left = (1 + GAP) * width1 - 0.5  # edge of image 2
     right = left + scale * width2
@@ -98,7 +98,7 @@ def draw_matchability(
     colours = ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     shown = cv2.resize(matchability.astype(np.float32), grey.shape[::-1])
     shaded = colours.to_rgba(shown)[..., :3] * (0.35 + 0.65 * grey[..., None] / 255)
-    _show(axes, shaded, _size(pixels2), title)
+    _show(axes, shaded, pixels2.shape[1::-1], title)
     return colours
 
 
@@ -141,8 +141,8 @@ def draw_map(
     size1: (width, height) of image 1, pixels.
     """
     grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY) / 255
-    _show(axes, np.repeat(0.25 + 0.6 * grey[..., None], 3, axis=2), _size(pixels2), title)
-    x, y = np.moveaxis(cell_centres(matchability.shape[::-1], _size(pixels2)), -1, 0)
+    _show(axes, np.repeat(0.25 + 0.6 * grey[..., None], 3, axis=2), pixels2.shape[1::-1], title)
+    x, y = np.moveaxis(cell_centres(matchability.shape[::-1], pixels2.shape[1::-1]), -1, 0)
     known = matchability >= least
     if not known.any():
         return
@@ -168,10 +168,6 @@ def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     middle, space = above + thick / 2, 0.05 / width
     axes.text(right - long - space, middle, f"{label}  {low:.3g}", ha="right", **text)
     axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
-
-
-def _size(pixels: np.ndarray) -> tuple[int, int]:
-    return pixels.shape[1], pixels.shape[0]
 
 
 def _show(axes: Axes, picture: np.ndarray, size: tuple[float, float], title: str) -> None:

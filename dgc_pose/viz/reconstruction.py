@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
 
 from dgc_pose.viz.figure import new_figure
 
@@ -24,7 +25,7 @@ def plot_reconstruction(
     """
     R = np.stack([pose[:, :3] for pose in poses])
     centres = np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses])
-    axes = _mean_axes(R)
+    axes = Rotation.from_matrix(R).mean().as_matrix()  # rows
     chosen = np.linspace(0, len(points) - 1, min(_MOST, len(points))).astype(int)
     dots, cameras, directions = points[chosen] @ axes.T, centres @ axes.T, R[:, 2] @ axes.T
     figure = new_figure(12, 6)
@@ -32,11 +33,8 @@ def plot_reconstruction(
     above.set(title=f"from above: {len(poses)} cameras, {len(points)} points", ylabel="z")
     front.set(title="from the cameras", ylabel="-y")
     for panel, up, sign in ((above, 2, 1), (front, 1, -1)):  # the axis drawn upwards
-
-        def project(vectors: np.ndarray, up: int = up, sign: int = sign) -> np.ndarray:
-            return vectors[:, (0, up)] * np.array([1, sign])
-
-        _draw(panel, project(dots), project(cameras), project(directions), colours[chosen] / 255)
+        flat = [v[:, (0, up)] * np.array([1, sign]) for v in (dots, cameras, directions)]
+        _draw(panel, flat[0], flat[1], flat[2], colours[chosen] / 255)
     return figure
 
 
@@ -56,10 +54,3 @@ def _draw(
     room, middle = 0.55 * extent, (low + high) / 2
     xlim, ylim = zip(middle - room, middle + room, strict=True)
     axes.set(aspect="equal", xlim=xlim, ylim=ylim, xlabel="x")
-
-
-def _mean_axes(R: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) nearest to the mean of rotations (N, 3, 3): rows are its axes."""
-    U, _, Vt = np.linalg.svd(R.mean(0))
-    mean: np.ndarray = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
-    return mean
