@@ -6,7 +6,6 @@ no driver and no port are needed.
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import shutil
@@ -19,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-_SIZE = (1400, 1600)
 
 
 def find_chromium() -> str | None:
@@ -44,14 +42,10 @@ class Page:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self._call(f"{domain}.enable")
-        self.resize(*_SIZE)
+        size = {"width": 1400, "height": 1600, "deviceScaleFactor": 1, "mobile": False}
+        self._call("Emulation.setDeviceMetricsOverride", **size)
         still = {"name": "prefers-reduced-motion", "value": "reduce"}
         self._call("Emulation.setEmulatedMedia", features=[still])
-
-    def resize(self, width: int, height: int) -> None:
-        """Another size of the window, in pixels."""
-        size = {"width": width, "height": height}
-        self._call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=False)
 
     def open(self, url: str) -> None:
         """Load a page, and wait until its scripts have run."""
@@ -105,11 +99,6 @@ class Page:
             "const r = e.getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()"
         )
         return left + at[0] * width, top + at[1] * height
-
-    def screenshot(self, path: Path) -> None:
-        """The whole page as a PNG."""
-        shot = self._call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(shot["data"]))
 
     def _mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)

@@ -32,12 +32,9 @@ def test_a_checkout_has_its_commit_and_whether_files_were_changed(checkout):
     assert version.checked_out(checkout) == f"{found}-dirty"
 
 
-def test_a_folder_within_a_checkout_is_not_one(checkout):
-    """As site-packages in the virtual environment of another project."""
+def test_another_folder_or_no_git_is_no_checkout(checkout, monkeypatch):
+    """A folder within, as site-packages in the virtual environment of another project."""
     (checkout / "inner").mkdir()
     assert version.checked_out(checkout / "inner") == "unknown"
-
-
-def test_without_git_the_build_is_unknown(checkout, monkeypatch):
     monkeypatch.setenv("PATH", str(checkout))
     assert version.checked_out(checkout) == "unknown"

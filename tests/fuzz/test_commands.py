@@ -111,18 +111,6 @@ def test_an_output_that_exists_is_replaced_with_overwrite_alone(
     assert Path(name).read_bytes() != b"of the user"
 
 
-def test_results_are_kept_without_overwrite(folder: Path) -> None:
-    assert run(*BENCH, "--out", "run").exit_code == 0
-    before = contents(folder)
-    assert_refused(run(*BENCH, "--out", "run"), "--resume goes on", "--overwrite replaces")
-    assert contents(folder) == before
-    other = (*BENCH, "--seed", "5", "--out", "run")
-    assert_refused(run(*other, "--resume"), "that run had methods")
-    assert contents(folder) == before
-    assert run(*other, "--overwrite").exit_code == 0
-    assert contents(folder) != before
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -12,7 +12,7 @@ from hypothesis import settings
 from dgc_pose import EstimationOptions, estimate_relative_pose, load_matcher
 
 CALLS = settings.default.max_examples // 12
-GROWTH = 20 * 2**20  # bytes
+GROWTH = 100 * 2**20  # bytes; the first calls fill the libraries' own pools
 
 
 def test_calls_keep_no_memory_and_give_the_same_bits() -> None:

@@ -54,18 +54,3 @@ def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> 
     assert again.returncode == 0, again.stderr
     names = {"plan.json", "pairs.jsonl", "matches.h5", "summary.json"}
     assert set(os.listdir(tmp_path / "out")) == names
-
-
-def test_a_temporary_file_without_room_is_told_under_its_own_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It once read as the fault of the input that it is a copy of."""
-    view_folder(tmp_path / "views", 2)
-    (tmp_path / "t").mkdir()
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "t"))
-    (tmp_path / "cameras.txt").write_text("# a camera a line\n" * 1000)
-    ended = full(tmp_path, 10_000, *BATCH, "--K", "cameras.txt")
-    assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr.count("\n") == 1 and ended.stderr.endswith(": File too large\n")
-    assert f"{tmp_path / 't'}/dgc-pose" in ended.stderr
-    assert os.listdir(tmp_path / "t") == []
