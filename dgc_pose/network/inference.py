@@ -12,11 +12,8 @@ from dgc_pose.network.net import DGCNet
 
 
 def for_inference(net: DGCNet) -> DGCNet:
-    """A frozen copy of a network, which gives the same maps up to rounding.
-
-    Batch norms are folded into the convolutions before them, ReLUs work in place, and filters are
-    stored channels last.
-    """
+    """A frozen copy that gives the same maps up to rounding: batch norms folded into the
+    convolutions before them, ReLUs in place, filters channels last."""
     copy = deepcopy(net).eval().requires_grad_(False)
     for module in list(copy.modules()):
         if isinstance(module, nn.Sequential):

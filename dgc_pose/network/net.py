@@ -42,8 +42,8 @@ INITIAL_SCALE = 20.0
 class Prediction:
     """The maps and mask logits of a batch of pairs, coarse to fine."""
 
-    # (B, 2, S, S) at S = 15, 30, 60, 120, 240 on the target's grid (or h, w to 16 h, 16 w in the
-    # target's shape): x and y in the source, normalised by the configuration's align_corners
+    # (B, 2, S, S), S = 15, 30, 60, 120, 240 (or h, w to 16 h, 16 w) on the target's grid: x and y
+    # in the source, normalised by the configuration's align_corners
     maps: tuple[Tensor, ...]
     # (B, 1, S, S) matchability logits: five from decoders with a mask channel, one (at 240) from
     # the mask network; none for DGC-Net, or if the mask network's level is not decoded
@@ -68,9 +68,9 @@ class Correlation:
 class DGCNet(nn.Module):
     """DGC-Net and its variants (Melekhov et al., WACV 2019), by a `NetworkConfig`.
 
-    Called as net(source, target) with images (B, 3, 240, 240), normalised by ImageNet's mean and
-    deviation. With `config.any_shape` both may have any sides that are multiples of 16, each its
-    own. The map lies on the target's grid; its values are points of the source.
+    Called as net(source, target) with images (B, 3, 240, 240) after `normalise`, or, with
+    `config.any_shape`, of any sides that are multiples of 16. The map lies on the target's grid;
+    its values are points of the source.
     """
 
     def __init__(self, config: NetworkConfig) -> None:

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dgc_pose.network.constants import DEVIATION, MEAN
-from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid, InvertedResidual, even_kernel
+from dgc_pose.network.efficientnet import EfficientPyramid, InvertedResidual, even_kernel
 
 _EPSILON = 1e-3  # of the checkpoint's batch norms
 _OFFSET, _RANGE = 127.0, 128.0  # the checkpoint's input is (x - 127) / 128, x in 0..255
@@ -35,8 +35,7 @@ def load_backbone(pyramid: EfficientPyramid, state: Mapping[str, Tensor], images
     assert isinstance(convolution, nn.Conv2d)
     _fold(convolution, kernel, _norm(state, "_bn0."), images, zero)
     features = pyramid.stem(images)
-    for index in range(len(BLOCKS)):
-        block = pyramid.blocks[index]
+    for index, block in enumerate(pyramid.blocks):
         assert isinstance(block, InvertedResidual)
         prefix = f"_blocks.{index}."
         names = [("_depthwise_conv", "_bn1."), ("_project_conv", "_bn2.")]

@@ -48,11 +48,9 @@ def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> Non
     if not isinstance(net.pyramid, EfficientPyramid):
         raise WeightsError(f"{weights}: {net.config.name} has no EfficientNet-Lite0")
     state = load_checkpoint(Path(weights), images.device)
-    if not isinstance(state, dict):
-        raise WeightsError(f"{weights}: not weights of EfficientNet-Lite0")
     try:
         load_backbone(net.pyramid, state, images)
-    except (KeyError, RuntimeError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, RuntimeError, TypeError, AttributeError, ValueError) as error:
         what = "not weights of EfficientNet-Lite0"
         raise WeightsError(f"{weights}: {what} ({reason(error)})") from error
 
@@ -97,12 +95,6 @@ def unfold_batch_norm(plain: Pyramid, trained: Pyramid, images: Tensor) -> None:
 def _neutralise(norm: nn.BatchNorm2d, module: nn.Module, inputs: object, output: Tensor) -> None:
     """Make a norm the identity on values like `output`."""
     variance, mean = torch.var_mean(output.float(), (0, 2, 3), unbiased=False)
-    norm.load_state_dict(
-        {
-            "running_mean": mean,
-            "running_var": variance,
-            "bias": mean,
-            "weight": (variance + norm.eps).sqrt(),
-            "num_batches_tracked": torch.tensor(0),
-        }
-    )
+    state = {"running_mean": mean, "running_var": variance, "bias": mean}
+    state |= {"weight": (variance + norm.eps).sqrt(), "num_batches_tracked": torch.tensor(0)}
+    norm.load_state_dict(state)

@@ -60,9 +60,8 @@ def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
     """The four cells around points (B, N, 2): column-major indices (B, 4, N), and their weights."""
     cells = cells.clamp(0, size - 1)
     low = cells.floor().clamp(max=size - 2)
-    fraction = cells - low
     x, y = low.long().unbind(-1)
-    fx, fy = fraction.unbind(-1)
+    fx, fy = (cells - low).unbind(-1)
     first = x * size + y
     index = torch.stack([first, first + 1, first + size, first + size + 1], 1)
     weight = torch.stack([(1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy], 1)
