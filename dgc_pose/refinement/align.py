@@ -66,7 +66,7 @@ def align(
     shrinks = min(1.0, 1 / scale), min(1.0, scale)
     if min(shrinks) > 1 / _SIMILAR:
         shrinks = 1.0, 1.0
-    small = _Shrunk.of(pixels1, pixels2, matches, shrinks)
+    small = _Shrunk.of(pixels1, pixels2, matches, *shrinks)
     aligned = _align(small, radius, error_px * small.scale1, min_zncc, max_matches)
     return replace(
         aligned,
@@ -113,7 +113,7 @@ def _from_coarse(
     """Patches that become similar on shrunk images, aligned on the given ones if that succeeds; and
     which of the matches they are, indices."""
     shrink = min(1.0, 1 / float(error.mean()))
-    coarse = _Shrunk.of(grey1, grey2, matches, (shrink, shrink)).align_affine(radius)
+    coarse = _Shrunk.of(grey1, grey2, matches, shrink, shrink).align_affine(radius)
     similar = _settled(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= min_zncc)
     coarse, matches = coarse.subset(similar), matches.subset(similar)
     start = LocalMatches(coarse.points1, matches.points2, coarse.affinity, matches.index)
@@ -136,16 +136,9 @@ class _Shrunk:
 
     @classmethod
     def of(
-        cls,
-        pixels1: np.ndarray,
-        pixels2: np.ndarray,
-        matches: LocalMatches,
-        shrinks: tuple[float, float],
+        cls, pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
     ) -> _Shrunk:
-        small1, small2 = (
-            resize_by(pixels, shrink)
-            for pixels, shrink in zip((pixels1, pixels2), shrinks, strict=True)
-        )
+        small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
         sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
         scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
         moved = LocalMatches(

@@ -10,6 +10,7 @@ from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.matching.matcher import CorrespondenceMap
 
+_MATCHABLE = 0.5  # matchability
 _LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
 _OUTER = 1.0  # percent of the points, on each side, that may lie outside a window
 _MARGIN = 0.25  # on each side of a window, of its sides
@@ -29,14 +30,13 @@ def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray)
     ).astype(np.float64)
 
 
-def rotation_between(correspondence_map: CorrespondenceMap, matchability: float = 0.5) -> float:
+def rotation_between(correspondence_map: CorrespondenceMap) -> float:
     """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
     `numpy.rot90`) to have the orientation of image 1.
 
-    From the similarity that best fits the map over the cells of at least that matchability; 0 if
-    they are less than one cell in a hundred.
+    From the similarity that best fits the map over its matchable cells; 0 if they are few.
     """
-    points1, points2 = matchable_points(correspondence_map, matchability)
+    points1, points2 = matchable_points(correspondence_map)
     if len(points1) == 0:
         return 0.0
     points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
@@ -46,18 +46,13 @@ def rotation_between(correspondence_map: CorrespondenceMap, matchability: float 
     return float(-np.angle(a, deg=True))
 
 
-def matchable_points(
-    correspondence_map: CorrespondenceMap, matchability: float = 0.5
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cells of at least that matchability: (N, 2) float64 in image 1 and image 2; none if they are
-    less than one cell in a hundred."""
-    matchable = correspondence_map.matchability >= matchability
+def matchable_points(correspondence_map: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
+    """The matchable cells: (N, 2) float64 in image 1 and image 2; none if they are few."""
+    matchable = correspondence_map.matchability >= _MATCHABLE
     if matchable.mean() < _LEAST_SHARE:
         matchable = np.zeros_like(matchable)
-    return (
-        correspondence_map.map[matchable].astype(np.float64),
-        correspondence_map.grid[matchable].astype(np.float64),
-    )
+    points1, points2 = correspondence_map.map[matchable], correspondence_map.grid[matchable]
+    return points1.astype(np.float64), points2.astype(np.float64)
 
 
 def window_shown(
@@ -82,15 +77,15 @@ def window_shown(
     return (width, height), (x, y)
 
 
-def scale_between(correspondence_map: CorrespondenceMap, matchability: float = 0.5) -> float:
-    """Pixels of image 1 per pixel of image 2: the median over cells of at least that matchability.
+def scale_between(correspondence_map: CorrespondenceMap) -> float:
+    """Pixels of image 1 per pixel of image 2: the median over the matchable cells.
 
     From areas of the map over a thirtieth of the image, which its errors hardly change; clipped to
-    1/10 to 10. If less than one cell in a hundred is matchable, that of equal fields of view.
+    1/10 to 10. If few cells are matchable, that of equal fields of view.
     """
     points1 = correspondence_map.map.astype(np.float64)
     points2 = correspondence_map.grid.astype(np.float64)
-    matchable = correspondence_map.matchability >= matchability
+    matchable = correspondence_map.matchability >= _MATCHABLE
     step = max(1, len(matchable) // 30)
     corners = matchable[:-step, :-step] & matchable[step:, :-step] & matchable[:-step, step:]
     if corners.mean() < _LEAST_SHARE:
