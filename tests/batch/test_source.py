@@ -42,13 +42,3 @@ def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.Monkey
         f"{tmp_path}: no image there, and a pair needs two; 2 files left out (first: 1.heic): "
         "HEIC, which needs pillow-heif: pip install pillow-heif"
     )
-
-
-def test_heic_is_read_where_its_package_is_installed(tmp_path: Path) -> None:
-    pytest.importorskip("pillow_heif").register_heif_opener()
-    for count, name in enumerate(("1.heic", "2.HEIC")):
-        _save(tmp_path / name, "HEIF", count)
-    source = open_source(tmp_path)
-    assert source.names == ("1.heic", "2.HEIC") and source.left_out == ()
-    found = survey(source, read_calibration(None, guess=True))
-    assert {camera.size for camera in found.cameras.values()} == {(64, 48)} and not found.bad

@@ -77,16 +77,3 @@ def test_a_match_of_both_epipoles_is_at_distance_zero_and_not_nan():
     epipole = np.zeros((1, 2))
     assert sampson_distance(epipole, epipole, E) == 0
     assert symmetric_epipolar_distance(epipole, epipole, E) == 0
-
-
-@given(seeds, st.floats(0.01, 100))
-@settings(max_examples=25, deadline=None)
-def test_distances_do_not_depend_on_the_scale_of_the_matrix_nor_on_the_order_of_the_images(
-    seed, scale
-):
-    E = essential_from_pose(*random_pose(seed))
-    points1, points2 = np.random.default_rng(seed).uniform(-1, 1, (2, 20, 2))
-    for distance in (sampson_distance, symmetric_epipolar_distance):
-        expected = distance(points1, points2, E)
-        np.testing.assert_allclose(distance(points1, points2, -scale * E), expected, rtol=1e-9)
-        np.testing.assert_allclose(distance(points2, points1, E.T), expected, rtol=1e-9)
