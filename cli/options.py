@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dgc_pose.cameras.camera import Camera, camera_for, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import option
-
-if TYPE_CHECKING:
-    pass
 
 
 def split_names(text: str) -> list[str]:

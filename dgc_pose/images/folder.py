@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dgc_pose.errors import ImageError
 from dgc_pose.files.inputs import read_start
-from dgc_pose.images.header import START_BYTES, unreadable
+from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_format
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,16 @@ def _why_not(path: Path, name: str) -> str | None:
         return "a name that is not UTF-8"
     try:
         start = read_start(path, START_BYTES, ImageError)
+        if not start:
+            return "empty"
+        image_format(start)
     except OSError as failure:
         return _system_words(failure)
     except ImageError:
         return "no regular file"
-    return unreadable(start) if start else "empty"
+    except UnreadableFormatError as error:
+        return str(error)
+    return None
 
 
 def _system_words(failure: OSError) -> str:

@@ -52,19 +52,21 @@ class Header:
     exif: bytes = b""  # the EXIF block, if it lies apart from the image's own tags
 
 
-def unreadable(start: bytes) -> str | None:
-    """What a file is that begins so and is not read; None if it is an image that is read.
+def image_format(start: bytes) -> str:
+    """The format of an image file that begins so: its first `START_BYTES`, or all of a smaller one.
 
-    start: the first `START_BYTES` of the file, or all of a smaller one.
+    Raises UnreadableFormatError, which says what the file is, if it is not read.
     """
-    name = _format(start)
+    name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
     if name is None:
-        return "not an image of a known format"
-    if name == _RAW:
-        return "a camera's raw file, or begins with a thumbnail, and neither is read"
+        raise UnreadableFormatError("not an image of a known format")
+    if name == _RAW or (name == "TIFF" and _is_raw(start)):
+        raise UnreadableFormatError(
+            "a camera's raw file, or begins with a thumbnail, and neither is read"
+        )
     if name == "HEIF" and importlib.util.find_spec("pillow_heif") is None:
-        return "HEIC, which needs pillow-heif: pip install pillow-heif"
-    return None
+        raise UnreadableFormatError("HEIC, which needs pillow-heif: pip install pillow-heif")
+    return name
 
 
 def read_header(data: bytes, *, complete: bool = True) -> Header:
@@ -76,10 +78,7 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
     Raises UnreadableFormatError if the format is not read, any other exception if the header is
     damaged.
     """
-    start = data[:START_BYTES]
-    if why := unreadable(start):
-        raise UnreadableFormatError(why)
-    name = str(_format(start))
+    name = image_format(data[:START_BYTES])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "HEIF":
@@ -89,12 +88,6 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
             return Header(name, size, _known(tags.get(_ORIENTATION, 1)))
         return _pillow_header(data, name, complete)
-
-
-def _format(start: bytes) -> str | None:
-    """The format of a file by its beginning; None if it is not known."""
-    name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
-    return _RAW if name == "TIFF" and _is_raw(start) else name
 
 
 def _is_raw(start: bytes) -> bool:
