@@ -38,13 +38,13 @@ def judge(
     fitted on do not show these.
     against: what speaks against the pose, in words.
     """
-    undetermined = _undetermined(evidence, options)
+    ambiguous = _ambiguous(evidence, options)
     if probability is None or options.min_probability is None:
         # Chance before all: few inliers say nothing about a rotation either.
         by_chance = _chance(evidence, options)
-        failed = by_chance or undetermined or _implausible(evidence, options)
+        failed = by_chance or ambiguous or _implausible(evidence, options)
         return failed or _pose(evidence, options)
-    impossible = _random(evidence, options) or undetermined or _behind(evidence, options)
+    impossible = _random(evidence, options) or ambiguous or _behind(evidence, options)
     if impossible is not None:
         return _chance(evidence, options) or impossible
     if probability >= options.min_probability:
@@ -82,7 +82,7 @@ def _random(evidence: Evidence, options: VerdictOptions, few: bool = False) -> V
     return Verdict("chance_inliers", reason)
 
 
-def _undetermined(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+def _ambiguous(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     """Whether many poses explain the matches, because the translation does not show."""
     if evidence.collinear:
         return Verdict("collinear", STATUSES["collinear"].meaning)
