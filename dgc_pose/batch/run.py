@@ -108,7 +108,7 @@ def run_batch(
     full.
     """
     start = time.perf_counter()
-    # Absolute, as a resumed batch has it: the reasons of bad images name it.
+    # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
@@ -145,10 +145,10 @@ def run_batch(
                 store = PartStore(out, plan, before)
                 worked = 0 if store.finished else _match(store, plan, run, options, progress)
         except DgcPoseError:
-            if before is None and store is not None:
-                if len(store.left) == len(plan.pairs) > 0:  # bad weights, say
-                    store.close()
-                    (out / PLAN).unlink()
+            # If no pair was matched, as with bad weights, the folder is left as it was.
+            if before is None and store is not None and len(store.left) == len(plan.pairs) > 0:
+                store.close()
+                (out / PLAN).unlink()
             raise
         if not store.finished:
             store.assemble()
