@@ -10,8 +10,6 @@ import PIL.Image
 import pycolmap
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dgc_pose.cameras.camera import Camera, as_camera, check_size, guess_camera, parse_camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -128,17 +126,6 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
     assert (small.K[0, 0], small.size) == (25, (20, 16))
     naive = camera.K[:2, 2] / 4
     assert np.abs(naive - small.K[:2, 2]).min() > 0.3
-
-
-@given(st.integers(1, 4000), st.integers(1, 4000))
-def test_resized_keeps_every_ray(width: int, height: int) -> None:
-    camera = Camera(K, SIZE)
-    pixels = points(20)
-    scale = np.array([width / SIZE[0], height / SIZE[1]])
-    moved = (pixels + 0.5) * scale - 0.5
-    resized = camera.resized((width, height))
-    np.testing.assert_allclose(resized.normalise(moved), camera.normalise(pixels), atol=1e-9)
-    np.testing.assert_allclose(resized.resized(SIZE).K, camera.K, atol=1e-9)
 
 
 def test_resized_keeps_the_distortion_and_the_warnings() -> None:

@@ -88,15 +88,6 @@ def test_16_bits_are_stretched_from_their_own_range(
     assert pixels.min() == 0 and pixels.max() == 255
 
 
-def test_12_bits_in_16_in_a_pgm_are_not_dark(tmp_path: Path) -> None:
-    values = np.arange(0, 4096, 64, dtype=">u2").reshape(8, 8)
-    path = tmp_path / "twelve.pgm"
-    path.write_bytes(b"P5\n8 8\n4095\n" + values.tobytes())
-    pixels = load_image(path).pixels
-    assert pixels.min() == 0 and pixels.max() == 255
-    assert np.all(np.diff(pixels[:, :, 0].ravel().astype(int)) >= 3)
-
-
 def test_alpha_has_no_say_in_the_range(tmp_path: Path, rgb: np.ndarray) -> None:
     deep = rgb.astype(np.uint16) * 16
     alpha = np.full((*rgb.shape[:2], 1), 65535, np.uint16)
