@@ -11,7 +11,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.pair_list import Pair, read_pairs
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced, require_no_input, writing
 from dgc_pose.images.image import image_size, load_image, resize_by
@@ -58,7 +58,7 @@ def views_of_list(path: Path, folder: Path) -> PosedViews:
     steps: dict[str, list[tuple[str, np.ndarray]]] = {}  # by image, others with their poses in it
     for pair in read_pairs(path):
         name1, name2 = _relative(pair.path1, folder), _relative(pair.path2, folder)
-        step = _square(pair)
+        step = np.vstack([np.column_stack([pair.R, pair.t]), [0, 0, 0, 1]])
         steps.setdefault(name1, []).append((name2, step))
         steps.setdefault(name2, []).append((name1, np.linalg.inv(step)))
         cameras.setdefault(name1, pair.camera1)
@@ -72,7 +72,10 @@ def views_of_list(path: Path, folder: Path) -> PosedViews:
                 reached.append(other)
     if len(poses) < len(cameras):
         raise InputError(f"{path}: its pairs do not connect all images")
-    sized = {name: _sized(camera, folder / name) for name, camera in sorted(cameras.items())}
+    sized = {
+        name: replace(camera, size=image_size(folder / name))
+        for name, camera in sorted(cameras.items())
+    }
     return PosedViews(folder, sized, {name: pose[:3] for name, pose in poses.items()})
 
 
@@ -85,17 +88,11 @@ def views_of_dtu(calibration: Path, folder: Path) -> PosedViews:
     for path in sorted(folder.glob("rect_[0-9][0-9][0-9]*")):
         position = path.name.split("_")[1]
         view = read_projection(calibration / f"pos_{position}.txt")
-        cameras[path.name] = _sized(Camera(view.K), path)
+        cameras[path.name] = Camera(view.K, image_size(path))
         poses[path.name] = np.column_stack([view.R, view.t])
     if len(poses) < 2:
         raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
     return PosedViews(folder, cameras, poses)
-
-
-def _square(pair: Pair) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = pair.R, pair.t
-    return T
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -103,7 +100,3 @@ def _relative(path: Path, folder: Path) -> str:
         return path.resolve().relative_to(folder.resolve()).as_posix()
     except ValueError:
         raise InputError(f"{path}: not an image of the folder {folder}") from None
-
-
-def _sized(camera: Camera, path: Path) -> Camera:
-    return replace(camera, size=image_size(path))

@@ -15,22 +15,16 @@ from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.run import BatchOptions, run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.posed_views import PosedViews
-from dgc_pose.benchmarks.table import table
 from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.reconstruction import (
-    DATABASE,
-    SparseModel,
-    reconstruct,
-    sparse_model,
-)
+from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
 from dgc_pose.colmap.sift import sift_database
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics.pose import rotation_error_deg
 
 COLMAP_SIFT = "colmap-sift"
-_COLUMNS = {
+COLUMNS = {  # of the table
     "method": "{0.method}",
     "images": "{0.images}",
     "registered": "{0.registered}",
@@ -165,8 +159,3 @@ def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str])
         return np.full(len(names), np.nan)
     matrix = similarity.matrix()
     return np.linalg.norm(centres @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
-
-
-def score_table(scores: Sequence[ReconstructionScore]) -> str:
-    """A line a method."""
-    return table(_COLUMNS, scores)

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from dgc_pose.benchmarks.table import aligned, table
+from dgc_pose.benchmarks.table import aligned
 from dgc_pose.cameras.camera import Camera, check_size, parse_camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
@@ -43,7 +43,7 @@ _UPRIGHT = "the map, without rotations"
 _ESTIMATION = EstimationOptions()
 _MATRIX = 2048  # rows and columns of the matrix product that the machine's rate is taken from
 
-_FORWARD_COLUMNS = {
+FORWARD_COLUMNS = {
     "network": "{0.network}",
     "way": "{0.way}",
     "ms": "{0.milliseconds:.1f}",
@@ -263,11 +263,6 @@ def time_forwards(
         )
         for way, taken in seconds.items()
     ]
-
-
-def forwards_text(forwards: Sequence[Forward]) -> str:
-    """The ways to run the networks as a table with aligned columns."""
-    return table(_FORWARD_COLUMNS, forwards)
 
 
 def _poselib_alone(setup: Setup, matches: Matches) -> Callable[[], None]:

@@ -9,14 +9,10 @@ from pathlib import Path
 import click
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
-from dgc_pose.benchmarks.dtu.dtu_pairs import (
-    DESCRIPTIONS,
-    Protocol,
-    dtu_pairs,
-    protocol_options,
-)
+from dgc_pose.benchmarks.dtu.dtu_pairs import DESCRIPTIONS, DtuPairs, Protocol, protocol_options
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_csv
 from dgc_pose.benchmarks.dtu.report_page import write_report
+from dgc_pose.benchmarks.dtu.view_pairs import listed_pair
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
 from dgc_pose.benchmarks.summary import (
@@ -110,11 +106,14 @@ def bench_dtu(
     chosen = parse_methods(split_names(methods), matcher, estimation, [*stored])
     dataset = folder.open(experiment.root, experiment.scenes)
     views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
-    pairs = dtu_pairs(dataset, views, protocol)
+    pairs = DtuPairs(views, [listed_pair(dataset, view) for view in views], protocol)
     require_images(pairs.pairs)
-    files = {name: FileMatcher(path, pairs.stem, name) for name, path in stored.items()}
+    stems = pairs.stems
+    files = {
+        name: FileMatcher(path, lambda *paths: stems[paths], name) for name, path in stored.items()
+    }
     for stored_matches in files.values():
-        stored_matches.require(pairs.stems)
+        stored_matches.require(stems)
     passes = load_passes(
         chosen, device=run.device, runtime=run.runtime, stored=files, keep_features=True
     )

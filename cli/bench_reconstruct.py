@@ -9,11 +9,8 @@ import click
 
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.posed_views import views_of_dtu, views_of_list
-from dgc_pose.benchmarks.reconstructions import (
-    COLMAP_SIFT,
-    run_method,
-    score_table,
-)
+from dgc_pose.benchmarks.reconstructions import COLMAP_SIFT, COLUMNS, run_method
+from dgc_pose.benchmarks.table import table
 from dgc_pose.cli.batch import WorkChoice, batch_options
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
@@ -88,4 +85,4 @@ def bench_reconstruct(
         scores.append(score)
         click.echo(f"{method}: {score.registered} of {score.images} images", err=True)
     write_json(out / "summary.json", finite_data({"methods": [*map(asdict, scores)]}))
-    click.echo(score_table(scores))
+    click.echo(table(COLUMNS, scores))

@@ -11,17 +11,18 @@ import cv2
 import torch
 
 from dgc_pose.benchmarks.speed import (
+    FORWARD_COLUMNS,
     SIFT_TOTAL,
     TOTAL,
     Setup,
     bundled_setup,
-    forwards_text,
     matrix_rate,
     stages,
     stages_text,
     time_forwards,
     user_setup,
 )
+from dgc_pose.benchmarks.table import table
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
@@ -108,7 +109,7 @@ def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict
         for name, net in nets.items()
         for forward in time_forwards(name, net, inputs, repetitions, matrix_rate)
     ]
-    click.echo(forwards_text(forwards) + "\n")
+    click.echo(table(FORWARD_COLUMNS, forwards) + "\n")
     seconds = {stage.name: stage.seconds for stage in timed}
     ratio = seconds[SIFT_TOTAL] / seconds[TOTAL]
     click.echo(f"sift over dgc-pose, in all: {ratio:.2f}")

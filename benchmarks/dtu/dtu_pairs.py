@@ -13,8 +13,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Literal
 
-from dgc_pose.benchmarks.dtu.dataset import Dataset
-from dgc_pose.benchmarks.dtu.view_pairs import ViewPair, listed_pair
+from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.posed_pairs import FilePairs
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.camera import Camera
@@ -65,10 +64,6 @@ class DtuPairs(FilePairs[DtuScore]):
             for pair, (scene, view1, view2) in zip(self.pairs, self.keys, strict=True)
         }
 
-    def stem(self, path1: str, path2: str) -> str:
-        """See `FileMatcher`."""
-        return self.stems[path1, path2]
-
     def seed(self, number: int) -> tuple[int, ...]:
         return self.keys[number]
 
@@ -81,11 +76,6 @@ class DtuPairs(FilePairs[DtuScore]):
         self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
     ) -> Camera:
         return replace(camera, size=stored).resized(shown)
-
-
-def dtu_pairs(dataset: Dataset, views: Sequence[ViewPair], protocol: Protocol) -> DtuPairs:
-    """Pairs of views of a data set."""
-    return DtuPairs(views, [listed_pair(dataset, pair) for pair in views], protocol)
 
 
 def protocol_options(

@@ -10,7 +10,6 @@ import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import Dataset
-from dgc_pose.benchmarks.dtu.overlap import overlap
 from dgc_pose.benchmarks.dtu.scene import DtuScene
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
@@ -20,6 +19,8 @@ from dgc_pose.system.options import MAX_SEED, check_options, option
 
 _LEAST_BASELINE_MM = 1e-3  # what rounding leaves between two centres that are the same
 _BINS = 7  # equal rotation bins, drawn from in turn
+_DEPTHS_MM = (425.0, 935.0)  # the depths between which DTU's objects stand in every view
+_GRID = (16, 12, 8)  # columns, rows and depths of the point set that fills a view
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,17 @@ def listed_pair(dataset: Dataset, pair: ViewPair) -> Pair:
     return Pair(name1, name2, dataset.root, camera1, camera2, R, t)
 
 
+def overlap(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
+    """The share of points seen by both views, 0 to 1, the same in either order.
+
+    size: (width, height) of both images, pixels.
+
+    Each view's frustum between the depths of DTU's objects is filled with points, and the share of
+    all the points of both frusta that project into the other image is taken.
+    """
+    return (_share_seen(view1, view2, size) + _share_seen(view2, view1, size)) / 2
+
+
 def _motion(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> tuple[float, float, float]:
     """Rotation, overlap and baseline of a ViewPair."""
     R, t = relative_pose(view1, view2)
@@ -137,3 +149,26 @@ def _spread_over_rotations(
     while len(spread) < len(pairs):
         spread.extend(queue.pop() for queue in queues if queue)
     return spread
+
+
+def _share_seen(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
+    """The share of points in front of view 1 that project into the image of view 2."""
+    width, height = size
+    R, t = relative_pose(view1, view2)
+    projected = (_frustum_points(view1, size) @ R.T + t) @ view2.K.T
+    depth = projected[:, 2]
+    # An edge of the image is half a pixel beyond the centre of its outermost pixels.
+    x, y = projected[:, 0] + 0.5 * depth, projected[:, 1] + 0.5 * depth
+    inside = (depth > 0) & (x >= 0) & (x <= width * depth) & (y >= 0) & (y <= height * depth)
+    return float(inside.mean())
+
+
+def _frustum_points(view: DtuView, size: tuple[int, int]) -> np.ndarray:
+    """Points (N, 3) in the camera's axes that fill its image evenly, at every depth, mm."""
+    columns, rows, depths = _GRID
+    x = (np.arange(columns) + 0.5) / columns * size[0] - 0.5
+    y = (np.arange(rows) + 0.5) / rows * size[1] - 0.5
+    z = np.linspace(*_DEPTHS_MM, depths)
+    pixels = np.stack([axis.ravel() for axis in (*np.meshgrid(x, y), np.ones((rows, columns)))])
+    rays = np.linalg.solve(view.K, pixels)
+    return (rays[:, None, :] * z[None, :, None]).reshape(3, -1).T

@@ -35,6 +35,10 @@ class Judged:
     rotation_90_deg: float
     translation_90_deg: float
 
+    @property
+    def right(self) -> bool:
+        return self.record.right
+
 
 def judged(record: Record, model: ProbabilityModel) -> Judged:
     """The verdicts on a record, by the gates and by the probability."""
@@ -76,9 +80,9 @@ def claims_table(poses: Sequence[Judged]) -> str:
     headings = ("pairs", "number", "right", "gates claim", "wrong", "right refused")
     rows: list[tuple[str, ...]] = [(*headings, "probability claims", "wrong", "right refused")]
     for name, members in _groups(poses).items():
-        right = _right(members)
+        right = _values(members, "right")
         cells = []
-        for claims in (_by_gates(members), _by_probability(members)):
+        for claims in (_values(members, "by_gates"), _values(members, "by_probability")):
             claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
             share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
             cells += [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
@@ -93,7 +97,11 @@ def auc_table(poses: Sequence[Judged]) -> str:
         errors = np.array([pose.record.pair_error_deg for pose in members])
         if not np.isfinite(errors).any():
             continue
-        claims = (_by_gates(members), _by_probability(members), np.ones(len(members), bool))
+        claims = (
+            _values(members, "by_gates"),
+            _values(members, "by_probability"),
+            np.ones(len(members), bool),
+        )
         cells = (pose_auc(np.where(claim, errors, np.inf)) for claim in claims)
         rows.append((name, *("/".join(f"{a:.1f}" for a in auc) for auc in cells)))
     return aligned(rows)
@@ -102,7 +110,7 @@ def auc_table(poses: Sequence[Judged]) -> str:
 def reliability(poses: Sequence[Judged]) -> Reliability:
     """Of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
-    return Reliability.of(_probability(known), _right(known))
+    return Reliability.of(_values(known, "probability"), _values(known, "right"))
 
 
 def reliability_table(poses: Sequence[Judged]) -> str:
@@ -120,9 +128,9 @@ def reliability_table(poses: Sequence[Judged]) -> str:
 def levels_table(poses: Sequence[Judged]) -> str:
     """Precision and recall at several least probabilities, and of the gates."""
     rows = [("least probability", "claimed", "precision", "recall")]
-    right, probability = _right(poses), _probability(poses)
+    right, probability = _values(poses, "right"), _values(poses, "probability")
     claims = {f"{level:g}": probability >= level for level in _LEVELS}
-    for name, claimed in {**claims, "gates": _by_gates(poses)}.items():
+    for name, claimed in {**claims, "gates": _values(poses, "by_gates")}.items():
         true = int((claimed & right).sum())
         precision = f"{100 * true / claimed.sum():.1f} %" if claimed.any() else "-"
         rows.append((name, str(claimed.sum()), precision, f"{100 * true / right.sum():.1f} %"))
@@ -131,7 +139,7 @@ def levels_table(poses: Sequence[Judged]) -> str:
 
 def coverage_table(poses: Sequence[Judged]) -> str:
     """By bins of rotation and of inliers."""
-    claimed = [p for p in poses if p.by_probability and p.record.right and p.record.exact]
+    claimed = [p for p in poses if p.by_probability and p.right and p.record.exact]
     evidence = [pose.record.evidence for pose in claimed]
     angles = np.array([e.rotation_angle_deg for e in evidence if e is not None])
     inliers = np.array([e.num_inliers for e in evidence if e is not None])
@@ -162,8 +170,8 @@ def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     draw_reliability(left, curves, right="within 10 degrees")
     left.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     for number, (name, poses) in enumerate(kinds.items()):
-        right, gates, colour = _right(poses), _by_gates(poses), f"C{number}"
-        order = np.argsort(-_probability(poses), kind="stable")
+        right, gates, colour = _values(poses, "right"), _values(poses, "by_gates"), f"C{number}"
+        order = np.argsort(-_values(poses, "probability"), kind="stable")
         true = np.cumsum(right[order])
         total = max(int(right.sum()), 1)
         other.plot(true / total, true / np.arange(1, len(poses) + 1), color=colour, label=name)
@@ -176,20 +184,9 @@ def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     return figure
 
 
-def _right(poses: Sequence[Judged]) -> np.ndarray:
-    return np.array([pose.record.right for pose in poses], bool)
-
-
-def _by_gates(poses: Sequence[Judged]) -> np.ndarray:
-    return np.array([pose.by_gates for pose in poses], bool)
-
-
-def _by_probability(poses: Sequence[Judged]) -> np.ndarray:
-    return np.array([pose.by_probability for pose in poses], bool)
-
-
-def _probability(poses: Sequence[Judged]) -> np.ndarray:
-    return np.array([pose.probability for pose in poses])
+def _values(poses: Sequence[Judged], name: str) -> np.ndarray:
+    kind = float if name == "probability" else bool
+    return np.array([getattr(pose, name) for pose in poses], kind)
 
 
 def _expected(evidence: Evidence, model: ProbabilityModel, part: str) -> float:

@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dtu_layout import SIZE, WRITERS, arc, grey_scan
+from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.benchmarks.dtu.dataset import Dataset, open_dataset
-from dgc_pose.benchmarks.dtu.overlap import overlap
 from dgc_pose.benchmarks.dtu.scene import DtuScene
 from dgc_pose.benchmarks.dtu.view_pairs import (
     ViewPairOptions,
     draw,
     find_view_pairs,
     listed_pair,
+    overlap,
     view_pair,
 )
 from dgc_pose.errors import InputError
@@ -50,13 +51,27 @@ def test_candidates_say_what_the_calibration_says():
         assert pair == view_pair(data.scene(pair.scene), pair.view1, pair.view2)
 
 
+def shared(degrees=0.0, shift=0.0):
+    """The overlap of a view of 1600 x 1200 pixels with the same turned and moved sideways, mm."""
+    K = np.array([[2890.0, 0, 799.5], [0, 2890, 599.5], [0, 0, 1]])
+    R = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    first, second = DtuView(K, np.eye(3), np.zeros(3)), DtuView(K, R, np.array([shift, 0, 0]))
+    return overlap(first, second, (1600, 1200))
+
+
+def test_overlap_is_the_share_that_both_views_see():
+    # The image ends 800 px from its middle: this turn takes the middle to the edge.
+    half = np.degrees(np.arctan(800 / 2890))
+    assert [shared(), shared(180)] == [1, 0]
+    assert shared(half) == pytest.approx(0.5, abs=0.05)
+    # Beyond the width of the view at the greatest depth, 935 mm * 1600 / 2890, nothing is shared.
+    shares = [shared(shift=shift) for shift in (50, 100, 200, 520)]
+    assert shares == sorted(shares, reverse=True) and shares[2] > shares[3] == 0
+
+
 def test_the_least_overlap_is_asked_for():
-    views = dataset([0, 10, 20, 30])
-    wide = find_view_pairs(views, ViewPairOptions(min_overlap=0.0))
-    narrow = find_view_pairs(views, ViewPairOptions(min_overlap=0.88))
-    assert 0 < len(narrow) < len(wide)
-    # Around an arc the overlap falls with the rotation.
-    assert max(p.rotation_deg for p in narrow) < max(p.rotation_deg for p in wide)
+    pairs = find_view_pairs(dataset([0, 10, 20, 30]), ViewPairOptions(min_overlap=0.88))
+    assert 0 < len(pairs) < 6 and all(pair.overlap >= 0.88 for pair in pairs)
 
 
 def test_the_draw_is_seeded_and_spread_over_the_rotations():
