@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.errors import InputError
-from dgc_pose.matchers import RUNTIME_HELP, DeviceName
+from dgc_pose.matchers import DEVICE_HELP, RUNTIME_HELP
 from dgc_pose.runtime.load import RuntimeName, device_type
 from dgc_pose.system.options import option
 
@@ -44,7 +44,7 @@ class RunChoice:
         max=4096,
     )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
-    device: DeviceName = option("auto", "Where the network runs.")
+    device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
 
     def evaluation(

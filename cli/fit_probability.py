@@ -19,7 +19,7 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.matchers import DeviceName, load_matcher
+from dgc_pose.matchers import DEVICE_HELP, load_matcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
 from dgc_pose.viz import save_figure
@@ -48,7 +48,7 @@ class FitChoice:
         max=10**7,
     )
     collected: bool = option(False, "Match no further pairs: fit on those that are stored.")
-    device: DeviceName = option("auto", "Where the network runs.")
+    device: str = option("auto", DEVICE_HELP, metavar="NAME")
 
 
 @click.command()

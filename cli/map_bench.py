@@ -24,7 +24,7 @@ from dgc_pose.cli.options import split_names
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
-from dgc_pose.matchers import DeviceName
+from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.stored import shipped
 from dgc_pose.system.options import option
 from dgc_pose.viz import save_figure
@@ -57,7 +57,7 @@ class MapBenchOptions:
     json_path: str | None = option(
         None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
-    device: DeviceName = option("auto", "Where the network runs.")
+    device: str = option("auto", DEVICE_HELP, metavar="NAME")
 
 
 def run_map_bench(

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Literal
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
@@ -27,7 +26,7 @@ from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import check_options, check_type, option
 
-DeviceName = Literal["auto", "cpu", "cuda"]
+DEVICE_HELP = "Where the network runs: auto, cpu, cuda or cuda:N."
 RUNTIME_HELP = (
     "What runs the network: ONNX Runtime, on the CPU, or torch; auto: ONNX Runtime for shipped "
     "weights on the CPU, torch for all others."
@@ -64,7 +63,7 @@ class MatcherOptions:
         "without a network of ours: sift, dis (optical flow), a detector with descriptors as "
         "MODEL.onnx, or vismatch:NAME of the package vismatch.",
     )
-    device: DeviceName = option("auto", "Where the network runs.")
+    device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
     half_precision: bool = option(
         False, "Convolutions in bfloat16, by torch: less exact, faster on a device that has it."
@@ -106,7 +105,7 @@ class MatcherKind:
 def load_matcher(
     name: str | Path = DEFAULT_WEIGHTS,
     *,
-    device: DeviceName = "auto",
+    device: str = "auto",
     runtime: RuntimeName = "auto",
     half_precision: bool = False,
     matching: MatchingOptions | None = None,

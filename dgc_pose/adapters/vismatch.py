@@ -8,7 +8,7 @@ import numpy as np
 from vismatch import BaseMatcher
 
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import DeviceName, load_matcher
+from dgc_pose.matchers import load_matcher
 from dgc_pose.matching.matcher import Matcher
 
 
@@ -18,9 +18,7 @@ class DgcPoseMatcher(BaseMatcher):  # type: ignore[misc, unused-ignore]
     >>> result = DgcPoseMatcher()("1.jpg", "2.jpg")  # doctest: +SKIP
     """
 
-    def __init__(
-        self, device: DeviceName = "cpu", matcher: Matcher | None = None, **kwargs: Any
-    ) -> None:
+    def __init__(self, device: str = "cpu", matcher: Matcher | None = None, **kwargs: Any) -> None:
         """device: of the network, "cpu" or "cuda". matcher: by default
         `load_matcher(device=device)`, the shipped network with refinement. kwargs: of vismatch's
         `BaseMatcher`, such as its options of RANSAC."""

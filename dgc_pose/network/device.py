@@ -17,7 +17,7 @@ def choose_device(name: str = "auto") -> torch.device:
     try:
         device = torch.device(name)
     except RuntimeError:
-        raise InputError(f"device must be auto, cpu or cuda, not '{name}'") from None
+        raise InputError(f"device must be auto, cpu, cuda or cuda:N, not '{name}'") from None
     if device.type == "cuda" and not torch.cuda.is_available():
         raise InputError(f"device {name}: no CUDA device is available here")
     return device
