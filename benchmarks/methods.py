@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import KINDS, DeviceName, MatcherCaches, MatcherOptions, refined
+from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions, refined
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.texture import textured
@@ -117,7 +117,7 @@ def parse_methods(
 def load_passes(
     methods: Sequence[Method],
     *,
-    device: DeviceName,
+    device: str,
     runtime: RuntimeName = "auto",
     stored: Mapping[str, Matcher] | None = None,
     keep_features: bool = False,
