@@ -11,6 +11,6 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 settings.register_profile(
-    "fuzz", settings.get_profile("suite"), derandomize=False, max_examples=4000
+    "fuzz", settings.get_profile("suite"), derandomize=False, max_examples=1200
 )
 settings.load_profile("suite")
