@@ -22,7 +22,6 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
-from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.refinement import RefinementOptions
 
@@ -89,13 +88,6 @@ def test_a_wrong_pose_has_its_error(pairs):
     assert result.translation_error_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.3)
     folded = min(result.translation_error_deg, 180 - result.translation_error_deg)
     assert result.translation_folded_deg == folded
-
-
-def test_sift_finds_the_pose_of_the_pictures(pairs):
-    (result,) = run(pairs[:1], {"sift": SiftMatcher()}, EstimationOptions())
-    assert result.success
-    assert result.rotation_error_deg < 1
-    assert result.translation_error_deg < 5
 
 
 def test_a_missing_image_is_known_before_the_work(pairs):

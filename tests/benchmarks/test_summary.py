@@ -85,12 +85,6 @@ def test_the_summary_of_known_errors():
         assert auc == pytest.approx(100 * (area + (threshold - 4) * 0.75) / threshold)
 
 
-def test_the_median_is_infinite_where_half_of_the_pairs_failed():
-    failed = [score(math.inf, math.inf)] * 2
-    assert summarise([score(1, 2), score(1, 2), *failed]).median_rotation_deg == math.inf
-    assert summarise([score(1, 2)] * 3 + failed).median_rotation_deg == 1
-
-
 @pytest.mark.parametrize("results", [[], [score(1, 2, "a"), score(1, 2, "b")]])
 def test_a_summary_is_of_one_method(results):
     with pytest.raises(InputError):

@@ -19,7 +19,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import SiftMatcher
-from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.synthesis.photos import held_back_paths, load_held_back
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
@@ -45,49 +44,23 @@ def distances(case, points1, points2):
     return sampson_distance(*normal, E) * truth.camera1.focal
 
 
-def true_matches(pair):
+@pytest.mark.parametrize(
+    ("change", "move"),
+    [
+        ("roll 90", lambda x, y: (y, SIZE[0] - 1 - x)),
+        ("roll 180", lambda x, y: (SIZE[0] - 1 - x, SIZE[1] - 1 - y)),
+        ("4x zoom", lambda x, y: (x - 75, y - 60)),
+        ("night", lambda x, y: (x, y)),
+    ],
+)
+def test_a_changed_view_has_the_pose_that_belongs_to_it(pair, case, change, move):
+    """What becomes of its pixels is tested beside `synthesis.misleading`."""
+    view = changed(case, change, 0)
     y, x = np.nonzero(pair.visible)
-    return pair.map[y, x], np.column_stack([x, y]).astype(float)
-
-
-@pytest.mark.parametrize(("change", "turns"), [("roll 90", 1), ("roll 180", 2)])
-def test_a_rolled_view_has_the_pose_that_belongs_to_it(pair, case, change, turns):
-    rolled = changed(case, change, 0)
-    points1, points2 = true_matches(pair)
-    width, height = SIZE
-    moved = points2
-    for _ in range(turns):
-        moved = np.column_stack([moved[:, 1], width - 1 - moved[:, 0]])
-        width, height = height, width
-    assert distances(case, points1, points2).max() < 1e-3
-    assert distances(rolled, points1, moved).max() < 1e-3
-    x, y = moved.astype(int).T
-    a, b = points2.astype(int).T
-    assert np.array_equal(rolled.image2.pixels[y, x], pair.image2[b, a])
-    assert rolled.truth.camera2.size == rolled.image2.size == (width, height)
-    assert rotation_error_deg(rolled.truth.R, pair.R) == pytest.approx(90 * turns)
-    assert np.linalg.det(rolled.truth.R) == pytest.approx(1)
-
-
-def test_a_zoomed_view_is_the_middle_of_the_old_one(pair, case):
-    zoomed = changed(case, "4x zoom", 0)
-    assert zoomed.image2.size == zoomed.truth.camera2.size == (50, 40)
-    points1, points2 = true_matches(pair)
-    moved = points2 - (75, 60)
-    inside = ((moved >= 0) & (moved < (50, 40))).all(1)
-    assert inside.any()
-    assert distances(zoomed, points1[inside], moved[inside]).max() < 1e-3
-    assert np.array_equal(zoomed.image2.pixels, pair.image2[60:100, 75:125])
-
-
-def test_night_is_dark_and_of_the_same_place(pair, case):
-    night = changed(case, "night", 0)
-    assert np.array_equal(night.image2.pixels, changed(case, "night", 0).image2.pixels)
-    assert night.image2.pixels.mean() < 0.5 * pair.image2.mean()
-    assert np.array_equal(night.truth.R, case.truth.R)
-    assert night.truth.camera2 is case.truth.camera2
-    day, dark = (cv2.cvtColor(p, cv2.COLOR_RGB2GRAY) for p in (pair.image2, night.image2.pixels))
-    assert np.corrcoef(day.ravel(), dark.ravel())[0, 1] > 0.3
+    points1, points2 = pair.map[y, x], np.column_stack(move(x, y)).astype(float)
+    assert distances(view, points1, points2).max() < 1e-3
+    assert view.truth.camera2.size == view.image2.size
+    assert np.linalg.det(view.truth.R) == pytest.approx(1)
 
 
 def test_the_facades_pose_is_that_of_its_pictures():
@@ -98,9 +71,6 @@ def test_the_facades_pose_is_that_of_its_pictures():
     tilt = cv2.Rodrigues(np.array([0.05, 0.0, 0.05]))[0]
     away = replace(made, truth=replace(made.truth, R=tilt @ made.truth.R))
     assert np.median(distances(away, matches.points1, matches.points2)) > 3.0
-    assert 16 <= rotation_error_deg(made.truth.R, np.eye(3)) <= 24
-    assert np.array_equal(facade(1).image1.pixels, made.image1.pixels)
-    assert not np.array_equal(facade(2).image1.pixels, made.image1.pixels)
 
 
 def test_unrelated_photographs_are_two_that_training_holds_back(tmp_path):
@@ -110,14 +80,14 @@ def test_unrelated_photographs_are_two_that_training_holds_back(tmp_path):
     assert len(held_back) == len(load_held_back(tmp_path / "photos", side=16).pixels)
     cases = list(unrelated_photos(tmp_path / "photos", 12, seed=0))
     assert len(cases) == 12
-    for one in cases:
-        first, second = str(one.truth.ids["name"]).split()
+    for case in cases:
+        first, second = str(case.truth.ids["name"]).split()
         assert first != second
         assert {first, second} <= {f"photos/{path.name}" for path in held_back}
-        assert one.truth.ids["kind"] == "unrelated" and one.truth.R is None
-        assert one.truth.camera1.size == one.image1.size
-    again = [one.truth.ids["name"] for one in unrelated_photos(tmp_path / "photos", 12, seed=0)]
-    assert again == [one.truth.ids["name"] for one in cases]
+        assert case.truth.ids["kind"] == "unrelated" and case.truth.R is None
+        assert case.truth.camera1.size == case.image1.size
+    again = unrelated_photos(tmp_path / "photos", 12, seed=0)
+    assert [case.truth.ids for case in again] == [case.truth.ids for case in cases]
 
 
 def test_unrelated_scenes_are_photographs_of_two_folders(tmp_path):

@@ -3,7 +3,7 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import assert_refused, run
 from good_evidence import GOOD_EVIDENCE
 from photos import write_photos
 
@@ -23,7 +23,6 @@ from dgc_pose.benchmarks.verdicts import (
     succeeds,
 )
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import VerdictOptions
 from dgc_pose.images.image import Image
@@ -190,13 +189,13 @@ def test_a_pair_is_judged_with_its_errors():
     assert np.isnan(stranger.rotation_error_deg)
 
 
-def arguments(folder, *more):
-    return [
-        *("bench-verdicts", "--photos", str(folder / "photos")),
-        *("--scene", str(folder / "one"), "--scene", str(folder / "other")),
+def bench(folder, *more):
+    return run(
+        *("bench-verdicts", "--photos", folder / "photos"),
+        *("--scene", folder / "one", "--scene", folder / "other"),
         *"--unrelated 6 --unrelated-scenes 2 --pairs 8 --misleading 1 --method sift".split(),
         *more,
-    ]
+    )
 
 
 @pytest.fixture
@@ -209,7 +208,7 @@ def folder(tmp_path, small_renders):
 
 def test_the_command_prints_both_tables_and_a_run_cut_short_is_resumed(folder):
     out = folder / "run"
-    answer = CliRunner().invoke(main, arguments(folder, "--out", str(out)))
+    answer = bench(folder, "--out", out)
     assert answer.exit_code == 0, answer.output
     lines = answer.stdout.splitlines()
     groups = [line.split("  ")[0] for line in lines[1:12]]
@@ -220,26 +219,22 @@ def test_the_command_prints_both_tables_and_a_run_cut_short_is_resumed(folder):
     assert lines[13].startswith("gates") and lines[-1].startswith("chosen: ")
     table = (out / "results.csv").read_text()
     (out / "results.csv").write_text(table[: len(table) // 2])
-    again = CliRunner().invoke(main, arguments(folder, "--out", str(out), "--resume"))
+    again = bench(folder, "--out", out, "--resume")
     assert again.exit_code == 0, again.output
     assert "pairs are done already" in again.stdout
     assert again.stdout.splitlines()[1:] == lines
 
 
-def test_the_command_names_what_it_cannot_use_before_it_starts(tmp_path, monkeypatch):
-    def matched_too_early(*arguments):
-        raise AssertionError
-
-    monkeypatch.setattr(Evaluation, "run", matched_too_early)
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("few",), "need two"),
+        (("photos", "--list", "none.txt"), "none.txt"),
+        (("photos", "--scene", "few"), "two scenes"),
+    ],
+)
+def test_the_command_names_what_it_cannot_use(tmp_path, monkeypatch, words, reason):
+    monkeypatch.chdir(tmp_path)
     write_photos(tmp_path / "few", 1)
     write_photos(tmp_path / "photos", 60)
-    for photos, more, word in (
-        ("few", [], "need two"),
-        ("photos", ["--list", str(tmp_path / "none.txt")], "none.txt"),
-        ("photos", ["--scene", str(tmp_path / "few")], "two scenes"),
-        ("photos", ["--method", "nosuch"], "nosuch"),
-    ):
-        given = ["--photos", str(tmp_path / photos), "--method", "sift", *more]
-        answer = CliRunner().invoke(main, ["bench-verdicts", *given])
-        assert answer.exit_code == 2, word
-        assert answer.stderr.startswith("error: ") and word in answer.stderr
+    assert_refused(run("bench-verdicts", "--method", "sift", "--photos", *words), reason)

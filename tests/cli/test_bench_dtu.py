@@ -154,15 +154,9 @@ def test_a_finished_run_is_only_shown_again(dtu, tmp_path) -> None:
         (("--scenes", "66"), "66"),
         (("--pairs", "0"), "must lie in [1, "),
         (("--pairs", "nowhere.csv"), "nowhere.csv"),
-        (("--methods", "dis,dis"), "'dis' is named twice"),
-        (("--methods", "sift/all"), "key points alone"),
-        (("--methods", ""), "no methods"),
         (("--methods", "nowhere.pth"), "nowhere.pth: no such weights"),
         (("--matches", "raft"), "NAME=DIR"),
         (("--matches", "raft=nowhere"), "nowhere: no such folder"),
-        (("--matches", "dis=."), "already"),
-        (("--matchability", "2"), "matchability"),
-        (("--layout", "neus"), "not in the neus layout"),
     ],
 )
 def test_what_cannot_be_run_leaves_nothing(dtu, tmp_path, monkeypatch, arguments, reason) -> None:

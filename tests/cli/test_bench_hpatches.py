@@ -132,12 +132,9 @@ def test_the_authors_lists(folder):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (("--root", "nowhere"), "nowhere"),
-        (("--root", "data/v_wall/1.ppm"), "no such folder"),
         (("--root", "data", "--methods", "true,nosuch"), "nosuch"),
         (("--root", "data", "--methods", "true,true"), "twice"),
         (("--root", "data", "--methods", ","), "no methods"),
-        (("--root", "data", "--lists", "data"), "hpatches_1_2.csv"),
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):

@@ -34,20 +34,12 @@ def bench(*arguments):
     return run("bench-pairs", *arguments, *FAST)
 
 
-def test_the_table_has_a_line_a_method(folder):
-    result = bench("pairs.txt", "--methods", "true,noise")
-    assert result.exit_code == 0
-    assert result.stderr == ""
-    true, noise = result.stdout.splitlines()[-2:]
-    assert true.split()[:3] == ["true", "3", "0"]
-    assert noise.split()[:5] == ["noise", "3", "3", "(100.0", "%)"]
-    assert noise.split()[5:8] == ["inf", "inf", "inf"]
-    assert sorted(os.listdir(folder)) == ["one.png", "pairs.txt", "two.png"]
-
-
-def test_json_and_out_hold_the_same_summary(folder):
+def test_the_table_json_and_out_hold_the_same_summary(folder):
     result = bench("pairs.txt", "--methods", "true,noise", "--json", "s.json", "--out", "run/new")
-    assert result.exit_code == 0
+    assert (result.exit_code, result.stderr) == (0, "")
+    lines = [line.split() for line in result.stdout.splitlines()[-2:]]
+    assert lines[0][:3] == ["true", "3", "0"]
+    assert lines[1][:8] == "noise 3 3 (100.0 %) inf inf inf".split()
     data = json.loads((folder / "s.json").read_text())
     assert data == json.loads((folder / "run/new/summary.json").read_text())
     true, noise = data["methods"]
@@ -126,18 +118,11 @@ def test_a_method_has_options_of_its_own(folder):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (("nosuch.txt",), "nosuch.txt"),
-        (("one.png",), "one.png"),
         (("pairs.txt", "--methods", "true,nosuch"), "nosuch"),
-        (("pairs.txt", "--methods", "sift,true,sift"), "sift"),
-        (("pairs.txt", "--methods", ","), "no methods"),
-        (("pairs.txt", "--root", "nowhere"), "one.png"),
         (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
-        (("pairs.txt", "--methods", "sift:magic=1"), "no option magic"),
         (("pairs.txt", "--rendered", "2"), "LIST"),
         (("--rendered", "2"), "--photos"),
         ((), "LIST"),
-        (("--rendered", "2", "--photos", "nowhere"), "nowhere"),
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):

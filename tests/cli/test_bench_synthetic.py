@@ -92,8 +92,6 @@ def test_the_authors_lists_instead_of_the_sets(folder):
     [
         (("--sets", "affine,tps"), "no set 'tps'"),
         (("--sets", ","), "no sets"),
-        (("--list", "nosuch.csv"), "nosuch.csv"),
-        (("--methods", ","), "no methods"),
         (("--photos", "nowhere"), "nowhere: No such file or directory"),
     ],
 )

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
 
 LAYOUTS = list(WRITERS)
 
@@ -137,12 +137,6 @@ def test_full_size_images_are_taken_where_both_are_there(tmp_path):
     (scene,) = open_dataset(tmp_path).scenes
     assert scene.images[1].parent.name == "scan65"
     assert scene.size == SIZE
-
-
-def test_a_crop_of_another_size_is_refused(tmp_path):
-    write_mvsnet_training(tmp_path, grey_scan([0, 10]), suffix="_train")
-    with pytest.raises(InputError, match=r"rect_001_3_r5000\.png: expected 640 x 512 .* 160 x 120"):
-        open_dataset(tmp_path)
 
 
 def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
@@ -282,32 +276,13 @@ def test_images_of_several_sizes_are_refused(tmp_path):
         open_dataset(tmp_path)
 
 
-def test_a_file_that_is_no_image_is_an_error_with_its_path(tmp_path):
-    write_raw(tmp_path, grey_scan([0, 10]))
-    path = tmp_path / "Rectified/scan65/rect_002_3_r5000.png"
-    path.write_bytes(b"no image")
-    with pytest.raises(ImageError, match=str(path)):
-        open_dataset(tmp_path)
-
-
 def _npz(**matrices):
     return lambda path: np.savez(path, **matrices)
-
-
-def _cut(path):
-    path.write_bytes(path.read_bytes()[:300])
-
-
-def _npy(path):
-    with path.open("wb") as stream:
-        np.save(stream, P)
 
 
 P = np.diag([100.0, 100, 1, 1])
 BAD_NPZ = {
     "text": (lambda path: path.write_text("P"), "expected an .npz"),
-    "an .npy": (_npy, "expected an .npz"),
-    "cut": (_cut, "expected an .npz"),
     "3x4": (_npz(world_mat_0=P[:3]), "world_mat_0: expected 4x4 numbers"),
     "words": (_npz(world_mat_0=np.full((4, 4), "1")), "world_mat_0: expected 4x4 numbers"),
     "singular": (_npz(world_mat_0=np.zeros((4, 4))), "world_mat_0: the matrix is no camera"),

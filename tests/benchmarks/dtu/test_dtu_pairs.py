@@ -7,13 +7,9 @@ from dataclasses import replace
 import cv2
 import dense_scene
 import numpy as np
-import pytest
 from evaluation_pairs import posed_pairs
 
-from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, protocol_options
-from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
+from dgc_pose.benchmarks.dtu.dtu_pairs import protocol_options
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import MatchingOptions
@@ -50,13 +46,6 @@ def test_an_image_is_read_once(tmp_path) -> None:
     (tmp_path / "two_2.png").unlink()
     second, again = pairs.pair(1), pairs.pair(0)
     assert second.image1 is first.image1 and again.image2 is first.image2
-
-
-def test_a_camera_of_another_size_is_refused(tmp_path) -> None:
-    pairs = posed_pairs(tmp_path, 1)
-    wrong = replace(pairs.pairs[0], camera2=Camera(dense_scene.K, (640, 480)))
-    with pytest.raises(InputError, match="two_2.png is for an image of 640 x 480"):
-        DtuPairs([ViewPair(65, 1, 2, 14.0, 0.8, 120.0)], [wrong], "native").pair(0)
 
 
 def test_paper_takes_every_match_and_does_not_refine() -> None:

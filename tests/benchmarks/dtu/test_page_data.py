@@ -19,10 +19,9 @@ def run(tmp_path_factory):
     return dtu_report.finished_run(tmp_path_factory.mktemp("run"))
 
 
-def data_of(run, protocol="native", pictured=None):
-    keys = {row.key[1:] for row in run.rows} if pictured is None else pictured
-    rows = by_method(run.rows)
-    return page_data(run.out, run.pairs(protocol), rows, keys)
+def data_of(run, protocol="native"):
+    keys = {row.key[1:] for row in run.rows}
+    return page_data(run.out, run.pairs(protocol), by_method(run.rows), keys)
 
 
 def test_each_image_is_there_once_and_is_the_right_one(run) -> None:
@@ -71,11 +70,3 @@ def test_results_are_the_rows_and_null_stands_for_infinite(run) -> None:
             assert np.abs(flat[:, :2] / 10 - sample.points1).max() <= 0.0501
             assert np.abs(flat[:, 2:4] / 10 - sample.points2).max() <= 0.0501
             assert flat[:, 4].tolist() == sample.inliers.tolist()
-
-
-def test_pairs_that_are_not_pictured_have_figures_alone(run) -> None:
-    data = data_of(run, pictured={(65, 1, 2)})
-    assert len(data["images"]) == 2
-    assert [pair["F"] is not None for pair in data["pairs"]] == [True] + 14 * [False]
-    for results in data["results"]:
-        assert ["sample" in result for result in results] == [True] + 14 * [False]

@@ -92,17 +92,6 @@ def test_pairs_of_scenes_not_asked_for_are_passed_over(tmp_path, dataset):
         read_pair_file(tmp_path / "list.txt", dataset)
 
 
-def test_an_absent_view_is_an_error_with_line_and_file(tmp_path, dataset):
-    path = tmp_path / "list.txt"
-    path.write_text(ID_LIST.replace("4 2 65", "5 2 65"))
-    with pytest.raises(InputError) as caught:
-        read_pair_file(path, dataset)
-    image = tmp_path / "dtu/Rectified/scan65/rect_005_3_r5000"
-    assert str(caught.value) == (
-        f"{path}:4: view 5 of scan65 is not there: expected {image}.png or .jpg"
-    )
-
-
 HEADER = "scene,view1,view2\n"
 SUPERGLUE = " 0 0" + " 0" * 34
 BAD_LISTS = {

@@ -74,24 +74,14 @@ def test_the_least_overlap_is_asked_for():
     assert 0 < len(pairs) < 6 and all(pair.overlap >= 0.88 for pair in pairs)
 
 
-def test_the_draw_is_seeded_and_spread_over_the_rotations():
-    options = ViewPairOptions(pairs=14, min_overlap=0, seed=5)
-    candidates = find_view_pairs(dataset(np.arange(0, 60, 2.3)), options)
-    drawn = draw(candidates, options)
-    assert drawn == draw(candidates, options)
-    assert len(set(drawn)) == 14
-    assert drawn != draw(candidates, ViewPairOptions(pairs=14, min_overlap=0, seed=6))
-    # Seven bins of five degrees: every seven drawn hold one of each.
-    for part in (drawn[:7], drawn[7:]):
-        bins = [min(int((p.rotation_deg - 5) // 5), 6) for p in part]
-        assert sorted(bins) == list(range(7))
-
-
-def test_the_draw_is_balanced_over_scenes_and_spread_within_each():
+def test_the_draw_is_seeded_balanced_over_scenes_and_spread_over_the_rotations_of_each():
     angles = np.arange(0, 60, 2.3)
     data = dataset(angles, angles, [0, 6, 12], angles)
     options = ViewPairOptions(pairs=45, min_overlap=0)
-    drawn = draw(find_view_pairs(data, options), options)
+    candidates = find_view_pairs(data, options)
+    drawn = draw(candidates, options)
+    assert drawn == draw(candidates, options)
+    assert drawn != draw(candidates, ViewPairOptions(pairs=45, min_overlap=0, seed=6))
     # The third scene has three pairs in all; the others share the rest.
     assert Counter(p.scene for p in drawn) == {1: 14, 2: 14, 3: 3, 4: 14}
     assert [p.scene for p in drawn] == sorted(p.scene for p in drawn)
@@ -142,9 +132,3 @@ def test_views_of_one_centre_make_no_pair():
             view_pair(scene, one, two)
     with pytest.raises(InputError, match="scan1 has views 1 to 49, not 77"):
         view_pair(scene, 1, 77)
-
-
-@pytest.mark.parametrize("wrong", [{"pairs": 0}, {"min_rotation": 40.0, "max_rotation": 40.0}])
-def test_options_out_of_range_are_refused(wrong):
-    with pytest.raises(InputError):
-        ViewPairOptions(**wrong)
