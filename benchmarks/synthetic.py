@@ -17,23 +17,23 @@ from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.benchmarks.published import SYNTHETIC
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.synthesis import options as synthesis
 from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.synthesis.options import PairOptions, PhotometricOptions, SceneOptions, WarpOptions
+from dgc_pose.synthesis.options import (
+    WARPS,
+    PairOptions,
+    PhotometricOptions,
+    SceneOptions,
+    WarpOptions,
+)
 from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos, load_held_back
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.synthesis.render import render_pairs
-from dgc_pose.synthesis.warp_lists import WarpList, WarpRow, list_pairs
+from dgc_pose.synthesis.warp_lists import WarpRow, list_pairs, read_warps
 from dgc_pose.synthesis.warps import FAR
 
-# By name, the paper's ranges; the scenes beside them are ray-cast.
-_WARPS: dict[str, WarpOptions] = {
-    "affine": synthesis.PAPER_AFFINE,
-    "affine-tps": synthesis.PAPER_AFFINE_TPS,
-    "homography": synthesis.PAPER_HOMOGRAPHY,
-}
-_SCENES = "scenes"
+_WARPS = {name: WARPS[f"paper-{name}"] for name in ("affine", "affine-tps", "homography")}
+_SCENES = "scenes"  # ray-cast
 SETS = (*_WARPS, _SCENES)
 _PUBLISHED = {"published": SYNTHETIC}
 
@@ -95,7 +95,7 @@ def listed_set(path: str | Path, root: str | Path) -> MapSet:
     Raises InputError if the list is malformed; its batches raise ImageError if a photograph cannot
     be read.
     """
-    rows = WarpList.read(path).rows
+    rows = read_warps(path)
     return MapSet(_listed_cases(rows, root), len(rows), {"list": str(path), **_PUBLISHED})
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dgc_pose.synthesis.depth_scenes import DepthScenes, depth_at
 from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.map_pairs import MapPairs, point_grid
 from dgc_pose.synthesis.options import DepthOptions
 
 _IN_FRONT = 1e-3  # median depths before a camera; nearer points are not projected
@@ -42,8 +42,7 @@ def depth_pairs(
         tuple(part.to(device, non_blocking=True) for part in view) for view in views
     )
 
-    axis = torch.arange(size, dtype=torch.float32, device=device)
-    pixels = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
+    pixels = point_grid(torch.arange(size, dtype=torch.float32, device=device))
     in_frame1 = pixels @ linear1.mT + shift1[:, None]
     in_frame2 = pixels @ linear2.mT + shift2[:, None]
     image1 = _cut(scenes.images[source], in_frame1, size)

@@ -7,10 +7,10 @@ triangle filter. Entropy coding is lossless and left out.
 
 from __future__ import annotations
 
-import math
-
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.fft import dct
 from torch import Tensor
 
 # T.81, annex K.1: quantisation of luminance and chrominance at quality 50.
@@ -71,7 +71,7 @@ def _table(base: tuple[tuple[int, ...], ...], quality: Tensor) -> Tensor:
 
 def _quantised(planes: Tensor, steps: Tensor) -> Tensor:
     """Planes (B, C, H, W) with each 8x8 block's cosine coefficients rounded to whole steps."""
-    basis = _as(planes, _cosines())
+    basis = _as(planes, torch.from_numpy(dct(np.eye(8), axis=0, norm="ortho")))
     blocks = planes.unfold(2, 8, 8).unfold(3, 8, 8)  # (B, C, H / 8, W / 8, 8, 8)
     coefficients = basis @ blocks @ basis.T
     coefficients = (coefficients / steps).round() * steps
@@ -82,11 +82,3 @@ def _quantised(planes: Tensor, steps: Tensor) -> Tensor:
 def _as(like: Tensor, constant: Tensor) -> Tensor:
     """A CPU constant of the type and on the device of another tensor, without waiting for it."""
     return constant.to(like, non_blocking=True)
-
-
-def _cosines() -> Tensor:
-    """The orthonormal DCT-II of 8 samples, (8, 8): a row a frequency."""
-    k = torch.arange(8, dtype=torch.float64)
-    basis = 0.5 * torch.cos(math.pi / 16 * k[:, None] * (2 * k + 1))
-    basis[0] /= math.sqrt(2)
-    return basis

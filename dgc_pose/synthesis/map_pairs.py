@@ -38,6 +38,11 @@ class MapPairs:
         return changed(self, lambda values: values[which])
 
 
+def point_grid(x: Tensor, y: Tensor | None = None) -> Tensor:
+    """Points (1, n * m, 2), row by row, of m columns `x` and n rows `y`, else `x` too."""
+    return torch.stack(torch.meshgrid(x, x if y is None else y, indexing="xy"), -1).view(1, -1, 2)
+
+
 def level_truth(truth: Tensor, valid: Tensor, cells: int) -> tuple[Tensor, Tensor]:
     """The true map at a level, (B, cells, cells, 2) pixels at the cells' centres, and the mask of
     valid cells.

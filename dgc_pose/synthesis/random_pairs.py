@@ -14,7 +14,7 @@ from dgc_pose.synthesis.batches import joined
 from dgc_pose.synthesis.depth_pairs import depth_pairs
 from dgc_pose.synthesis.depth_scenes import DepthScenes
 from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.map_pairs import MapPairs, point_grid
 from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos
@@ -46,7 +46,8 @@ def make_pairs(
     if warped:
         parts.append(_warped_pairs(photos, warped, size, generator, options))
     if scenes:
-        parts.append(_scene_pairs(photos, scenes, size, generator, options))
+        views = render_pairs(photos.textures, scenes, size, generator, options.scenes)
+        parts.append(MapPairs(views.image1, views.image2, views.map, views.visible))
     if reals and real is not None:
         parts.append(depth_pairs(real, reals, size, generator, options.real))
     pairs = parts[0] if len(parts) == 1 else joined(parts)
@@ -59,13 +60,6 @@ def make_pairs(
     )
 
 
-def _scene_pairs(
-    photos: Photos, batch: int, size: int, generator: torch.Generator, options: PairOptions
-) -> MapPairs:
-    pairs = render_pairs(photos.textures, batch, size, generator, options.scenes)
-    return MapPairs(pairs.image1, pairs.image2, pairs.map, pairs.visible)
-
-
 def _warped_pairs(
     photos: Photos, batch: int, size: int, generator: torch.Generator, options: PairOptions
 ) -> MapPairs:
@@ -73,8 +67,7 @@ def _warped_pairs(
     chosen = Draw(generator, pixels.device).integers(batch, count=len(pixels))
     textures = pixels[chosen].float() / 255
     axis = (2 * torch.arange(size, device=pixels.device) + 1) / size - 1
-    grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
-    grid = grid.expand(batch, -1, -1)
+    grid = point_grid(axis).expand(batch, -1, -1)
     source = random_warp(batch, options.warps, generator)(grid)
     linear, shift = _random_views(batch, generator, options)
     linear, shift = linear.to(grid, non_blocking=True), shift.to(grid, non_blocking=True)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +30,9 @@ from torch import Tensor
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.images.image import load_image
-from dgc_pose.synthesis.map_pairs import MapPairs
+from dgc_pose.synthesis.map_pairs import MapPairs, point_grid
 from dgc_pose.synthesis.photos import resized_planes
-from dgc_pose.synthesis.warps import apply_homography, thin_plate_spline
+from dgc_pose.synthesis.warps import TPS_KNOTS, apply_homography, thin_plate_spline
 
 WarpKind = Literal["affine", "tps", "homography"]
 _KINDS: tuple[WarpKind, ...] = get_args(WarpKind)  # in the order of their numbers in a list
@@ -43,7 +42,7 @@ _BENT_SIZE = (640, 480)  # width, height of the photograph that affine and splin
 _VIEW = 9 / 16  # of its width and height
 _PLANE_SIZE = (768, 576)  # of the photograph that homography views are cut from
 _CROP = (264, 168)  # left, top; pixels
-_CROP_SIDE = 240
+_SIDE = 240  # pixels of a view
 
 
 @dataclass(frozen=True)
@@ -55,58 +54,39 @@ class WarpRow:
     parameters: tuple[float, ...]  # 18, as in the list
 
 
-@dataclass(frozen=True)
-class WarpList:
-    """The rows of a list, in its order."""
+def read_warps(path: str | Path) -> list[WarpRow]:
+    """The rows of a list, in order.
 
-    path: Path
-    rows: tuple[WarpRow, ...]
-
-    @classmethod
-    def read(cls, path: str | Path) -> WarpList:
-        """Raises InputError, with the path and the line, for a malformed list; OSError."""
-        path = Path(path)
-        text = io.StringIO(read_text(path, "a list of warps"), newline="")
-        with read_as("a list of warps", path):
-            reader = csv.reader(text)
-            header = next(reader, [])
-            if [name.strip() for name in header[:2]] != ["fname", "aff/tps/homo"]:
-                raise InputError(f"{path}:1: expected the columns fname,aff/tps/homo,t1,...")
-            rows = tuple(_parse(row, f"{path}:{reader.line_num}") for row in reader if row)
-        if not rows:
-            raise InputError(f"{path}: the list has no rows")
-        return cls(path, rows)
+    Raises InputError, with the path and the line, for a malformed list; OSError.
+    """
+    text = io.StringIO(read_text(path, "a list of warps"), newline="")
+    with read_as("a list of warps", path):
+        reader = csv.reader(text)
+        header = next(reader, [])
+        if [name.strip() for name in header[:2]] != ["fname", "aff/tps/homo"]:
+            raise InputError(f"{path}:1: expected the columns fname,aff/tps/homo,t1,...")
+        rows = [_parse(row, f"{path}:{reader.line_num}") for row in reader if row]
+    if not rows:
+        raise InputError(f"{path}: the list has no rows")
+    return rows
 
 
-def list_pairs(
-    rows: Sequence[WarpRow],
-    root: str | Path,
-    size: int = _CROP_SIDE,
-    device: torch.device | str = "cpu",
-) -> MapPairs:
-    """The pairs of rows, `size` pixels a side, of photographs below `root`.
+def list_pairs(rows: Sequence[WarpRow], root: str | Path) -> MapPairs:
+    """The pairs of rows of one kind, 240 pixels a side, of photographs below `root`.
 
     `valid` is the authors': both coordinates of the true point in [-1, 1]. Raises ImageError if a
-    photograph cannot be read, InputError if there is no row.
+    photograph cannot be read.
     """
-    if not rows:
-        raise InputError("rows must not be empty")
-    order: list[int] = []
-    parts: list[tuple[Tensor, Tensor, Tensor]] = []
-    for bent in (True, False):
-        chosen = [i for i, row in enumerate(rows) if (row.kind != "homography") == bent]
-        if not chosen:
-            continue
-        order += chosen
-        photo_size = _BENT_SIZE if bent else _PLANE_SIZE
-        files = [load_image(Path(root) / rows[i].file).pixels for i in chosen]
-        photos = torch.stack([resized_planes(pixels, photo_size) for pixels in files])
-        photos = photos.to(device).float() / 255
-        make = _bent_pairs if bent else _plane_pairs
-        parts.append(make([rows[i] for i in chosen], photos, size))
-    sort = torch.tensor(order, device=device).argsort()
-    image1, image2, truth = (torch.cat(p)[sort] for p in zip(*parts, strict=True))
-    valid = ((truth >= 0) & (truth <= size - 1)).all(-1)
+    kind = rows[0].kind
+    photo_size = _PLANE_SIZE if kind == "homography" else _BENT_SIZE
+    files = [load_image(Path(root) / row.file).pixels for row in rows]
+    photos = torch.stack([resized_planes(pixels, photo_size) for pixels in files]).float() / 255
+    parameters = torch.tensor([row.parameters for row in rows], dtype=torch.float64)
+    if kind == "homography":
+        image1, image2, truth = _plane_pairs(parameters[:, :9].view(-1, 3, 3), photos)
+    else:
+        image1, image2, truth = _bent_pairs(kind, parameters.float(), photos)
+    valid = ((truth >= 0) & (truth <= _SIDE - 1)).all(-1)
     return MapPairs(image1, image2, truth, valid)
 
 
@@ -120,7 +100,7 @@ def _parse(fields: list[str], where: str) -> WarpRow:
         raise InputError(f"{where}: {error}") from None
     if number not in (0, 1, 2):
         raise InputError(f"{where}: the kind must be 0, 1 or 2, not {fields[1]}")
-    if not fields[0] or not all(math.isfinite(value) for value in parameters):
+    if not fields[0] or not np.isfinite(parameters).all():
         raise InputError(f"{where}: a file name and finite numbers are needed")
     kind = _KINDS[int(number)]
     if kind == "homography" and abs(np.linalg.det(np.reshape(parameters[:9], (3, 3)))) < 1e-12:
@@ -128,50 +108,38 @@ def _parse(fields: list[str], where: str) -> WarpRow:
     return WarpRow(fields[0], kind, parameters)
 
 
-def _bent_pairs(rows: list[WarpRow], photos: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Images of both views and the map (B, S, S, 2) in pixels, of affine and spline rows."""
-    axis = torch.linspace(-1, 1, size, device=photos.device)
-    grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
-    grid = grid.expand(len(rows), -1, -1)
-    values = photos.new_tensor([row.parameters for row in rows])
-    affine = torch.eye(3).repeat(len(rows), 1, 1).to(photos)
-    affine[:, :2] = values[:, :6].view(-1, 2, 3)
-    bends = torch.tensor([row.kind == "tps" for row in rows], device=photos.device)
-    knots = torch.cartesian_prod(*[torch.tensor([-1.0, 0.0, 1.0])] * 2)
-    targets = values.view(-1, 2, 9).transpose(1, 2).cpu()
-    spline = thin_plate_spline(knots, targets)
-    source = torch.where(bends[:, None, None], spline(grid), apply_homography(affine, grid))
-
-    width, height = _BENT_SIZE
-    side = photos.new_tensor([width, height])
+def _bent_pairs(kind: WarpKind, values: Tensor, photos: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Images of both views and the map (B, S, S, 2) in pixels, of affine or spline rows (B, 18)."""
+    grid = point_grid(torch.linspace(-1, 1, _SIDE)).expand(len(photos), -1, -1)
+    if kind == "affine":
+        affine = torch.eye(3).repeat(len(photos), 1, 1)
+        affine[:, :2] = values[:, :6].view(-1, 2, 3)
+        source = apply_homography(affine, grid)
+    else:
+        source = thin_plate_spline(TPS_KNOTS, values.view(-1, 2, 9).transpose(1, 2))(grid)
+    side = torch.tensor(_BENT_SIZE)
 
     def view(points: Tensor) -> Tensor:
         # -1 and +1 are the outermost pixels of the photograph mirrored to twice its size.
         pixels = (points * _VIEW / 2 + 1) * (2 * side - 1) / 2 - side / 2
-        normalised = ((2 * pixels + 1) / side - 1).view(len(rows), size, size, 2)
+        normalised = ((2 * pixels + 1) / side - 1).view(-1, _SIDE, _SIDE, 2)
         return F.grid_sample(photos, normalised, padding_mode="reflection", align_corners=False)
 
-    pixels = ((source + 1) * (size - 1) / 2).view(len(rows), size, size, 2)
+    pixels = ((source + 1) * (_SIDE - 1) / 2).view(-1, _SIDE, _SIDE, 2)
     return view(grid), view(source), pixels
 
 
-def _plane_pairs(rows: list[WarpRow], photos: Tensor, size: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Images of both views and the map (B, S, S, 2) in pixels, of homography rows."""
-    step = _CROP_SIDE / size
-    axis = (torch.arange(size, device=photos.device) + 0.5) * step - 0.5
-    grid = torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1).view(1, -1, 2)
-    crop = photos.new_tensor(_CROP)
-    grid = (grid + crop).expand(len(rows), -1, -1)
-    H = torch.tensor([row.parameters[:9] for row in rows], dtype=torch.float64).view(-1, 3, 3)
+def _plane_pairs(H: Tensor, photos: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Images of both views and the map (B, S, S, 2) in pixels, of homographies (B, 3, 3)."""
+    crop, side = torch.tensor(_CROP), torch.tensor(_PLANE_SIZE)
+    grid = (point_grid(torch.arange(_SIDE)) + crop).float().expand(len(photos), -1, -1)
     inverse = torch.linalg.inv(H)
     middle = torch.tensor([(side - 1) / 2 for side in _PLANE_SIZE] + [1.0], dtype=torch.float64)
     inverse = inverse / (inverse[:, 2] @ middle)[:, None, None]  # depths positive in the middle
-    source = apply_homography(inverse.to(photos), grid)
-    side = photos.new_tensor(_PLANE_SIZE)
+    source = apply_homography(inverse.float(), grid)
 
     def view(points: Tensor) -> Tensor:
-        normalised = ((2 * points + 1) / side - 1).view(len(rows), size, size, 2)
+        normalised = ((2 * points + 1) / side - 1).view(-1, _SIDE, _SIDE, 2)
         return F.grid_sample(photos, normalised, align_corners=False)
 
-    pixels = (source - crop + 0.5) / step - 0.5
-    return view(grid), view(source), pixels.view(len(rows), size, size, 2)
+    return view(grid), view(source), (source - crop).view(-1, _SIDE, _SIDE, 2)

@@ -17,6 +17,8 @@ from dgc_pose.synthesis.options import WarpOptions
 
 Warp = Callable[[Tensor], Tensor]
 FAR = 1e6  # normalised coordinate of points beyond a homography's horizon
+TPS_KNOTS = torch.cartesian_prod(*[torch.linspace(-1, 1, 3)] * 2)  # a spline's control points
+_CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 def random_warp(batch: int, options: WarpOptions, generator: torch.Generator) -> Warp:
@@ -29,9 +31,9 @@ def random_warp(batch: int, options: WarpOptions, generator: torch.Generator) ->
     is_affine = kind < options.affine_share
     is_tps = ~is_affine & (kind < options.affine_share + options.tps_share)
     affine = _random_affine(draw, batch, options)
-    knots, targets = _random_tps(draw, batch, options)
+    targets = TPS_KNOTS + options.tps_sigma * draw.normal(batch, 9, 2)
     bent = is_tps.nonzero()[:, 0]
-    spline = thin_plate_spline(knots, targets[bent])
+    spline = thin_plate_spline(TPS_KNOTS, targets[bent])
     homography = _random_homography(draw, batch, options)
     projective = torch.where(is_affine[:, None, None], affine, homography)
 
@@ -78,8 +80,7 @@ def thin_plate_spline(control: Tensor, values: Tensor) -> Warp:
 
 def homography_from_corners(corners: Tensor) -> Tensor:
     """(B, 3, 3) that maps the corners (-1,-1), (1,-1), (1,1), (-1,1) to `corners` (B, 4, 2)."""
-    base = corners.new_tensor([[-1, -1], [1, -1], [1, 1], [-1, 1]]).expand(len(corners), 4, 2)
-    x, y = base.unbind(-1)
+    x, y = _CORNERS.expand(len(corners), 4, 2).unbind(-1)
     u, v = corners.unbind(-1)
     one, zero = torch.ones_like(x), torch.zeros_like(x)
     rows_u = torch.stack([x, y, one, zero, zero, zero, -u * x, -u * y], -1)
@@ -126,19 +127,11 @@ def _homogeneous(linear: Tensor, shift: Tensor) -> Tensor:
     return matrix
 
 
-def _random_tps(draw: Draw, batch: int, options: WarpOptions) -> tuple[Tensor, Tensor]:
-    """The control points (9, 2) and their images (B, 9, 2)."""
-    axis = torch.tensor([-1.0, 0.0, 1.0])
-    control = torch.cartesian_prod(axis, axis)
-    return control, control + options.tps_sigma * draw.normal(batch, 9, 2)
-
-
 def _random_homography(draw: Draw, batch: int, options: WarpOptions) -> Tensor:
-    corners = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     limit = options.corner_shift
     shift = draw.uniform(batch, 4, 2, low=-limit, high=limit)
     # The authors' lists hold the homography from source to target; the map is its inverse.
-    matrix = torch.linalg.inv(homography_from_corners(corners + shift))
+    matrix = torch.linalg.inv(homography_from_corners(_CORNERS + shift))
     rotation = _random_rotation(
         draw, batch, options.homography_rotation_deg, options.any_rotation_share
     )

@@ -47,7 +47,7 @@ from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.store import StoredImage
 from dgc_pose.synthesis.photos import load_photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
-from dgc_pose.synthesis.warp_lists import WarpList
+from dgc_pose.synthesis.warp_lists import read_warps
 
 Make = Callable[[Path], object]  # writes good files into a folder
 Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
@@ -366,7 +366,7 @@ READERS: dict[str, tuple[Make, Read]] = {
         lambda folder, _: RunStore(folder, PairScore, _KEYS, {"batch": 1}, resume=True),
     ),
     "samples": (_make_sample, lambda folder, _: read_sample(folder, ("sift", 1, 2, 3))),
-    "warp lists": (_make_warps, lambda _, path: WarpList.read(path)),
+    "warp lists": (_make_warps, lambda _, path: read_warps(path)),
     "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
     "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),

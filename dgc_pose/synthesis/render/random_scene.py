@@ -36,11 +36,11 @@ def random_scene(
     layout = Layout(1, 2 + options.quads, options.boxes, options.ellipsoids)
     table_height = draw.uniform(batch, low=0.1, high=0.4)
     parts = (
-        _room(draw, first.centre, second.centre, table_height, options),
-        _background(draw, first.centre, options),
+        _room(draw, first.centre, second.centre, table_height),
+        _background(draw, first.centre),
         _table(draw, table_height),
-        _tilted_quads(draw, first.centre, options),
-        _solids(draw, table_height, options),
+        _tilted_quads(draw, first.centre, options.quads),
+        _solids(draw, table_height, options.boxes + options.ellipsoids),
     )
     centre, axes, half_size = (torch.cat(tensors, dim=1) for tensors in zip(*parts, strict=True))
     count = sum(layout)
@@ -84,27 +84,23 @@ def single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], phot
 Parts = tuple[Tensor, Tensor, Tensor]  # centre (B, n, 3), axes (B, n, 3, 3), half size (B, n, 3)
 
 
-def _room(
-    draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor, options: SceneOptions
-) -> Parts:
+def _room(draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor) -> Parts:
     reach = draw.uniform(len(centre1), 3, low=0.5, high=0.8)
     low = torch.minimum(torch.minimum(centre1, centre2), -reach)
     high = torch.maximum(torch.maximum(centre1, centre2), reach)
     high[:, 1] = torch.maximum(high[:, 1], table_height)
-    nearest, farthest = options.room_margin
-    low = low - draw.uniform(len(centre1), 3, low=nearest, high=farthest)
-    high = high + draw.uniform(len(centre1), 3, low=nearest, high=farthest)
+    low = low - draw.uniform(len(centre1), 3, low=0.05, high=1.0)
+    high = high + draw.uniform(len(centre1), 3, low=0.05, high=1.0)
     axes = torch.eye(3, dtype=centre1.dtype, device=centre1.device).expand(len(centre1), 1, 3, 3)
     return (low + high)[:, None] / 2, axes, (high - low)[:, None] / 2
 
 
-def _background(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
+def _background(draw: Draw, centre1: Tensor) -> Parts:
     """A large rectangle behind the look-at point, tilted by up to 45 degrees to the first view."""
     batch = len(centre1)
     towards = normalize(centre1, dim=-1)
     axes = _facing(draw, towards[:, None], math.radians(45.0))
-    nearest, farthest = options.background
-    behind = draw.uniform(batch, 1, low=nearest, high=farthest)
+    behind = draw.uniform(batch, 1, low=0.25, high=1.0)
     half_size = draw.uniform(batch, 1, 3, low=0.5, high=1.5)
     return (-behind * towards)[:, None], axes, half_size
 
@@ -118,21 +114,19 @@ def _table(draw: Draw, height: Tensor) -> Parts:
     return centre, _facing(draw, up, 0.0), half_size
 
 
-def _tilted_quads(draw: Draw, centre1: Tensor, options: SceneOptions) -> Parts:
-    batch, count = len(centre1), options.quads
+def _tilted_quads(draw: Draw, centre1: Tensor, count: int) -> Parts:
+    batch = len(centre1)
     towards = normalize(centre1, dim=-1)[:, None].expand(batch, count, 3)
     axes = _facing(draw, towards, math.radians(65.0))
-    low, high = options.object_size
-    half_size = draw.log_uniform(batch, count, 3, low=low, high=high) * 1.5
-    return _around(draw, batch, count, options), axes, half_size
+    half_size = _object_size(draw, batch, count) * 1.5
+    return _around(draw, batch, count), axes, half_size
 
 
-def _solids(draw: Draw, table_height: Tensor, options: SceneOptions) -> Parts:
+def _solids(draw: Draw, table_height: Tensor, count: int) -> Parts:
     """Boxes, then ellipsoids: upright on the table, or anywhere in any orientation."""
-    batch, count = len(table_height), options.boxes + options.ellipsoids
-    low, high = options.object_size
-    half_size = draw.log_uniform(batch, count, 3, low=low, high=high)
-    centre = _around(draw, batch, count, options)
+    batch = len(table_height)
+    half_size = _object_size(draw, batch, count)
+    centre = _around(draw, batch, count)
     upright = draw.chance(batch, count, share=_UPRIGHT_SHARE)
     standing = table_height[:, None] - half_size[..., 1]
     centre[..., 1] = torch.where(upright, standing, centre[..., 1])
@@ -150,9 +144,14 @@ def _light(draw: Draw, room: Parts) -> Tensor:
     return centre + offset * half_size
 
 
-def _around(draw: Draw, batch: int, count: int, options: SceneOptions) -> Tensor:
+def _object_size(draw: Draw, batch: int, count: int) -> Tensor:
+    """Half sizes (B, n, 3)."""
+    return draw.log_uniform(batch, count, 3, low=0.06, high=0.3)
+
+
+def _around(draw: Draw, batch: int, count: int) -> Tensor:
     """Points (B, n, 3) around the look-at point."""
-    points = draw.uniform(batch, count, 3, low=-options.spread, high=options.spread)
+    points = draw.uniform(batch, count, 3, low=-0.55, high=0.55)
     points[..., 1] *= 0.5
     return points
 
