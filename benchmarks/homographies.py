@@ -36,6 +36,21 @@ _MATRIX_BYTES = 2**16  # of a file with nine numbers
 # Columns of the DGC-Net authors' lists
 _MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 _COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]
+# AEPE at 240x240 on HPatches, viewpoints I to V, pixels, as their authors printed them. "paper" is
+# Melekhov et al., DGC-Net: Dense Geometric Correspondence Network, WACV 2019; GLU-Net is Truong et
+# al., CVPR 2020; RANSAC-Flow is Shen et al., ECCV 2020.
+HPATCHES_AEPE: dict[str, tuple[float, ...]] = {
+    "PWC-Net (paper)": (4.43, 11.44, 15.47, 20.17, 28.30),
+    "Rocco aff+tps, T (paper)": (9.59, 18.55, 21.15, 27.83, 35.19),
+    "DGC-Net (paper)": (1.55, 5.53, 8.98, 11.66, 16.70),
+    "DGC+M-Net (paper)": (2.97, 6.85, 9.95, 12.87, 19.13),
+    "GLU-Net": (0.59, 4.05, 7.64, 9.82, 14.89),
+    "RANSAC-Flow (author's rerun)": (0.52, 2.33, 3.19, 5.35, 5.25),
+}
+# Jaccard of the mask there.
+HPATCHES_JACCARD: dict[str, tuple[float, ...]] = {
+    "DGC+M-Net aff+tps+homo (paper)": (0.730, 0.687, 0.629, 0.590, 0.525),
+}
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 
 

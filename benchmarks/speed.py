@@ -238,9 +238,7 @@ def time_forwards(
     half = for_inference(net)
     half.half_precision = True
     eager = "torch, eager"
-    ways: dict[str, DGCNet] = {eager: net, "batch norm folded": for_inference(net)}
-    ways["bfloat16"] = half
-    total = sum(multiply_adds(net))
+    ways = {eager: net, "batch norm folded": for_inference(net), "bfloat16": half}
     seconds: dict[str, list[float]] = {way: [] for way in ways}
     rates = []
     with torch.inference_mode():
@@ -251,7 +249,7 @@ def time_forwards(
                 variant(*images)
                 seconds[way].append(time.perf_counter() - start)
             rates.append(rate())
-    floor = total / float(np.median(rates))
+    floor = sum(multiply_adds(net)) / float(np.median(rates))
     return [
         Forward(
             name,

@@ -14,7 +14,6 @@ from pathlib import Path
 import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
-from dgc_pose.benchmarks.published import SYNTHETIC
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.synthesis.map_pairs import MapPairs
@@ -35,6 +34,10 @@ from dgc_pose.synthesis.warps import FAR
 _WARPS = {name: WARPS[f"paper-{name}"] for name in ("affine", "affine-tps", "homography")}
 _SCENES = "scenes"  # ray-cast
 SETS = (*_WARPS, _SCENES)
+SYNTHETIC = (
+    "paper, Table 1, affine and affine + thin-plate-spline pairs of its own photographs: "
+    "DGC+M-Net aff+tps AEPE 0.82 to 0.96, Jaccard 0.85; DGC-Net AEPE 0.54 to 0.69"
+)
 _PUBLISHED = {"published": SYNTHETIC}
 
 # The paper's views are the middle 9/16 of a photograph's width and height, mirrored beyond its

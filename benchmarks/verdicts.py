@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -90,15 +90,9 @@ def rates(scores: Sequence[VerdictScore], gates: VerdictOptions) -> tuple[float,
     return float(np.mean(false or np.nan)), float(np.mean(missed or np.nan))
 
 
-def candidates() -> Iterator[VerdictOptions]:
-    """The gates to choose among, the defaults first."""
-    yield VerdictOptions()
-    for inliers, ratio, cells in itertools.product(_MIN_INLIERS, _MIN_RATIOS, _MIN_CELLS):
-        yield VerdictOptions(min_inliers=inliers, min_inlier_ratio=ratio, min_occupied_cells=cells)
-
-
 def choose_gates(scores: Sequence[VerdictScore]) -> VerdictOptions:
-    """The gates with the smallest sum of both rates, each over its target; of equals the first.
+    """The gates with the smallest sum of both rates, each over its target; of equals the first,
+    and the defaults before all others.
 
     Raises InputError without unrelated or without true pairs to choose on.
     """
@@ -109,7 +103,11 @@ def choose_gates(scores: Sequence[VerdictScore]) -> VerdictOptions:
         false, missed = rates(scores, gates)
         return false / FALSE_TARGET + missed / MISSED_TARGET
 
-    return min(candidates(), key=loss)
+    candidates = (
+        VerdictOptions(min_inliers=inliers, min_inlier_ratio=ratio, min_occupied_cells=cells)
+        for inliers, ratio, cells in itertools.product(_MIN_INLIERS, _MIN_RATIOS, _MIN_CELLS)
+    )
+    return min((VerdictOptions(), *candidates), key=loss)
 
 
 def groups_table(scores: Sequence[VerdictScore]) -> str:

@@ -6,7 +6,13 @@ from collections.abc import Iterator
 
 import click
 
-from dgc_pose.benchmarks.homographies import find_homography_pairs, homography_set, read_lists
+from dgc_pose.benchmarks.homographies import (
+    HPATCHES_AEPE,
+    HPATCHES_JACCARD,
+    find_homography_pairs,
+    homography_set,
+    read_lists,
+)
 from dgc_pose.benchmarks.map_report import (
     HEADING,
     Scores,
@@ -17,7 +23,6 @@ from dgc_pose.benchmarks.map_report import (
     reliability_lines,
     summaries,
 )
-from dgc_pose.benchmarks.published import HPATCHES_AEPE, HPATCHES_JACCARD
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.map_bench import MapBenchOptions, run_map_bench
 

@@ -15,8 +15,7 @@ from dgc_pose.benchmarks.map_report import (
     reliability_lines,
     summaries,
 )
-from dgc_pose.benchmarks.published import SYNTHETIC
-from dgc_pose.benchmarks.synthetic import SETS, listed_set, synthetic_set
+from dgc_pose.benchmarks.synthetic import SETS, SYNTHETIC, listed_set, synthetic_set
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.map_bench import MapBenchOptions, run_map_bench
 from dgc_pose.cli.options import split_names

@@ -50,19 +50,11 @@ def open_dataset(
     scenes: Sequence[int] | None = None,
     light: int | str = 3,
 ) -> Dataset:
-    """Find scenes and their views.
+    """Find scenes and their views; without `scenes`, their numbers, all that are there.
 
-    Args:
-        root: the folder of the data set.
-        layout: None for the one that is found.
-        scenes: their numbers; None for all that are there.
-        light: 0 to 6, or "max"; test sets of MVSNet and NeuS hold one light alone.
-
-    Raises:
-        InputError: with the path and what was expected, if the layout or a scene that was asked
-            for is missing, or a calibration is malformed.
-        ImageError: for a file that is no image.
-        OSError: if a file cannot be read.
+    light: 0 to 6, or "max"; test sets of MVSNet and NeuS hold one light alone. Raises InputError,
+    with the path and what was expected, if the layout or one of `scenes` is missing or a
+    calibration is malformed; ImageError for a file that is no image; OSError.
     """
     root = Path(root)
     if str(light) not in LIGHTS:

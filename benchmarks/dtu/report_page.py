@@ -65,19 +65,10 @@ def write_report(
 ) -> list[Path]:
     """Write the figures of a finished run and its page into `out`; each appears whole.
 
-    rotation, translation and epipolar as .png and .svg, motion.png, and report.html, which needs
-    none of the others.
-
-    Args:
-        out: the folder of the run, which holds the samples of matches.
-        pairs: the pairs as the methods saw them.
-        rows: records of all methods, those of one method in the order of the pairs.
-        facts: what was run, by name: protocol, data, estimator, seed and so on.
-        table: the summary of the methods, as text.
-        pictured: how many pairs the page shows with images and matches, at most.
-
-    Returns the files written. Raises InputError without rows or for a malformed sample, ImageError
-    for an image that cannot be read.
+    rows: records of all methods, those of a method in the order of the pairs. facts: what was run,
+    by name. table: the summary, as text. pictured: how many pairs the page shows with images and
+    matches, at most. Returns the files written. Raises InputError without rows or for a malformed
+    sample, ImageError for an image that cannot be read.
     """
     methods, errors = by_method(rows), columns(rows)
     histograms = plot_histograms(errors, pairs.protocol)
@@ -129,15 +120,8 @@ def page_data(
     rows: Mapping[str, Sequence[DtuScore]],
     pictured: Collection[ViewKey],
 ) -> dict[str, Any]:
-    """All that the page shows.
-
-    Args:
-        out: the folder of the run, which holds the samples of matches.
-        pairs: the pairs as the methods saw them.
-        rows: of each method, a record for each of the pairs in their order.
-        pictured: the pairs to be shown with their images, matches and epipolar lines.
-
-    Raises what `read_sample` and reading the images raise.
+    """All that the page shows: the rows of each method, in the order of the pairs, and images,
+    matches and F of those pairs that are `pictured`. Raises what reading samples and images does.
     """
     images: dict[str, dict[str, Any]] = {}  # by name, each once
     entries = []

@@ -11,7 +11,7 @@ import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.probability.blank import BLANKS, BlankKind, blank
+from dgc_pose.benchmarks.probability.planned import BLANKS, BlankKind, blank
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
