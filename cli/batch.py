@@ -6,22 +6,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import click
 from tqdm import tqdm
 
+from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
-    from dgc_pose.batch.run import Batch, BatchOptions, Progress
-
-_GIB = 2**30
+    from dgc_pose.batch.run import Batch, Progress
 
 
 @dataclass(frozen=True)
@@ -50,40 +49,11 @@ class SourceChoice:
     )
 
 
-@dataclass(frozen=True)
-class WorkChoice:
-    """How the pairs are worked through."""
-
-    workers: int | None = option(
-        None,
-        "Processes that match; default: one for each core. The result is the same.",
-        min=1,
-        max=1024,
-    )
-    memory: float | None = option(
-        None,
-        "GiB of images and features kept, all workers together; default: 0.375 for each.",
-        metavar="GIB",
-        above=0,
-        max=10**6,
-    )
-    engine: Literal["local", "ray"] = option(
-        "local", "Workers on this machine, or actors of a Ray cluster (extra dgc-pose[ray])."
-    )
-    format: Literal["jsonl", "parquet"] = option(
-        "jsonl", "Of the table of poses; parquet needs the extra dgc-pose[batch]."
-    )
-    resume: bool = option(False, "Continue the batch in --out, if there is one.")
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-
 def work_through(
     source: str,
     out: Path,
     inputs: SourceChoice,
-    work: WorkChoice,
+    work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
     default_pairs: Callable[[int], str] | None = None,
@@ -95,9 +65,7 @@ def work_through(
     InputError for fewer than `least_images`.
     """
     from dgc_pose.batch.calibration import read_calibration
-    from dgc_pose.batch.local import local_workers
     from dgc_pose.batch.pair_choice import parse_pair_choice
-    from dgc_pose.batch.rows import require_pyarrow
     from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import open_source
 
@@ -110,14 +78,7 @@ def work_through(
     if pairs is None and images.pairs is None and default_pairs is not None:
         pairs = default_pairs(len(images.names))
     choice = None if pairs is None else parse_pair_choice(pairs)
-    if work.format == "parquet":
-        require_pyarrow()
-    start_workers = local_workers
-    if work.engine == "ray":
-        from dgc_pose.batch.ray_engine import ray_workers
-
-        start_workers = ray_workers
-    with _bars() as progress:
+    with progress_bars() as progress:
         return run_batch(
             images,
             read_calibration(inputs.k, inputs.guess_focal),
@@ -125,20 +86,9 @@ def work_through(
             out,
             matcher=matcher,
             estimation=estimation,
-            options=batch_options(work),
-            start_workers=start_workers,
+            options=work,
             progress=progress,
         )
-
-
-def batch_options(work: WorkChoice) -> BatchOptions:
-    """The options of the library; by default a worker for each core."""
-    from dgc_pose.batch.run import BatchOptions
-    from dgc_pose.system.threads import usable_cpus
-
-    workers = work.workers or usable_cpus()
-    memory = None if work.memory is None else int(work.memory * _GIB)
-    return BatchOptions(workers, memory, work.format, work.resume)
 
 
 def report(batch: Batch) -> None:
@@ -173,8 +123,8 @@ def report(batch: Batch) -> None:
 
 
 @contextmanager
-def _bars() -> Iterator[Progress]:
-    """Progress bars with the time left, one for each stage."""
+def progress_bars() -> Iterator[Progress]:
+    """Progress bars with the time left, one for each stage, such as "images"."""
     bars: dict[str, tqdm] = {}
 
     def progress(stage: str, done: int, of: int) -> None:
@@ -194,14 +144,14 @@ def _bars() -> Iterator[Progress]:
 @click.argument("source", metavar="SOURCE")
 @click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @dataclass_options(SourceChoice, "inputs")
-@dataclass_options(WorkChoice, "work")
+@dataclass_options(BatchOptions, "work")
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 def batch(
     source: str,
     out: Path,
     inputs: SourceChoice,
-    work: WorkChoice,
+    work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:

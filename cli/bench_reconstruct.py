@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
+from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.posed_views import views_of_dtu, views_of_list
 from dgc_pose.benchmarks.reconstructions import COLMAP_SIFT, COLUMNS, run_method
 from dgc_pose.benchmarks.table import table
-from dgc_pose.cli.batch import WorkChoice, batch_options
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
@@ -52,13 +52,13 @@ class ReconstructBenchOptions:
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @dataclass_options(ReconstructBenchOptions, "bench")
 @dataclass_options(ReconstructionOptions, "reconstruction")
-@dataclass_options(WorkChoice, "work", only=("workers", "memory", "resume"))
+@dataclass_options(BatchOptions, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(
     folder: Path,
     bench: ReconstructBenchOptions,
     reconstruction: ReconstructionOptions,
-    work: WorkChoice,
+    work: BatchOptions,
     estimation: EstimationOptions,
 ) -> None:
     """Reconstruct a scene with known cameras, and compare positions and rotations.
@@ -72,10 +72,9 @@ def bench_reconstruct(
     views = views_of_dtu(truth, folder) if truth.is_dir() else views_of_list(truth, folder)
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
-    options = batch_options(work)
-    mapping = replace(reconstruction.mapping, mapper_threads=options.workers)
+    mapping = replace(reconstruction.mapping, mapper_threads=work.worker_count)
     reconstruction = replace(reconstruction, mapping=mapping)
-    setting = parse_pair_choice(bench.pairs), reconstruction, estimation, options
+    setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     if scale != 1:

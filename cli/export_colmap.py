@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from tqdm import tqdm
 
+from dgc_pose.cli.batch import progress_bars
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.colmap.options import SharingOptions
@@ -31,18 +30,6 @@ def described(exported: Exported) -> str:
         f"{exported.images} images, {exported.key_points} key points, {exported.pairs} pairs, "
         f"{exported.matches} matches, {tracks} tracks, {longer} of 3 and more views"
     )
-
-
-@contextmanager
-def images_bar() -> Iterator[Callable[[int, int], None]]:
-    """A progress bar over images."""
-    with tqdm(unit="image", disable=None) as bar:
-
-        def progress(done: int, of: int) -> None:
-            bar.total = of
-            bar.update(done - bar.n)
-
-        yield progress
 
 
 @click.command()
@@ -77,8 +64,8 @@ def export_colmap(
     written += [] if hloc is None else [hloc / name for name in HLOC]
     images = [batch.plan.root / name for name in batch.plan.names]
     require_no_input(written, [*folder.iterdir(), *images])
-    with images_bar() as progress:
-        shared, pairs = share(batch, sharing, progress)
+    with progress_bars() as progress:
+        shared, pairs = share(batch, sharing, partial(progress, "images"))
     if hloc is not None:
         hloc.mkdir(parents=True, exist_ok=True)
     if database is not None:

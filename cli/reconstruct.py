@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cli.batch import SourceChoice, WorkChoice, report, work_through
+from dgc_pose.batch.options import BatchOptions
+from dgc_pose.cli.batch import SourceChoice, progress_bars, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.export_colmap import described, images_bar
+from dgc_pose.cli.export_colmap import described
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
@@ -30,7 +32,7 @@ EXHAUSTIVE_UP_TO = 20  # images
 @click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(ReconstructionOptions, "options")
-@dataclass_options(WorkChoice, "work")
+@dataclass_options(BatchOptions, "work")
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 def reconstruct(
@@ -38,7 +40,7 @@ def reconstruct(
     out: Path,
     inputs: SourceChoice,
     options: ReconstructionOptions,
-    work: WorkChoice,
+    work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:
@@ -77,8 +79,9 @@ def reconstruct(
     matched = time.perf_counter()
     if batch.plan.guessed:
         options = replace(options, mapping=replace(options.mapping, refine_intrinsics=True))
-    with images_bar() as progress:
-        model, exported = reconstruction.reconstruct(batch, out, options, progress)
+    with progress_bars() as progress:
+        show = partial(progress, "images")
+        model, exported = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
     _draw(out / PICTURE, model)
     data = reconstruction.write_summary(out, batch, model, exported, seconds)

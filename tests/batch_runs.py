@@ -12,8 +12,9 @@ from multi_view import K_text, View, render_views, write_views
 
 from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
+from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
-from dgc_pose.batch.run import Batch, BatchOptions, run_batch
+from dgc_pose.batch.run import Batch, run_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.batch.work import Job, Outcome, Task
 from dgc_pose.estimation import EstimationOptions

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, contextmanager
-from functools import cached_property
+from functools import cache
 
 import cv2
 
@@ -62,35 +62,28 @@ def in_spans(
             yield outcome
 
 
-_worker: list[CoreWorker] = []  # of this process, once it has been started
+_jobs: list[Job] = []  # of this process, once it has been started
 
 
 def _start(job: Job) -> None:
-    _worker[:] = [CoreWorker(job)]
+    _jobs.append(job)
 
 
 def _do(task: Task) -> Outcome:
-    return _worker[0].do(task)
+    return _worker().do(task)
 
 
-class CoreWorker:
-    """A worker whose process uses one core: the other cores have workers of their own.
+@cache
+def _worker() -> Worker:
+    """Loaded by the first task, so that what this raises is the error of a task."""
+    return core_worker(_jobs[0])
 
-    The first task loads the matcher, so that what this raises is the error of a task.
-    """
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
-
-    def do(self, task: Task) -> Outcome:
-        """As `Worker.do`."""
-        return self._worker.do(task)
-
-    @cached_property
-    def _worker(self) -> Worker:
-        cv2.setNumThreads(1)
-        os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported
-        worker = Worker(self._job)
-        if "torch" in sys.modules:
-            sys.modules["torch"].set_num_threads(1)
-        return worker
+def core_worker(job: Job) -> Worker:
+    """A worker whose process uses one core: each other core has a worker too."""
+    cv2.setNumThreads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported
+    worker = Worker(job)
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
+    return worker

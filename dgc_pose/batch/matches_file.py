@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +31,10 @@ class PairMatches:
     inliers: np.ndarray  # (N,) bool, of the pose
 
 
-NO_MATCHES = PairMatches(
-    np.zeros((0, 2), np.float32),
-    np.zeros((0, 2), np.float32),
-    np.zeros(0, np.float32),
-    np.zeros(0, bool),
-)
-_DATASETS = {
-    "keypoints0": "points1",
-    "keypoints1": "points2",
-    "scores": "scores",
-    "inliers": "inliers",
-}
+_NO_POINTS = np.zeros((0, 2), np.float32)
+NO_MATCHES = PairMatches(_NO_POINTS, _NO_POINTS, _NO_POINTS[:, 0], np.zeros(0, bool))
+_FIELDS = [field.name for field in fields(PairMatches)]
+_DATASETS = dict(zip(("keypoints0", "keypoints1", "scores", "inliers"), _FIELDS, strict=True))
 
 
 def group_name(name1: str, name2: str) -> str:

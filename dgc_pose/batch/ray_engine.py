@@ -15,8 +15,8 @@ from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any
 
-from dgc_pose.batch.local import CoreWorker, RunTasks, in_spans
-from dgc_pose.batch.work import Job, Outcome, Task
+from dgc_pose.batch.local import RunTasks, core_worker, in_spans
+from dgc_pose.batch.work import Job, Outcome, Task, Worker
 from dgc_pose.errors import DgcPoseError, InputError, reason
 
 MOST_TRIES = 3  # of one block, whose worker may end each time
@@ -35,9 +35,8 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
         raise InputError("--engine ray needs Ray: pip install 'dgc-pose[ray]'") from None
     starts = not ray.is_initialized()
     if starts:
-        cores = None if "RAY_ADDRESS" in os.environ else workers
         ray.init(
-            num_cpus=cores,
+            num_cpus=None if "RAY_ADDRESS" in os.environ else workers,
             include_dashboard=False,
             log_to_driver=False,
             logging_level=logging.ERROR,
@@ -81,11 +80,11 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
 class _Actor:
     """Takes the job from Ray's store with the first task, also when it was started again."""
 
-    _worker: CoreWorker | None = None
+    _worker: Worker | None = None
 
     def do(self, job_reference: Sequence[Any], task: Task) -> Outcome:
         if self._worker is None:
             import ray
 
-            self._worker = CoreWorker(ray.get(job_reference[0]))
+            self._worker = core_worker(ray.get(job_reference[0]))
         return self._worker.do(task)

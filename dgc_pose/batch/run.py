@@ -17,28 +17,16 @@ import numpy as np
 from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
+from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, most_similar
-from dgc_pose.batch.plan import PLAN, Plan, RowFormat, continued, read_plan, write_plan
-from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows
+from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
+from dgc_pose.batch.ray_engine import ray_workers
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, require_pyarrow
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
 from dgc_pose.batch.similarity import similarities
 from dgc_pose.batch.source import Source, survey
-from dgc_pose.batch.store import (
-    MATCHES,
-    SUMMARY,
-    PartStore,
-    read_result,
-    read_summary,
-    rows_path,
-)
-from dgc_pose.batch.work import (
-    FEATURE_BYTES,
-    Describe,
-    Described,
-    Job,
-    Match,
-    Matched,
-)
+from dgc_pose.batch.store import MATCHES, SUMMARY, PartStore, read_result, read_summary, rows_path
+from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Job, Match, Matched
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import STATUSES
@@ -48,24 +36,8 @@ from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 
-WORKER_BYTES = 384 * 2**20  # of images and features of a worker, by default
+_ENGINES: Mapping[str, Workers] = {"local": local_workers, "ray": ray_workers}
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
-
-
-@dataclass(frozen=True)
-class BatchOptions:
-    """How a batch is worked through; none of it changes the result, except `format`."""
-
-    workers: int = 1
-    # Of images and features, all workers together; None: `WORKER_BYTES` for each.
-    memory_bytes: int | None = None
-    format: RowFormat = "jsonl"
-    resume: bool = False
-
-    @property
-    def worker_bytes(self) -> int:
-        """Of images and features, of one worker."""
-        return WORKER_BYTES if self.memory_bytes is None else self.memory_bytes // self.workers
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +65,13 @@ def run_batch(
     matcher: MatcherOptions,
     estimation: EstimationOptions,
     options: BatchOptions,
-    start_workers: Workers = local_workers,
+    start_workers: Workers | None = None,
     progress: Progress = lambda stage, done, of: None,
 ) -> Batch:
     """Match the pairs of a source and put the result into `out`.
 
-    choice: how pairs are chosen; None for those of the source.
+    choice: how pairs are chosen; None for those of the source. start_workers: None for those of
+    `options.engine`.
 
     A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
     have changed since.
@@ -108,6 +81,9 @@ def run_batch(
     full.
     """
     start = time.perf_counter()
+    begin = start_workers or _ENGINES[options.engine]
+    if options.format == "parquet":
+        require_pyarrow()
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     settings = {
@@ -129,15 +105,9 @@ def run_batch(
         store = None
         try:
             with ExitStack() as stack:
-                job = Job(
-                    plan.root,
-                    plan.cameras,
-                    plan.bad,
-                    matcher,
-                    estimation,
-                    options.worker_bytes,
-                )
-                run = _lazy(lambda: start_workers(job, options.workers), stack)
+                images = (plan.root, plan.cameras, plan.bad)
+                job = Job(*images, matcher, estimation, options.worker_bytes)
+                run = _lazy(lambda: begin(job, options.worker_count), stack)
                 if before is None:
                     if choice is not None and choice.way == "auto":
                         plan = _with_similar(plan, choice.number, run, progress)
@@ -243,7 +213,7 @@ def _match(
     left = np.array(store.left, dtype=np.int64)
     order = left[tile_order(plan.pairs[left], len(plan.names), _capacity(plan, options))]
     # Small batches in small blocks, so that all workers have something to do.
-    size = int(min(BLOCK, max(1, len(left) // (4 * options.workers))))
+    size = int(min(BLOCK, max(1, len(left) // (4 * options.worker_count))))
     tasks = [
         Match(tuple(block), tuple(plan.pair(index) for index in block))
         for block in blocks_of(order.tolist(), size)

@@ -1,0 +1,53 @@
+"""The options of a batch beside its matcher and estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from dgc_pose.system.options import check_options, option
+from dgc_pose.system.threads import usable_cpus
+
+RowFormat = Literal["jsonl", "parquet"]
+_GIB = 2**30
+_WORKER_GIB = 0.375
+
+
+@dataclass(frozen=True)
+class BatchOptions:
+    """How a batch is worked through; none of it changes the result, except `format`."""
+
+    workers: int | None = option(
+        None,
+        "Processes that match; default: one for each core. The result is the same.",
+        min=1,
+        max=1024,
+    )
+    memory: float | None = option(
+        None,
+        "GiB of images and features kept, all workers together; default: 0.375 for each.",
+        metavar="GIB",
+        above=0,
+        max=10**6,
+    )
+    engine: Literal["local", "ray"] = option(
+        "local", "Workers on this machine, or actors of a Ray cluster (extra dgc-pose[ray])."
+    )
+    format: RowFormat = option(
+        "jsonl", "Of the table of poses; parquet needs the extra dgc-pose[batch]."
+    )
+    resume: bool = option(False, "Continue the batch in --out, if there is one.")
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+    @property
+    def worker_count(self) -> int:
+        """By default a worker for each core."""
+        return self.workers or usable_cpus()
+
+    @property
+    def worker_bytes(self) -> int:
+        """Of images and features, of one worker."""
+        memory = _WORKER_GIB * self.worker_count if self.memory is None else self.memory
+        return int(memory * _GIB) // self.worker_count
