@@ -50,8 +50,13 @@ def draw_cameras(
     axes.plot(*np.stack([pyramids[0][0], pyramids[1][0]]).T, color="black", linewidth=1)
     shades = "grey" if colours is None else colours[shown]
     axes.scatter(*dots.T, s=3, c=shades, linewidths=0, depthshade=False)
-    _set_limits(axes, np.concatenate([dots, *pyramids]))
+    drawn = np.concatenate([dots, *pyramids])
+    room = 0.03 * np.ptp(drawn, axis=0).max()
+    low, high = drawn.min(0) - room, drawn.max(0) + room
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set(xlabel="x", ylabel="z", zlabel="-y")
+    axes.set_box_aspect(high - low)  # a unit is equally long along all axes
+    axes.view_init(elev=25, azim=-75)
 
 
 def _pyramid(camera: Camera, depth: float) -> np.ndarray:
@@ -65,12 +70,3 @@ def _pyramid(camera: Camera, depth: float) -> np.ndarray:
 def _upright(points: np.ndarray) -> np.ndarray:
     """Points (N, 3) with matplotlib's z axis, which points up, along -y."""
     return points[:, (0, 2, 1)] * (1, 1, -1)
-
-
-def _set_limits(axes: Axes3D, points: np.ndarray) -> None:
-    """Limits around the points, a unit equally long along all axes."""
-    room = 0.03 * np.ptp(points, axis=0).max()
-    low, high = points.min(0) - room, points.max(0) + room
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low)
-    axes.view_init(elev=25, azim=-75)

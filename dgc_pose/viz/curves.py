@@ -17,21 +17,6 @@ LIMITS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)  # where an axis may end, de
 _SIGNS = {"degrees": "°", "pixels": " px"}
 
 
-def cumulative_share(errors: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """The steps of the cumulative histogram from 0 to `limit`.
-
-    errors: (N,), N > 0; infinite ones count as pairs. Returns 0, the errors up to the limit in
-    increasing order, and the limit; and for each of these the share of pairs (0 to 1) whose error
-    is not above it. Raises InputError for an empty array or one with NaN.
-    """
-    errors = np.asarray(errors, dtype=np.float64)
-    if errors.size == 0 or np.isnan(errors).any():
-        raise InputError("errors must hold at least one number, and no NaN")
-    below = np.sort(errors[errors <= limit])
-    counts = np.append(np.arange(len(below) + 1), len(below))
-    return np.concatenate([[0.0], below, [limit]]), counts / errors.size
-
-
 def draw_cumulative(
     axes: Axes,
     errors: Mapping[str, np.ndarray],
@@ -41,13 +26,18 @@ def draw_cumulative(
     unit: str = "degrees",
     styles: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
-    """Draw one curve a method, its median in the legend.
+    """Draw the cumulative histogram of each method from 0 to `limit`, its median in the legend.
 
-    unit: of the errors, degrees or pixels. styles: by method, matplotlib's properties of the line;
-    None for matplotlib's own choice.
+    errors: by method, (N,), N > 0; infinite ones count as pairs. unit: of the errors, degrees or
+    pixels. styles: by method, matplotlib's properties of the line; None for matplotlib's choice.
+    Raises InputError for an empty array or one with NaN.
     """
     for method, values in errors.items():
-        x, share = cumulative_share(values, limit)
+        if values.size == 0 or np.isnan(values).any():
+            raise InputError("errors must hold at least one number, and no NaN")
+        below = np.sort(values[values <= limit])
+        x = np.concatenate([[0.0], below, [limit]])
+        share = np.append(np.arange(len(below) + 1), len(below)) / values.size
         label = f"{method}, median {np.median(values):.2f}{_SIGNS[unit]}"
         style = {} if styles is None else styles[method]
         axes.step(x, 100 * share, where="post", label=label, **style)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -14,6 +13,8 @@ from matplotlib.figure import Figure
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.viz.layout import Panel, panel_rows
 from dgc_pose.viz.panels import draw_colour_bar, draw_image
+
+ERROR_LIMIT = 20.0  # pixels; from there on an error is drawn at its brightest
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +28,21 @@ class MapPicture:
     errors: np.ndarray  # (H, W) pixels; infinite without truth
 
 
-def plot_maps(pictures: Sequence[MapPicture], *, limit: float = 20.0) -> Figure:
-    """A row a pair: source, target, the source warped by the map, and the error up to `limit`."""
+def plot_maps(pictures: Sequence[MapPicture]) -> Figure:
+    """A row a pair: source, target, the source warped by the map, and the error, grey if it is not
+    finite."""
+    colours = ScalarMappable(Normalize(0, ERROR_LIMIT), "magma")
     figure, rows = panel_rows([_panels(picture) for picture in pictures])
     for (source, target, warped, error), picture in zip(rows, pictures, strict=True):
         height, width = picture.image2.shape[:2]
         draw_image(source, picture.image1)
         draw_image(target, picture.image2)
         draw_image(warped, warp_image(picture.image1, picture.map, (width, height)))
-        draw_colour_bar(error, draw_map_errors(error, picture.errors, limit), "px")
+        known = np.isfinite(picture.errors)
+        shades = colours.to_rgba(np.where(known, picture.errors, 0.0))[..., :3]
+        shades[~known] = 0.5
+        draw_image(error, (255 * shades).round().astype(np.uint8))
+        draw_colour_bar(error, colours, "px")
     return figure
 
 
@@ -48,16 +55,3 @@ def _panels(picture: MapPicture) -> list[Panel]:
         Panel(aspect2, "source, warped"),
         Panel(aspect2, "error", bar=True),
     ]
-
-
-def draw_map_errors(axes: Axes, errors: np.ndarray, limit: float) -> ScalarMappable:
-    """Draw errors (H, W) in pixels, brightest from `limit` on, grey if not finite.
-
-    Returns what a colour bar needs.
-    """
-    colours = ScalarMappable(Normalize(0, limit), "magma")
-    known = np.isfinite(errors)
-    shown = colours.to_rgba(np.where(known, errors, 0.0))[..., :3]
-    shown[~known] = 0.5
-    draw_image(axes, (255 * shown).round().astype(np.uint8))
-    return colours

@@ -6,7 +6,6 @@ import pytest
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import Reliability
 from dgc_pose.viz.curves import (
-    cumulative_share,
     draw_cumulative,
     draw_residuals,
     plot_errors,
@@ -16,33 +15,22 @@ from dgc_pose.viz.curves import (
 from dgc_pose.viz.figure import new_figure
 
 
-def test_the_share_at_each_value_is_that_of_the_errors_not_above_it():
-    errors = np.array([3.0, np.inf, 1.0, 12.0, 3.0])
-    values, share = cumulative_share(errors, 10)
-    assert values.tolist() == [0, 1, 3, 3, 10]
-    assert share.tolist() == [0, 0.2, 0.4, 0.6, 0.6]
-
-
 @pytest.mark.parametrize("errors", [np.zeros(0), np.array([1.0, np.nan])])
 def test_no_errors_and_nan_are_refused(errors):
     with pytest.raises(InputError):
-        cumulative_share(errors, 10)
-
-
-def test_failures_alone_are_a_curve_at_nought():
-    errors = {"a": np.full(3, np.inf)}
-    for axes in plot_errors(errors, errors).axes:
-        assert axes.lines[0].get_ydata().tolist() == [0, 0]
+        draw_cumulative(new_figure(4, 3).subplots(), {"a": errors}, quantity="error", limit=10)
 
 
 def test_a_curve_a_method_with_its_median():
     axes = new_figure(4, 3).subplots()
-    errors = {"a": np.array([1.0, 2.0, np.inf]), "b": np.full(3, np.inf)}
-    draw_cumulative(axes, errors, quantity="rotation error", limit=30)
+    errors = {"a": np.array([3.0, np.inf, 1.0, 12.0, 3.0]), "b": np.full(3, np.inf)}
+    draw_cumulative(axes, errors, quantity="rotation error", limit=10)
     legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert legend == ["a, median 2.00°", "b, median inf°"]
-    heights = [line.get_ydata()[-1] for line in axes.lines]
-    assert heights == pytest.approx([200 / 3, 0])
+    assert legend == ["a, median 3.00°", "b, median inf°"]
+    # At each value the share of errors not above it.
+    assert axes.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 10]
+    assert axes.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 60]
+    assert axes.lines[1].get_ydata().tolist() == [0, 0]
 
 
 def test_both_histograms_show_most_of_the_finite_errors():

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.viz.figure import new_figure
-from dgc_pose.viz.map_figure import MapPicture, draw_map_errors, plot_maps
+from dgc_pose.viz.map_figure import MapPicture, plot_maps
 
 
 def picture(title: str) -> MapPicture:
@@ -25,11 +24,10 @@ def test_a_row_a_pair_with_the_warped_source_third():
 
 
 def test_errors_are_bright_and_grey_where_nothing_is_known():
-    axes = new_figure(3, 3).subplots()
-    errors = np.array([[0.0, 10.0], [1e6, np.inf]])
-    colours = draw_map_errors(axes, errors, limit=20)
-    shown = axes.images[0].get_array().astype(int)
-    sums = shown.sum(-1)
-    assert sums[0, 0] < sums[0, 1] < sums[1, 0]
-    np.testing.assert_allclose(shown[1, 0] / 255, colours.to_rgba(20.0)[:3], atol=0.01)
-    assert len(set(shown[1, 1].tolist())) == 1
+    wrong = picture("wrong")
+    wrong.errors[0, :5] = 0, 10, 20, 1e6, np.inf
+    panels = [axes for axes in plot_maps([wrong]).axes if axes.images]
+    good, bad, worst, beyond, unknown = panels[3].images[0].get_array().astype(int)[0, :5]
+    assert good.sum() < bad.sum() < worst.sum()
+    assert beyond.tolist() == worst.tolist()
+    assert len(set(unknown.tolist())) == 1
