@@ -33,6 +33,8 @@ CELLS = 160  # of the map's grid, along each side
 class MapMatcher(Matcher):
     """In place of `DenseMatcher`: gives one map for any two images."""
 
+    name = "map"
+
     def __init__(
         self,
         correspondence_map: CorrespondenceMap,
@@ -42,10 +44,6 @@ class MapMatcher(Matcher):
         self.correspondence_map = correspondence_map
         self.options = options or MatchingOptions()
         self.engine = engine
-
-    @property
-    def name(self) -> str:
-        return "map"
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         matches = select_matches(self.correspondence_map, self.options)

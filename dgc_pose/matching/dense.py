@@ -47,6 +47,7 @@ class DenseMatcher(Matcher):
         cache: FeatureCache | None = None,
     ) -> None:
         self.engine = engine
+        self.name = engine.config.name
         self.options = options or MatchingOptions()
         if engine.config.matchability == "network" and self.options.finest != INPUT_SIZE:
             raise InputError(
@@ -54,10 +55,6 @@ class DenseMatcher(Matcher):
                 f"be {INPUT_SIZE}, not {self.options.finest}"
             )
         self.cache = cache
-
-    @property
-    def name(self) -> str:
-        return self.engine.config.name
 
     @property
     def fingerprint(self) -> str:

@@ -53,11 +53,7 @@ class FileMatcher(Matcher):
         self.folder = Path(folder)
         self.stem = stem
         self.options = options or MatchingOptions()
-        self._name = name or self.folder.name
-
-    @property
-    def name(self) -> str:
-        return self._name
+        self.name = name or self.folder.name
 
     def require(self, names: Iterable[tuple[str, str]]) -> None:
         """Raise InputError, with the path, unless there is one file for each pair of image names;

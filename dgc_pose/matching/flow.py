@@ -17,12 +17,10 @@ _LEAST_SIDE = 16  # pixels
 class FlowMatcher(Matcher):
     """Dense inverse search (Kroeger et al., ECCV 2016; OpenCV's DIS) from image 2 to image 1."""
 
+    name = "dis"
+
     def __init__(self, options: MatchingOptions | None = None) -> None:
         self.options = options or MatchingOptions()
-
-    @property
-    def name(self) -> str:
-        return "dis"
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The map over the pixels of image 2, or of its shrunk copy, and the matches selected.

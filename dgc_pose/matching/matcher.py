@@ -79,11 +79,7 @@ class Matcher(ABC):
     """Anything that matches two images: the network, SIFT, optical flow, files, or a refiner."""
 
     engine: Engine | None = None  # of a network of ours, whose features may refine the matches
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """The name in results and tables."""
+    name: str  # in results and tables
 
     @property
     def fingerprint(self) -> str | None:

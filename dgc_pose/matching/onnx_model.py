@@ -48,6 +48,7 @@ class OnnxMatcher(KeyPointMatcher):
 
         super().__init__(cache)
         self.path = find_weights(path)
+        self.name = self.path.stem
         self._digest = hashlib.sha256(read_bytes(self.path)).hexdigest()[:16]
         self._session = Session(self.path, {})
         ((_, shape), *others) = self._session.inputs
@@ -63,10 +64,6 @@ class OnnxMatcher(KeyPointMatcher):
                 f"{self.path}: expected outputs of descriptors and logits (1, 65, h, w), or of key "
                 f"points (N, 2) and descriptors, not {_described(self._session.outputs)}"
             )
-
-    @property
-    def name(self) -> str:
-        return self.path.stem
 
     @property
     def fingerprint(self) -> str:

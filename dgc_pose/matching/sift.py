@@ -17,9 +17,7 @@ class SiftMatcher(KeyPointMatcher):
     """OpenCV's SIFT: mutual nearest neighbours that pass the ratio test (Lowe, IJCV 2004, section
     7.1); the confidence is 1 - distance ratio."""
 
-    @property
-    def name(self) -> str:
-        return "sift"
+    name = "sift"
 
     def _detect(self, image: Image) -> KeyPoints:
         detector = cv2.SIFT.create(nfeatures=FEATURES)

@@ -24,7 +24,7 @@ class VismatchMatcher(Matcher):
     """
 
     def __init__(self, name: str, device: str = "auto") -> None:
-        self._name, model = name, name.removeprefix(PREFIX)
+        self.name, model = name, name.removeprefix(PREFIX)
         try:
             import torch
             import vismatch
@@ -42,10 +42,6 @@ class VismatchMatcher(Matcher):
             raise InputError(f"{name} cannot be loaded: {reason(error)}") from error
         self._model.skip_ransac = True  # a homography, which is not asked for here
 
-    @property
-    def name(self) -> str:
-        return self._name
-
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         import torch
 
@@ -57,7 +53,7 @@ class VismatchMatcher(Matcher):
             with contextlib.redirect_stdout(sys.stderr):
                 result = self._model(planes1, planes2)
         except Exception as error:
-            raise InputError(f"{self._name} failed on the pair: {reason(error)}") from error
+            raise InputError(f"{self.name} failed on the pair: {reason(error)}") from error
         points1, points2 = result["matched_kpts0"], result["matched_kpts1"]
         confidence = result.get("matched_confidences")
         confidence = np.ones(len(points1)) if confidence is None else confidence.clip(0, 1)

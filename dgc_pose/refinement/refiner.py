@@ -54,13 +54,10 @@ class Refiner(Matcher):
         max_matches: int = 2000,
     ) -> None:
         self.matcher = matcher
+        self.name = matcher.name
         self.sources = tuple(sources)
         self.options = options or AlignmentOptions()
         self.max_matches = max_matches
-
-    @property
-    def name(self) -> str:
-        return self.matcher.name
 
     @property
     def fingerprint(self) -> str | None:

@@ -56,12 +56,10 @@ def _errors(matches: Matches) -> np.ndarray:
 class _GivenPoints(Matcher):
     """Key points without a map."""
 
+    name = "points"
+
     def __init__(self, matches: Matches) -> None:
         self.matches = matches
-
-    @property
-    def name(self) -> str:
-        return "points"
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         return MatchResult(self.matches, None)
