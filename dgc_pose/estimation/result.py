@@ -89,16 +89,6 @@ class RelativePose:
         return 0.0 if self.evidence is None else self.evidence.inlier_ratio
 
     @property
-    def cheirality_ratio(self) -> float:
-        """Share of the inliers in front of both cameras; NaN without a model."""
-        return math.nan if self.evidence is None else self.evidence.cheirality_ratio
-
-    @property
-    def homography_ratio(self) -> float:
-        """Share of the inliers that one homography explains; NaN without a model."""
-        return math.nan if self.evidence is None else self.evidence.homography_ratio
-
-    @property
     def median_triangulation_angle_deg(self) -> float:
         """Of the inliers, degrees; NaN without a model."""
         return math.nan if self.evidence is None else self.evidence.median_triangulation_angle_deg

@@ -9,7 +9,7 @@ import pytest
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.chance import chance_ratio, log10_false_alarms
+from dgc_pose.estimation.evidence import chance_ratio, log10_false_alarms
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.matches import Matches
 from two_view import normalised_problem, two_view_scene

@@ -50,8 +50,8 @@ def test_the_pose_of_a_solid_scene(kind):
         assert pose.inliers[~scene.true].mean() < 0.1
         assert pose.num_inliers == pose.inliers.sum()
         assert pose.inlier_ratio == pytest.approx(pose.inliers.mean())
-        assert pose.cheirality_ratio > 0.95
-        assert pose.homography_ratio < 0.8
+        assert pose.evidence.cheirality_ratio > 0.95
+        assert pose.evidence.homography_ratio < 0.8
 
 
 @pytest.mark.parametrize("refine", [True, False])
@@ -220,7 +220,7 @@ def test_most_points_behind_a_camera_are_a_failure():
     assert_no_pose(pose)
     assert pose.status == "behind_cameras"
     assert pose.R is None
-    assert pose.cheirality_ratio < 0.6
+    assert pose.evidence.cheirality_ratio < 0.6
     assert pose.num_inliers > 500
 
 
