@@ -20,7 +20,7 @@ from dgc_pose.matching.cache import BoundedCache
 if TYPE_CHECKING:
     import torch
 
-    from dgc_pose.synthesis.render import SceneOptions
+    from dgc_pose.synthesis.options import SceneOptions
     from dgc_pose.synthesis.render.bank import TextureBank
 
 Ids = Mapping[str, str | int | float]
@@ -138,7 +138,7 @@ class RenderedPosedPairs(PairSet[MapScore]):
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         import torch
 
-        from dgc_pose.synthesis.render import SceneOptions
+        from dgc_pose.synthesis.options import SceneOptions
 
         generator = torch.Generator().manual_seed(self._seed)
         # Several copies of a photograph side by side would make its blur, not its detail, the scene
@@ -155,7 +155,7 @@ def rendered_pair(
     textures: TextureBank, side: int, generator: torch.Generator, scenes: SceneOptions, ids: Ids
 ) -> PosedPair:
     """Two views of a rendered scene, `side` pixels square."""
-    from dgc_pose.synthesis.render import render_pairs
+    from dgc_pose.synthesis.render.rendered_pairs import render_pairs
 
     views = render_pairs(textures, 1, side, generator, scenes)
     pose = views.cam2_from_cam1[0].double().numpy()

@@ -27,7 +27,7 @@ from dgc_pose.synthesis.options import (
 from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos, load_held_back
 from dgc_pose.synthesis.random_pairs import make_pairs
-from dgc_pose.synthesis.render import render_pairs
+from dgc_pose.synthesis.render.rendered_pairs import render_pairs
 from dgc_pose.synthesis.warp_lists import WarpRow, list_pairs, read_warps
 from dgc_pose.synthesis.warps import FAR
 

@@ -12,10 +12,9 @@ from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.synthesis.render.overlap import Candidate
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.random_scene import random_scene
-from dgc_pose.synthesis.render.rendered_pairs import render_views
+from dgc_pose.synthesis.render.rendered_pairs import Views, render_views
 from dgc_pose.synthesis.render.scene_pair import RenderedPair, as_arrays
 
 METRES = 4.0  # a rendered scene's unit of length, so that millimetres are fine enough
@@ -40,8 +39,8 @@ def rendered(seed: int, size: tuple[int, int], rotation_deg: float = 12.0) -> Re
     bank = TextureBank.from_photos(procedural_textures(4, 128, seed=seed))
     options = SceneOptions(boxes=2, ellipsoids=1, quads=1, texture_span=(0.5, 0.9), shading=0.0)
     scene = random_scene(draw, first, second, bank.size, bank.count, options)
-    views = Candidate(scene, first, second)
-    return as_arrays(render_views(views, bank, (scene.light, scene.light), options, 1))
+    views = Views(scene, first, second)
+    return as_arrays(render_views(views, bank, options, scene.light))
 
 
 def write_rgbd(root: Path, pair: RenderedPair) -> Path:

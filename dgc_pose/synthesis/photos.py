@@ -16,7 +16,7 @@ from tqdm import tqdm
 from dgc_pose.errors import ImageError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import read_pixels
-from dgc_pose.synthesis.render import TextureBank
+from dgc_pose.synthesis.render.bank import TextureBank
 
 SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input
 _log = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from dgc_pose.synthesis.map_pairs import MapPairs, point_grid
 from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.render import render_pairs
+from dgc_pose.synthesis.render.rendered_pairs import render_pairs
 from dgc_pose.synthesis.warps import random_warp
 
 

@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import colorsys
-from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 import torch
 from torch.nn.functional import interpolate
-
-Style = Literal[
-    "cloud", "marble", "wood", "brick", "checker", "stripes", "pebbles", "text", "leaves"
-]
 
 _HUES = (0.02, 0.06, 0.09, 0.12, 0.15, 0.28, 0.35, 0.55, 0.6, 0.65)  # earth, plants, sky
 _WOOD = ((0.30, 0.17, 0.09), (0.55, 0.35, 0.19), (0.78, 0.58, 0.36))  # dark to bright
@@ -23,20 +17,14 @@ def procedural_textures(count: int, size: int = 256, seed: int = 0) -> torch.Ten
 
     Texture k depends on `seed`, `size` and k alone.
     """
-    styles = tuple(_PAINTERS)
-    return torch.stack(
-        [procedural_texture(styles[k % len(styles)], size, (seed, k)) for k in range(count)]
-    )
-
-
-def procedural_texture(style: Style, size: int, seed: int | tuple[int, ...]) -> torch.Tensor:
-    """One texture (3, size, size) float32 in [0, 1]."""
-    rng = np.random.default_rng(seed)
-    image = _PAINTERS[style](rng, size)
-    # Fine noise, so that no surface is without detail.
-    grain = _noise(rng, size, max(2, size // 8), octaves=2, persistence=0.8)
-    image = image * (1 + 0.1 * grain[..., None])
-    return torch.from_numpy(np.clip(image, 0, 1).astype(np.float32)).permute(2, 0, 1).contiguous()
+    textures = np.empty((count, 3, size, size), np.float32)
+    for k, texture in enumerate(textures):
+        rng = np.random.default_rng((seed, k))
+        image = _PAINTERS[k % len(_PAINTERS)](rng, size)
+        # Fine noise, so that no surface is without detail.
+        grain = _noise(rng, size, max(2, size // 8), octaves=2, persistence=0.8)
+        texture[:] = np.clip(image * (1 + 0.1 * grain[..., None]), 0, 1).transpose(2, 0, 1)
+    return torch.from_numpy(textures)
 
 
 def _noise(
@@ -240,14 +228,4 @@ def _paint_leaf(
     image[top:bottom, left:right][inside] = colour * light[:, None]
 
 
-_PAINTERS: dict[Style, Callable[[np.random.Generator, int], np.ndarray]] = {
-    "leaves": _leaves,
-    "brick": _brick,
-    "text": _text,
-    "pebbles": _pebbles,
-    "wood": _wood,
-    "cloud": _cloud,
-    "checker": _checker,
-    "marble": _marble,
-    "stripes": _stripes,
-}
+_PAINTERS = (_leaves, _brick, _text, _pebbles, _wood, _cloud, _checker, _marble, _stripes)

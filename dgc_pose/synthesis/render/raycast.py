@@ -17,19 +17,13 @@ _OCCLUSION_TOLERANCE = 1e-4  # of the distance: another surface this close does 
 
 @dataclass(frozen=True)
 class Hits:
-    """The first surface along each of n rays a scene; depth is infinite without any."""
+    """The first surface along each of n rays a scene. Without any, depth is infinite and the rest
+    arbitrary. Values of surfaces hold the rays of all scenes in one row of B * n."""
 
     rays: Tensor  # (B, 3, n), in the camera, z = 1
     depth: Tensor  # (B, n), along the optical axis
     primitive: Tensor  # (B, n) int64
-
-
-@dataclass(frozen=True)
-class Surface:
-    """The surfaces that the rays hit, all pixels of all scenes in one row of B * n."""
-
-    primitive: Tensor  # (B * n,) int64, counted through all scenes
-    face: Tensor  # (B * n,) int64
+    face: Tensor  # (B * n,) int64, counted through the faces of all scenes
     point: Tensor  # (3, B * n), world
     normal: Tensor  # (3, B * n), unit, world, towards the camera
     uv: Tensor  # (2, B * n), world units along the face
@@ -38,33 +32,27 @@ class Surface:
 def cast(scene: Scene, cameras: Cameras, pixels: Tensor) -> Hits:
     """The first surface seen at pixels (2, n)."""
     rays = cameras.rays(pixels)
-    depths = intersect_all(scene, cameras.centre, cameras.rotation.mT @ rays)
-    depth, primitive = depths.min(dim=1)
-    return Hits(rays, depth, primitive)
+    direction = cameras.rotation.mT @ rays
+    depth, primitive = intersect_all(scene, cameras.centre, direction).min(dim=1)
+    finite = depth.nan_to_num(posinf=1.0)
+    point = _row(cameras.centre[..., None] + finite[:, None] * direction)
+    direction = _row(direction)
 
-
-def describe(scene: Scene, cameras: Cameras, hits: Hits) -> Surface:
-    """Normal, face and point on the face of each hit; arbitrary without a hit."""
     batch, count = scene.active.shape
-    first = torch.arange(batch, device=hits.primitive.device)[:, None] * count
-    primitive = (hits.primitive + first).reshape(-1)
-    direction = cameras.rotation.mT @ hits.rays
-    finite = hits.depth.nan_to_num(posinf=1.0)
-    point = (cameras.centre[..., None] + finite[:, None] * direction).transpose(0, 1).flatten(1)
-    direction = direction.transpose(0, 1).flatten(1)
-
+    first = torch.arange(batch, device=primitive.device)[:, None] * count
+    index = (primitive + first).reshape(-1)
     table = torch.cat(
         (scene.centre, scene.unit_from_world.flatten(2), scene.half_size), dim=-1
     ).flatten(0, 1)
-    values = table.t().index_select(1, primitive)
+    values = table.t().index_select(1, index)
     to_unit = values[3:12].unflatten(0, (3, 3))
     local = (to_unit * (point - values[:3])).sum(1)
     on_face = local * values[12:15]
 
-    quad, ellipsoid = scene.layout.span("quad"), scene.layout.span("ellipsoid")
-    index = hits.primitive.reshape(-1)
-    is_quad = (index >= quad.start) & (index < quad.stop)
-    is_ellipsoid = index >= ellipsoid.start
+    _, quads, _, ellipsoids = scene.layout.spans()
+    kind = primitive.reshape(-1)
+    is_quad = (kind >= quads.start) & (kind < quads.stop)
+    is_ellipsoid = kind >= ellipsoids.start
     axis = _largest_axis(local).masked_fill_(is_quad | is_ellipsoid, 2)
     on_axis = local.gather(0, axis[None])[0]
 
@@ -79,8 +67,18 @@ def describe(scene: Scene, cameras: Cameras, hits: Hits) -> Surface:
     u = torch.where(axis == 0, on_face[2], on_face[0])
     v = torch.where(axis == 1, on_face[2], on_face[1])
     stretch = torch.where(is_ellipsoid, _azimuthal_stretch(local), 1.0)
-    face = 2 * axis + positive
-    return Surface(primitive, face, point, normal, torch.stack((u, v)) * stretch)
+    face = FACES * index + 2 * axis + positive
+    return Hits(rays, depth, primitive, face, point, normal, torch.stack((u, v)) * stretch)
+
+
+def _row(values: Tensor) -> Tensor:
+    """(B, 3, n) as (3, B * n)."""
+    return values.transpose(0, 1).flatten(1)
+
+
+def _by_scene(values: Tensor, scenes: int) -> Tensor:
+    """(3, B * n) as (B, 3, n)."""
+    return values.unflatten(1, (scenes, -1)).transpose(0, 1)
 
 
 def _largest_axis(local: Tensor) -> Tensor:
@@ -96,59 +94,39 @@ def _azimuthal_stretch(local: Tensor) -> Tensor:
 
 
 def shade(
-    scene: Scene,
-    cameras: Cameras,
-    hits: Hits,
-    surface: Surface,
-    bank: TextureBank,
-    *,
-    light: Tensor,
-    options: SceneOptions,
-    samples: int = 1,
+    scene: Scene, cameras: Cameras, hits: Hits, bank: TextureBank, options: SceneOptions
 ) -> Tensor:
-    """Colours (B, 3, n) in [0, 1]; black without a hit.
-
-    light: (B, 3), a point of the world. samples: per pixel and direction, which sets the size of a
-    sample on the surface.
-    """
-    batch, count = scene.active.shape
-    face = surface.primitive * FACES + surface.face
-    photo = scene.photo.reshape(-1).index_select(0, face)
-    a, b, c, d, e, f = scene.texture.reshape(-1, 6).t().index_select(1, face)
-    u, v = surface.uv
-    direction = (cameras.rotation.mT @ hits.rays).transpose(0, 1).flatten(1)
+    """Colours (B, 3, n) in [0, 1] of samples of the pixels; black without a hit."""
+    photo = scene.photo.reshape(-1).index_select(0, hits.face)
+    a, b, c, d, e, f = scene.texture.reshape(-1, 6).t().index_select(1, hits.face)
+    u, v = hits.uv
+    direction = _row(cameras.rotation.mT @ hits.rays)
     length = direction.square().sum(0).sqrt()
-    cosine = (direction * surface.normal).sum(0).abs() / length
-    focal = cameras.K[:, 0, 0].repeat_interleave(hits.depth.shape[1]) * samples
+    cosine = (direction * hits.normal).sum(0).abs() / length
+    focal = cameras.K[:, 0, 0].repeat_interleave(hits.depth.shape[1]) * options.supersample
     texels_per_unit = (a * e - b * d).abs().sqrt()
     depth = hits.depth.reshape(-1).nan_to_num(posinf=1.0)
     footprint = texels_per_unit * depth / focal / cosine.clamp(min=0.05).sqrt()
     colour = bank.sample(photo, a * u + b * v + c, d * u + e * v + f, footprint)
-
-    if options.shading > 0 or options.shadow > 0:
-        colour = colour * _brightness(scene, hits, surface, light, options)
+    colour = colour * _brightness(scene, hits, options)
     colour = colour.masked_fill(hits.depth.reshape(-1).isinf(), 0.0)
-    return colour.unflatten(1, (batch, -1)).transpose(0, 1)
+    return _by_scene(colour, len(hits.depth))
 
 
-def _brightness(
-    scene: Scene, hits: Hits, surface: Surface, light: Tensor, options: SceneOptions
-) -> Tensor:
+def _brightness(scene: Scene, hits: Hits, options: SceneOptions) -> Tensor:
     """Factors (B * n,) in [0, 1] for the colours of the surface."""
-    ray = surface.point.unflatten(1, hits.depth.shape).transpose(0, 1) - light[..., None]
-    away = ray.transpose(0, 1).flatten(1)
+    ray = _by_scene(hits.point, len(hits.depth)) - scene.light[..., None]
+    away = _row(ray)
     length = away.square().sum(0).sqrt().clamp(min=1e-12)
-    cosine = -(surface.normal * away).sum(0) / length
+    cosine = -(hits.normal * away).sum(0) / length
     brightness = 1 - options.shading * (0.5 - 0.5 * cosine)  # wrapped: never black
     if options.shadow > 0:
-        shadowed = hidden(scene, light, ray, hits.primitive).reshape(-1) | (cosine <= 0)
+        shadowed = hidden(scene, scene.light, ray, hits.primitive).reshape(-1) | (cosine <= 0)
         brightness = brightness * (1 - options.shadow * shadowed)
     return brightness
 
 
-def correspond(
-    scene: Scene, first: Cameras, second: Cameras, hits: Hits, surface: Surface
-) -> tuple[Tensor, Tensor]:
+def correspond(scene: Scene, first: Cameras, second: Cameras, hits: Hits) -> tuple[Tensor, Tensor]:
     """The points hit from the second cameras, projected into the first: map (B, 2, n), visible
     (B, n).
 
@@ -167,15 +145,14 @@ def correspond(
     inside &= projected[:, 1] <= height - 1
 
     ray = first.rotation.mT @ point
-    normal = surface.normal.unflatten(1, depth.shape[::2]).transpose(0, 1)
-    faces = (normal * ray).sum(1) < 0
+    faces = (_by_scene(hits.normal, len(depth)) * ray).sum(1) < 0
     return projected, inside & faces & ~hidden(scene, first.centre, ray, hits.primitive)
 
 
 def hidden(scene: Scene, origin: Tensor, direction: Tensor, primitive: Tensor) -> Tensor:
     """(B, n) bool: another primitive lies between origin (B, 3) and origin + direction (B, 3, n).
 
-    primitive: (B, n), the one that the far end lies on, which is ignored.
+    primitive: (B, n), which the far end lies on; it is ignored.
     """
     parameters = intersect_all(scene, origin, direction)
     parameters.scatter_(1, primitive[:, None], torch.inf)

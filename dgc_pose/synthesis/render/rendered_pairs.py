@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from dgc_pose.synthesis.batches import joined
+from dgc_pose.synthesis.batches import changed, combined, joined
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, relative_pose
-from dgc_pose.synthesis.render.overlap import Candidate, overlapping
-from dgc_pose.synthesis.render.random_cameras import random_camera_pair
-from dgc_pose.synthesis.render.random_scene import random_scene
-from dgc_pose.synthesis.render.raycast import Hits, Surface, cast, correspond, describe, shade
-from dgc_pose.synthesis.render.scene import Scene, part
+from dgc_pose.synthesis.render.random_scene import random_camera_pair, random_scene
+from dgc_pose.synthesis.render.raycast import Hits, cast, correspond, shade
+from dgc_pose.synthesis.render.scene import Scene
 
 _CHUNK = 16384  # pixels of each view supersampled at a time: they fit a processor's cache
 _CPU_PIXELS = 102400  # of all views rendered at a time on a CPU, for the same reason
+_PROBE = 20  # overlap is estimated on so many rays squared
+_CLEARANCE = 0.05  # between a camera and any object, world units
+
+
+class Views(NamedTuple):
+    """B scenes with two cameras each."""
+
+    scene: Scene
+    first: Cameras
+    second: Cameras
 
 
 @dataclass(frozen=True)
@@ -49,25 +58,53 @@ def render_pairs(
     """
     draw = Draw(generator, bank.texels.device)
 
-    def draw_candidate() -> Candidate:
+    def draw_views() -> Views:
         first, second = random_camera_pair(draw, batch, size, options)
         scene = random_scene(draw, first, second, bank.size, bank.count, options)
-        return Candidate(scene, first, second)
+        return Views(scene, first, second)
 
-    views = overlapping(draw_candidate, min_overlap=options.min_overlap, tries=options.tries)
-    light = views.scene.light
-    lights = (light, light + options.light_change * draw.normal(batch, 3))
-    return render_views(views, bank, lights, options, options.supersample)
+    views = overlapping(draw_views, options)
+    light2 = views.scene.light + options.light_change * draw.normal(batch, 3)
+    return render_views(views, bank, options, light2)
+
+
+def overlapping(draw_views: Callable[[], Views], options: SceneOptions) -> Views:
+    """B pairs, each with enough overlap, or else the best of the options' tries."""
+    best = draw_views()
+    best_share = _overlap(best)
+    for _ in range(options.tries - 1):
+        if bool((best_share >= options.min_overlap).all()):
+            break
+        other = draw_views()
+        share = _overlap(other)
+        keep = (best_share >= options.min_overlap) | (best_share >= share)
+
+        def better(pair: list[Tensor], keep: Tensor = keep) -> Tensor:
+            return torch.where(keep.view((-1,) + (1,) * (pair[0].ndim - 1)), pair[0], pair[1])
+
+        best = Views._make(combined(pair, better) for pair in zip(best, other, strict=True))
+        best_share = torch.where(keep, best_share, share)
+    return best
+
+
+def _overlap(views: Views) -> Tensor:
+    """Share (B,) of a coarse grid of image 2's pixels that are visible in image 1.
+
+    -1 if a camera is in an object or too near to it.
+    """
+    scene, first, second = views
+    grid = (torch.arange(_PROBE, dtype=second.K.dtype, device=second.K.device) + 0.5) / _PROBE
+    width, height = second.size
+    x, y = grid.repeat(_PROBE) * width - 0.5, grid.repeat_interleave(_PROBE) * height - 0.5
+    _, visible = correspond(scene, first, second, cast(scene, second, torch.stack((x, y))))
+    blocked = scene.contains(first.centre, _CLEARANCE) | scene.contains(second.centre, _CLEARANCE)
+    return visible.to(grid.dtype).mean(1).masked_fill(blocked, -1.0)
 
 
 def render_views(
-    views: Candidate,
-    bank: TextureBank,
-    lights: tuple[Tensor, Tensor],
-    options: SceneOptions,
-    supersample: int,
+    views: Views, bank: TextureBank, options: SceneOptions, light2: Tensor
 ) -> RenderedPairs:
-    """Both views of scenes; `lights` are the positions (B, 3) of the light in each view."""
+    """Both views of scenes; light2: positions (B, 3) of the light in the second view."""
     scene, first, second = views
     width, height = second.size
     together = max(1, _CPU_PIXELS // (width * height))
@@ -75,27 +112,20 @@ def render_views(
         parts = []
         for k in range(0, len(second.K), together):
             span = slice(k, k + together)
-            chunk = Candidate(part(scene, span), part(first, span), part(second, span))
-            light1, light2 = (light[span] for light in lights)
-            parts.append(render_views(chunk, bank, (light1, light2), options, supersample))
+            part = Views._make(changed(batch, itemgetter(span)) for batch in views)
+            parts.append(render_views(part, bank, options, light2[span]))
         return joined(parts)
-    images, depths, seen = [], [], []
-    for cameras, light in zip((first, second), lights, strict=True):
-        hits = cast(scene, cameras, cameras.pixels())
-        surface = describe(scene, cameras, hits)
-        coloured = partial(shade, bank=bank, light=light, options=options)
-        image = _image(scene, cameras, hits, surface, coloured, supersample)
-        images.append(_as_grid(image, cameras))
-        depths.append(_as_grid(hits.depth, cameras))
-        seen.append((hits, surface))
-    projected, visible = correspond(scene, first, second, *seen[1])
+    hits1, hits2 = (cast(scene, cameras, cameras.pixels()) for cameras in (first, second))
+    image1 = _image(scene, first, hits1, bank, options)
+    image2 = _image(replace(scene, light=light2), second, hits2, bank, options)
+    projected, visible = correspond(scene, first, second, hits2)
     return RenderedPairs(
-        image1=images[0],
-        image2=images[1],
+        image1=_as_grid(image1, first),
+        image2=_as_grid(image2, second),
         map=_as_grid(projected, second).permute(0, 2, 3, 1).contiguous(),
         visible=_as_grid(visible, second),
-        depth1=depths[0],
-        depth2=depths[1],
+        depth1=_as_grid(hits1.depth, first),
+        depth2=_as_grid(hits2.depth, second),
         K1=first.K,
         K2=second.K,
         cam2_from_cam1=relative_pose(first, second),
@@ -103,26 +133,19 @@ def render_views(
 
 
 def _image(
-    scene: Scene,
-    cameras: Cameras,
-    hits: Hits,
-    surface: Surface,
-    coloured: Callable[..., Tensor],
-    supersample: int,
+    scene: Scene, cameras: Cameras, hits: Hits, bank: TextureBank, options: SceneOptions
 ) -> Tensor:
     """Colours (B, 3, n): of the pixel centres, or the mean over a grid of samples in each pixel."""
-    if supersample == 1:
-        return coloured(scene, cameras, hits, surface)
-    offsets = [(k + 0.5) / supersample - 0.5 for k in range(supersample)]
+    samples = options.supersample
+    if samples == 1:
+        return shade(scene, cameras, hits, bank, options)
+    offsets = [(k + 0.5) / samples - 0.5 for k in range(samples)]
     total = torch.zeros_like(hits.rays)
     for moved in (cameras.shifted(x, y) for x in offsets for y in offsets):
-        colours = []
-        for pixels in moved.pixels().split(_CHUNK, dim=1):
-            hits = cast(scene, moved, pixels)
-            surface = describe(scene, moved, hits)
-            colours.append(coloured(scene, moved, hits, surface, samples=supersample))
+        chunks = moved.pixels().split(_CHUNK, dim=1)
+        colours = [shade(scene, moved, cast(scene, moved, p), bank, options) for p in chunks]
         total += torch.cat(colours, dim=-1)
-    return total / supersample**2
+    return total / samples**2
 
 
 def _as_grid(values: Tensor, cameras: Cameras) -> Tensor:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from itertools import accumulate
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from dgc_pose.synthesis.batches import Batch, changed, combined
 from dgc_pose.synthesis.render.primitives import (
     intersect_box,
     intersect_ellipsoid,
@@ -16,16 +16,8 @@ from dgc_pose.synthesis.render.primitives import (
     intersect_room,
 )
 
-Kind = Literal["room", "quad", "box", "ellipsoid"]
-KINDS: tuple[Kind, ...] = ("room", "quad", "box", "ellipsoid")
 FACES = 6  # -x +x -y +y -z +z of a box or room; -z and +z of a quad's sides, an ellipsoid's halves
-
-_INTERSECT = {
-    "room": intersect_room,
-    "quad": intersect_quad,
-    "box": intersect_box,
-    "ellipsoid": intersect_ellipsoid,
-}
+_INTERSECT = (intersect_room, intersect_quad, intersect_box, intersect_ellipsoid)
 
 
 class Layout(NamedTuple):
@@ -36,9 +28,10 @@ class Layout(NamedTuple):
     box: int
     ellipsoid: int
 
-    def span(self, kind: Kind) -> slice:
-        start = sum(self[: KINDS.index(kind)])
-        return slice(start, start + getattr(self, kind))
+    def spans(self) -> list[slice]:
+        """The primitives of each kind."""
+        stops = accumulate(self)
+        return [slice(stop - count, stop) for count, stop in zip(self, stops, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -58,7 +51,7 @@ class Scene:
     def unit_from_world(self) -> Tensor:
         """(B, P, 3, 3): world directions to the frame in which the primitive is a unit shape."""
         size = self.half_size.clone()
-        size[:, self.layout.span("quad"), 2] = 1
+        size[:, self.layout.spans()[1], 2] = 1
         return self.axes / size[..., None]
 
     def contains(self, point: Tensor, margin: float) -> Tensor:
@@ -66,24 +59,10 @@ class Scene:
         offset = (self.axes @ (point[:, None] - self.centre)[..., None])[..., 0]
         local = offset.abs() / (self.half_size + margin)
         inside = torch.zeros_like(self.active)
-        boxes, ellipsoids = self.layout.span("box"), self.layout.span("ellipsoid")
+        _, _, boxes, ellipsoids = self.layout.spans()
         inside[:, boxes] = local[:, boxes].amax(-1) < 1
         inside[:, ellipsoids] = local[:, ellipsoids].square().sum(-1) < 1
         return (inside & self.active).any(-1)
-
-
-def select(mask: Tensor, first: Batch, second: Batch) -> Batch:
-    """Two batches merged: rows of the first if mask (B,) is True, else of the second."""
-
-    def merged(pair: list[Tensor]) -> Tensor:
-        return torch.where(mask.view((-1,) + (1,) * (pair[0].ndim - 1)), pair[0], pair[1])
-
-    return combined([first, second], merged)
-
-
-def part(batch: Batch, span: slice) -> Batch:
-    """Some of a batch's scenes or cameras."""
-    return changed(batch, lambda values: values[span])
 
 
 def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
@@ -95,11 +74,7 @@ def intersect_all(scene: Scene, origin: Tensor, direction: Tensor) -> Tensor:
     to_unit = scene.unit_from_world
     start = to_unit @ (origin[:, None] - scene.centre)[..., None]
     hits = direction.new_empty(batch, sum(scene.layout), rays)
-    for kind in KINDS:
-        span = scene.layout.span(kind)
-        count = span.stop - span.start
-        if count == 0:
-            continue
-        local = (to_unit[:, span].flatten(1, 2) @ direction).unflatten(1, (count, 3))
-        hits[:, span] = _INTERSECT[kind](start[:, span], local)
+    for span, intersect in zip(scene.layout.spans(), _INTERSECT, strict=True):
+        local = (to_unit[:, span].flatten(1, 2) @ direction).unflatten(1, (-1, 3))
+        hits[:, span] = intersect(start[:, span], local)
     return hits.masked_fill_(~scene.active[..., None], torch.inf)

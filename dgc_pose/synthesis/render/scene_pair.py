@@ -16,11 +16,14 @@ from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.synthesis.render.overlap import Candidate, overlapping
 from dgc_pose.synthesis.render.procedural import procedural_textures
-from dgc_pose.synthesis.render.random_cameras import random_viewpoints
-from dgc_pose.synthesis.render.random_scene import random_scene, single_plane
-from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, render_views
+from dgc_pose.synthesis.render.random_scene import random_scene, random_viewpoints, single_plane
+from dgc_pose.synthesis.render.rendered_pairs import (
+    RenderedPairs,
+    Views,
+    overlapping,
+    render_views,
+)
 
 PairKind = Literal["general", "planar", "rotation_only", "forward"]
 
@@ -58,7 +61,6 @@ def render_scene_pair(
     size2: tuple[int, int] = (320, 240),
     rotation_deg: float = 15.0,
     kind: PairKind = "general",
-    supersample: int = 1,
 ) -> RenderedPair:
     """A pair whose cameras differ by a rotation of exactly `rotation_deg` and have their own K.
 
@@ -66,21 +68,19 @@ def render_scene_pair(
     motion before a single plane; "rotation_only", the room from one centre; "forward", the room
     with camera 2 ahead of camera 1 on its optical axis. The same seed gives the same pair.
     """
-    generator = torch.Generator().manual_seed(seed)
-    draw = Draw(generator, torch.device("cpu"), torch.float64)
+    draw = Draw(torch.Generator().manual_seed(seed), dtype=torch.float64)
     bank = _bank()
 
-    def draw_candidate() -> Candidate:
+    def draw_views() -> Views:
         first, second = _camera_pair(draw, size1, size2, math.radians(rotation_deg), kind)
         if kind == "planar":
             scene = single_plane(draw, first, bank.size, _PLANE_TEXTURE)
         else:
             scene = random_scene(draw, first, second, bank.size, bank.count, _OPTIONS)
-        return Candidate(scene, first, second)
+        return Views(scene, first, second)
 
-    views = overlapping(draw_candidate, min_overlap=_OPTIONS.min_overlap, tries=_OPTIONS.tries)
-    lights = views.scene.light, views.scene.light
-    return as_arrays(render_views(views, bank, lights, _OPTIONS, supersample))
+    views = overlapping(draw_views, _OPTIONS)
+    return as_arrays(render_views(views, bank, _OPTIONS, views.scene.light))
 
 
 def as_arrays(pairs: RenderedPairs) -> RenderedPair:

@@ -9,8 +9,10 @@ import pytest
 import torch
 from torch.nn.functional import grid_sample
 
-from dgc_pose.synthesis.render import RenderedPairs, SceneOptions, TextureBank, render_pairs
+from dgc_pose.synthesis.options import SceneOptions
+from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, render_pairs
 
 SIZE = 64
 BATCH = 12
