@@ -57,7 +57,8 @@ def synthetic_set(
     is held back.
     """
     for name in names:
-        _require_set(name)
+        if name not in SETS:
+            raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")
     if not names:
         raise InputError("no sets named")
     photos = load_held_back(root, PHOTO_SIDE)
@@ -72,10 +73,8 @@ def synthetic_cases(
 ) -> Iterator[MapCase]:
     """Batches of the set of that name, always the same for the same photographs and seed.
 
-    changed: with the trainer's photometric changes, and its occluders in warped views. Raises
-    InputError for a name that is none of SETS.
+    changed: with the trainer's photometric changes, and its occluders in warped views.
     """
-    _require_set(name)
     generator = torch.Generator().manual_seed(1000 * seed + SETS.index(name))
     if name == _SCENES:
         made = _scenes(photos, generator, changed)
@@ -136,8 +135,3 @@ def _scenes(photos: Photos, generator: torch.Generator, changed: bool) -> Iterat
             options = PhotometricOptions()
             images = [random_photometric(image, options, generator) for image in images]
         yield MapPairs(images[0], images[1], views.map, views.visible).chosen(kept)
-
-
-def _require_set(name: str) -> None:
-    if name not in SETS:
-        raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")

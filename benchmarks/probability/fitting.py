@@ -147,18 +147,16 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
 
 
 def _quantile(X: np.ndarray, y: np.ndarray, quantile: float) -> Any:
-    regressor = _sklearn("linear_model").QuantileRegressor(
-        quantile=quantile, alpha=0.0, solver="highs"
-    )
+    regressor = _linear_model().QuantileRegressor(quantile=quantile, alpha=0.0, solver="highs")
     return regressor.fit(X, y)
 
 
 def _regression(strength: float) -> Any:
-    return _sklearn("linear_model").LogisticRegression(C=strength, max_iter=5000)
+    return _linear_model().LogisticRegression(C=strength, max_iter=5000)
 
 
-def _sklearn(name: str) -> Any:
+def _linear_model() -> Any:
     try:
-        return importlib.import_module(f"sklearn.{name}")
+        return importlib.import_module("sklearn.linear_model")
     except ModuleNotFoundError:
         raise InputError("the fit needs scikit-learn: pip install 'dgc-pose[fit]'") from None

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from batch_runs import view_folder
-from click.testing import CliRunner
+from command_line import run
 from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +18,6 @@ from dgc_pose.benchmarks.posed_views import PosedViews, views_of_dtu, views_of_l
 from dgc_pose.benchmarks.reconstructions import score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
-from dgc_pose.cli.main import main
 from dgc_pose.colmap.reconstruction import SparseModel
 from dgc_pose.errors import InputError
 
@@ -117,9 +116,8 @@ def test_scores_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[Vi
 
 def test_the_command(scene: tuple[Path, Path, list[View]], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    arguments = ["bench-reconstruct", str(scene[0]), "--truth", str(scene[1]), "--out", str(out)]
-    options = ["--methods", "sift,colmap-sift", "--workers", "1", "--runs", "1"]
-    done = CliRunner().invoke(main, [*arguments, *options])
+    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1)
+    done = run("bench-reconstruct", scene[0], "--truth", scene[1], "--out", out, *options)
     assert done.exit_code == 0, done.output
     summary = json.loads((out / "summary.json").read_text())["methods"]
     assert [one["method"] for one in summary] == ["sift", "colmap-sift"]

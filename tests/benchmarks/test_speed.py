@@ -8,12 +8,11 @@ from pathlib import Path
 import cv2
 import pytest
 import torch
-from click.testing import CliRunner
+from command_line import assert_refused, run
 from map_nets import SMALL
 
 from dgc_pose.benchmarks import speed
 from dgc_pose.benchmarks.speed import SIFT_TOTAL, TOTAL, multiply_adds, time_forwards
-from dgc_pose.cli.main import main
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
@@ -61,8 +60,8 @@ def test_the_table_adds_up(quick: None, tmp_path: Path) -> None:
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite0")), weights)
     out = tmp_path / "figures.json"
-    arguments = ["--weights", str(weights), "--repetitions", "1", "--forward", ""]
-    result = CliRunner().invoke(main, ["bench-speed", *arguments, "--json", str(out)])
+    words = ("--weights", weights, "--repetitions", 1, "--forward", "", "--json", out)
+    result = run("bench-speed", *words)
     assert result.exit_code == 0, result.output
     data = json.loads(out.read_text())
     seconds = {stage["name"]: stage["seconds"] for stage in data["stages"]}
@@ -83,11 +82,6 @@ def test_the_table_adds_up(quick: None, tmp_path: Path) -> None:
 def test_images_of_one_s_own_need_k(quick: None, tmp_path: Path) -> None:
     image = tmp_path / "1.png"
     cv2.imwrite(str(image), torch.zeros(30, 40, 3, dtype=torch.uint8).numpy())
-    out = tmp_path / "figures.json"
-    missing = CliRunner().invoke(main, ["bench-speed", str(image), "--json", str(out)])
-    assert missing.exit_code == 2 and "both images and K" in missing.output
-    absent = CliRunner().invoke(main, ["bench-speed", str(image), "nowhere.png", "40,40,20,15"])
-    assert absent.exit_code == 2 and "nowhere.png" in absent.output
-    unknown = CliRunner().invoke(main, ["bench-speed", "--forward", "vgg"])
-    assert unknown.exit_code == 2 and "no preset 'vgg'" in unknown.output
-    assert not out.exists()
+    assert_refused(run("bench-speed", image), "both images and K")
+    assert_refused(run("bench-speed", image, "nowhere.png", "40,40,20,15"), "nowhere.png")
+    assert_refused(run("bench-speed", "--forward", "vgg"), "no preset 'vgg'")

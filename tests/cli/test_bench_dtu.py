@@ -12,9 +12,8 @@ import dtu_layout
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
+from command_line import run
 
-from dgc_pose.cli.main import main
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
@@ -59,7 +58,7 @@ def _true_flow(scan: dtu_layout.Scan, number1: int, number2: int) -> np.ndarray:
 
 
 def bench(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(main, ["bench-dtu", *map(str, arguments), *FAST])
+    result = run("bench-dtu", *arguments, *FAST)
     assert result.exit_code == code, result.output
     return result.stdout if code == 0 else result.stderr
 

@@ -237,17 +237,14 @@ def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
         open_dataset(tmp_path)
     with pytest.raises(InputError, match="nowhere: no such folder"):
         open_dataset(tmp_path / "nowhere")
+    (tmp_path / "Calibration/cal18").mkdir(parents=True)
+    with pytest.raises(InputError, match="no scene, expected .*Rectified/scan1"):
+        open_dataset(tmp_path)
     write_raw(tmp_path, grey_scan([0, 10]))
     with pytest.raises(InputError, match="not in the neus layout, expected .*cameras.npz"):
         open_dataset(tmp_path, layout="neus")
     with pytest.raises(InputError, match="light must be one of 0, 1"):
         open_dataset(tmp_path, light=7)
-
-
-def test_a_folder_with_calibration_alone_says_which_images_it_wants(tmp_path):
-    (tmp_path / "Calibration/cal18").mkdir(parents=True)
-    with pytest.raises(InputError, match="no scene, expected .*Rectified/scan1"):
-        open_dataset(tmp_path)
 
 
 def test_of_several_layouts_one_must_be_named(tmp_path):

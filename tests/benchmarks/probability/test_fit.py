@@ -10,7 +10,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from command_line import assert_refused, run
 from good_evidence import GOOD_EVIDENCE
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
@@ -27,7 +27,6 @@ from dgc_pose.benchmarks.probability.records import Record, record
 from dgc_pose.benchmarks.probability.report import judged, report_text
 from dgc_pose.benchmarks.probability.run import fit_all
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, parse_models
@@ -146,12 +145,9 @@ def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
 
 
 def test_the_command_refuses_what_it_cannot_fit(tmp_path) -> None:
-    arguments = ["fit-probability", "--data", str(tmp_path), "--out", str(tmp_path), "--collected"]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 2 and "nothing is collected for dgcm-lite0" in result.output
-    assert not (tmp_path / "probability.json").exists()
-    result = CliRunner().invoke(main, [*arguments[:-1], "--methods", "sift"])
-    assert result.exit_code == 2 and "no such data; the plan's source" in result.output
+    words = ("fit-probability", "--data", tmp_path, "--out", tmp_path)
+    assert_refused(run(*words, "--collected"), "nothing is collected for dgcm-lite0")
+    assert_refused(run(*words, "--methods", "sift"), "no such data; the plan's source")
 
 
 def _records(count: int, seed: int, part: Part) -> list[Record]:
