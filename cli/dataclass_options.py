@@ -121,24 +121,13 @@ class NamedPath(click.Path):
         return super().convert(value, param, ctx)
 
 
-class _Choice(click.Choice):
-    """One of a Literal's values, which need not be text."""
-
-    def __init__(self, values: tuple[Any, ...]) -> None:
-        super().__init__([str(value) for value in values])
-        self._values = {str(value): value for value in values}
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        return self._values[super().convert(str(value), param, ctx)]
-
-
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:
     if info.type is not None:
         return info.type
     if info.parse is not None:
         return _Parsed(info.parse)
     if get_origin(kind) is Literal:
-        return _Choice(get_args(kind))
+        return click.Choice(get_args(kind))
     if kind is Path:
         return NamedPath(path_type=Path)
     if kind is str and _FILE.search(info.metavar or ""):

@@ -44,7 +44,7 @@ class OutputFile(click.Path):
             return
         target = output_target(path)
         require_no_input([path], _inputs(context))
-        if target.exists() and not _overwrites(context):
+        if target.exists() and not overwrites():
             raise InputError(f"{path} is there already: --overwrite replaces it")
         if not target.parent.is_dir():
             raise InputError(f"{path}: no such folder to write it into")
@@ -68,7 +68,7 @@ class OutputFolder(click.Path):
         if os.path.exists(path) and not os.path.isdir(path):
             raise InputError(f"{path}: the results need a folder, and this is none")
         resume = {name.rpartition("__")[2]: value for name, value in context.params.items()}
-        if resume.get("resume") or _overwrites(context):
+        if resume.get("resume") or overwrites():
             return
         for name in self.results:
             if os.path.lexists(os.path.join(path, name)):
@@ -93,7 +93,8 @@ def guarded(command: click.Command) -> click.Command:
         ),
         click.Option([DEBUG], is_flag=True, expose_value=False, help="Show the trace of an error."),
     ]
-    if any(_replaces(parameter.type) for parameter in command.params):
+    kinds = [parameter.type for parameter in command.params]
+    if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
         command.params.append(
             click.Option(
                 [OVERWRITE],
@@ -117,11 +118,7 @@ def guarded(command: click.Command) -> click.Command:
 
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
-    return _overwrites(click.get_current_context())
-
-
-def _overwrites(context: click.Context) -> bool:
-    return bool(context.meta.get(OVERWRITE))
+    return bool(click.get_current_context().meta.get(OVERWRITE))
 
 
 def _set_overwrite(context: click.Context, parameter: click.Parameter, value: bool) -> None:
@@ -132,10 +129,6 @@ def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: i
     if value is not None:
         os.environ[MAX_PIXELS_VARIABLE] = str(value)  # reaches worker processes too
         context.call_on_close(lambda: os.environ.pop(MAX_PIXELS_VARIABLE))
-
-
-def _replaces(kind: click.ParamType) -> bool:
-    return isinstance(kind, OutputFile) or (isinstance(kind, OutputFolder) and bool(kind.results))
 
 
 def _check_outputs(context: click.Context) -> None:

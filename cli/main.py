@@ -20,9 +20,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
-from dgc_pose.cli.signals import Stopped, stopped_by_signals
-from dgc_pose.cli.streams import standard_streams
-from dgc_pose.cli.warnings_as_lines import plain_warnings
+from dgc_pose.cli.process import Stopped, plain_warnings, standard_streams, stopped_by_signals
 from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason
 
 UNEXPECTED = 1

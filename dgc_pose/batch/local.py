@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, contextmanager
 from functools import cache
+from itertools import pairwise
 
 import cv2
 
-from dgc_pose.batch.schedule import Spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
 from dgc_pose.system.processes import process_pools
 
@@ -43,15 +44,19 @@ def in_spans(
 ) -> Iterator[Outcome]:
     """The outcomes of tasks as they come, each worker having one task at a time.
 
-    submit: gives a task to the worker of that number. Raises what the futures raise.
+    Each worker gets a run of neighbouring tasks, which share images; when it is finished, the last
+    tasks of the longest run that is left. submit: gives a task to the worker of that number. Raises
+    what the futures raise.
     """
-    spans = Spans(len(tasks), workers)
+    bounds = [len(tasks) * i // workers for i in range(workers + 1)]
+    left = [deque(tasks[first:end]) for first, end in pairwise(bounds)]
     running: dict[Future[Outcome], int] = {}
 
     def give(worker: int) -> None:
-        index = spans.take(worker)
-        if index is not None:
-            running[submit(worker, tasks[index])] = worker
+        if left[worker]:
+            running[submit(worker, left[worker].popleft())] = worker
+        elif longest := max(left, key=len):
+            running[submit(worker, longest.pop())] = worker
 
     for worker in range(workers):
         give(worker)

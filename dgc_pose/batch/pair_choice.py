@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -45,6 +46,21 @@ def parse_pair_choice(text: str) -> PairChoice:
         if way == "auto":
             return PairChoice("auto", int(number))
     raise InputError(f"--pairs must be exhaustive, sequential:W or auto:K, not {text!r}")
+
+
+def similarities(features: Sequence[np.ndarray]) -> np.ndarray:
+    """Scores (N, N) float32 of all pairs, within -1 and 1; the diagonal is 1.
+
+    features: for each image its coarsest cells (cells, C), of unit length. The score of two images
+    is the mean, over the cells of both, of the largest cosine with a cell of the other image.
+    """
+    cells = [feature.astype(np.float32) for feature in features]
+    scores = np.eye(len(cells), dtype=np.float32)
+    for i, j in combinations(range(len(cells)), 2):
+        cosines = cells[i] @ cells[j].T
+        total = cosines.max(0).sum() + cosines.max(1).sum()
+        scores[i, j] = scores[j, i] = total / sum(cosines.shape)
+    return scores
 
 
 def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:

@@ -18,12 +18,11 @@ from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice, most_similar
+from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
 from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
 from dgc_pose.batch.ray_engine import ray_workers
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, require_pyarrow
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
-from dgc_pose.batch.similarity import similarities
 from dgc_pose.batch.source import Source, survey
 from dgc_pose.batch.store import MATCHES, SUMMARY, PartStore, read_result, read_summary, rows_path
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Job, Match, Matched

@@ -78,22 +78,3 @@ def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
 def blocks_of(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
     """Runs of at most `size` successive items."""
     return [items[i : i + size] for i in range(0, len(items), size)]
-
-
-class Spans:
-    """Blocks dealt to workers: to each a run of neighbouring ones, which share images.
-
-    A worker whose run is finished takes the last block of the longest run that is left.
-    """
-
-    def __init__(self, count: int, workers: int) -> None:
-        """count: of blocks."""
-        bounds = [count * i // workers for i in range(workers + 1)]
-        self._left = [list(range(a, b)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-
-    def take(self, worker: int) -> int | None:
-        """The next block of a worker; None if there is none left."""
-        if self._left[worker]:
-            return self._left[worker].pop(0)
-        longest = max(self._left, key=len)
-        return longest.pop() if longest else None

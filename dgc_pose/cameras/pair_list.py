@@ -106,11 +106,10 @@ def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:
 
     Raises InputError for a name with a blank in it, which the format cannot hold.
     """
-    save_text(path, "".join(format_pair(pair) + "\n" for pair in pairs))
+    save_text(path, "".join(_line(pair) + "\n" for pair in pairs))
 
 
-def format_pair(pair: Pair) -> str:
-    """The line of a pair, without its newline."""
+def _line(pair: Pair) -> str:
     for name in (pair.name1, pair.name2):
         if len(name.split()) != 1:
             raise InputError(f"a pair list cannot hold the name {name!r}: no blanks, not empty")

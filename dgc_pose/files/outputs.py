@@ -101,21 +101,12 @@ def output_target(path: str | Path) -> Path:
 
 def require_no_input(outputs: Iterable[str | Path], inputs: Iterable[str | Path]) -> None:
     """Raise InputError if an output is one of the inputs: the same file, links followed."""
-    input_paths = {identity: path for path in inputs if (identity := _identity(path)) is not None}
-    for output in outputs:
-        identity = _identity(output)
-        if identity in input_paths:
-            path = input_paths[identity]
-            same = f"the input {path}" if str(path) != str(output) else "an input"
-            raise InputError(f"{output}: this output is {same}, which would be lost")
-
-
-def _identity(path: str | Path) -> tuple[int, int] | None:
-    try:
-        status = os.stat(path)
-    except (OSError, ValueError):
-        return None
-    return status.st_dev, status.st_ino
+    present = [path for path in inputs if os.path.exists(path)]
+    for output in filter(os.path.exists, outputs):
+        for path in present:
+            if os.path.samefile(path, output):
+                same = f"the input {path}" if str(path) != str(output) else "an input"
+                raise InputError(f"{output}: this output is {same}, which would be lost")
 
 
 @contextmanager

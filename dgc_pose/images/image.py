@@ -126,7 +126,7 @@ def image_header(path: Path) -> Header:
             raise
         except Exception:  # in a TIFF the pixels may lie before the header
             return _checked_header(read_bytes(path, MAX_BYTES, ImageError), path)
-    check_pixel_count(*header.size, path)
+    _check_pixel_count(*header.size, path)
     return header
 
 
@@ -145,19 +145,14 @@ def _image_errors(path: Path) -> Iterator[None]:
         raise ImageError(str(error)) from error
 
 
-def max_pixels() -> int:
-    """The most pixels (width times height) of an image that is decoded."""
+def _check_pixel_count(width: int, height: int, path: Path) -> None:
+    """Raise ImageSizeError, with the path, for too many pixels."""
     text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
     if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
         raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
-    return int(text)
-
-
-def check_pixel_count(width: int, height: int, path: Path) -> None:
-    """Raise ImageSizeError, with the path, for too many pixels."""
-    if width * height > max_pixels():
+    if width * height > int(text):
         raise ImageSizeError(
-            f"{path} is too large: {width} x {height}, at most {max_pixels()} pixels are read"
+            f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
         )
 
 
@@ -174,7 +169,7 @@ def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
         raise ImageError(f"{path} is corrupt: {error.err}") from None
     if array is None:  # OpenCV does not say why
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
-    check_pixel_count(array.shape[1], array.shape[0], path)
+    _check_pixel_count(array.shape[1], array.shape[0], path)
     return array
 
 
@@ -201,7 +196,7 @@ def _checked_header(data: bytes, path: Path) -> Header:
         raise ImageError(f"{path} is {error}") from None
     except Exception as error:  # each format's reader raises its own
         raise ImageError(f"{path} is corrupt: {reason(error)}") from error
-    check_pixel_count(*header.size, path)
+    _check_pixel_count(*header.size, path)
     return header
 
 

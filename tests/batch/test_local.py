@@ -6,13 +6,14 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from batch_runs import assert_same_result, run_sift, view_folder
 
-from dgc_pose.batch.local import RunTasks, local_workers
+from dgc_pose.batch.local import RunTasks, in_spans, local_workers
 from dgc_pose.batch.work import Describe, Job, Outcome, Task
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.estimation import EstimationOptions
@@ -93,3 +94,21 @@ def test_what_a_worker_raises_is_raised_here(photos: Path, monkeypatch: pytest.M
         local_workers(job, 2) as run,
     ):
         list(run([Describe(("view0.png",)), Describe(("view1.png",))]))
+
+
+def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run() -> None:
+    """Worker 1 is busy with its first task until all others are dealt."""
+    dealt: list[tuple[int, int]] = []
+    busy: Future[int] = Future()
+
+    def submit(worker: int, task: int) -> Future[int]:
+        dealt.append((worker, task))
+        future = busy if worker == 1 else Future()
+        if worker == 0:
+            future.set_result(task)
+        if len(dealt) == 10:
+            busy.set_result(5)
+        return future
+
+    assert sorted(in_spans(range(10), 2, submit)) == list(range(10))
+    assert dealt == [(0, 0), (1, 5), *((0, task) for task in (1, 2, 3, 4, 9, 8, 7, 6))]

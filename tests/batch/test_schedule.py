@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from dgc_pose.batch.pair_choice import PairChoice
-from dgc_pose.batch.schedule import Spans, blocks_of, loads, tile_order
+from dgc_pose.batch.schedule import blocks_of, loads, tile_order
 
 
 def _shuffled(pairs: list[tuple[int, int]], count: int) -> np.ndarray:
@@ -38,24 +37,6 @@ def test_exhaustive_pairs_are_worked_through_in_tiles() -> None:
     pairs = _shuffled(PairChoice("exhaustive").pairs(40), 40)
     assert loads(pairs[tile_order(pairs, 40, 10)], 10) <= 200
     assert loads(np.array(PairChoice("exhaustive").pairs(40)), 10) > 600
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_each_block_is_dealt_once(workers: int) -> None:
-    spans = Spans(10, workers)
-    dealt = []
-    turn = 0
-    while (block := spans.take(turn % workers)) is not None:
-        dealt.append(block)
-        turn += 1
-    assert sorted(dealt) == list(range(10))
-
-
-def test_a_worker_takes_neighbours_then_from_the_longest_run() -> None:
-    spans = Spans(10, 2)
-    assert [spans.take(0) for _ in range(5)] == [0, 1, 2, 3, 4]
-    assert spans.take(0) == 9
-    assert spans.take(1) == 5
 
 
 def test_blocks() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dgc_pose.batch.similarity import similarities
+from dgc_pose.batch.pair_choice import similarities
 
 
 def _cells(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -1,0 +1,125 @@
+"""The process that a command runs in: its signals, standard streams and warnings.
+
+SIGTERM and SIGHUP become exceptions, so that a command that is stopped removes its partial files.
+No standard stream is closed, and errors of stdout name it. Our warnings are a line each.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from io import TextIOWrapper
+from types import FrameType
+from typing import Any, TextIO
+
+import click
+
+from dgc_pose.errors import InputError
+from dgc_pose.files.outputs import writing
+
+# SIGINT is a KeyboardInterrupt anyway. Windows has no SIGHUP.
+_STOPPING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+class Stopped(BaseException):
+    """A signal asked the process to end. Like KeyboardInterrupt no `Exception`."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+    @property
+    def name(self) -> str:
+        return signal.Signals(self.number).name
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup)."""
+    handled = [number for number in _STOPPING if signal.getsignal(number) is signal.SIG_DFL]
+    for number in handled:
+        signal.signal(number, _stop)
+    try:
+        yield
+    finally:
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the removal
+    raise Stopped(number)
+
+
+class _Stdout:
+    """A stream whose OSErrors name `stdout`."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with writing("stdout"):
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with writing("stdout"):
+            self._stream.flush()
+
+
+@contextmanager
+def standard_streams() -> Iterator[None]:
+    """Within the block stdin and stderr lead somewhere, and an OSError of stdout names it.
+
+    Raises InputError if stdout is closed.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # the next file would get this number, and with it what libraries print
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")
+    if sys.stdout is None:
+        raise InputError("stdout is closed")
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
+    with redirect_stdout(_Stdout(sys.stdout)):
+        yield
+
+
+class _Lines(logging.Handler):
+    """`warning: MESSAGE` on stderr."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        click.echo(f"warning: {' '.join(record.getMessage().split())}", err=True)
+
+
+@contextmanager
+def plain_warnings(*, shown: bool) -> Iterator[None]:
+    """Within the block our warnings are lines on stderr, and those of libraries are silent.
+
+    shown: print the libraries' warnings as well, as Python does. So does PYTHONWARNINGS.
+    """
+    ours, handler = logging.getLogger("dgc_pose"), _Lines()
+    silent = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
+    level, propagates = silent.level, ours.propagate
+    with warnings.catch_warnings():
+        ours.addHandler(handler)
+        ours.propagate = False
+        if not (shown or sys.warnoptions or "PYTHONWARNINGS" in os.environ):
+            warnings.simplefilter("ignore")
+            silent.setLevel(logging.ERROR)
+        try:
+            yield
+        finally:
+            ours.removeHandler(handler)
+            ours.propagate = propagates
+            silent.setLevel(level)
