@@ -38,10 +38,9 @@ def depth_pairs(
     source, target = scenes.pairs[chosen].to(device, non_blocking=True).unbind(1)
     pose = scenes.source_from_target[chosen.to(device, non_blocking=True)]
     views = random_views(2 * batch, scenes.images.shape[-1], size, generator, options)
-    (linear1, shift1), (linear2, shift2) = (
-        tuple(part.to(device, non_blocking=True) for part in view) for view in views
+    (linear1, linear2), (shift1, shift2) = (
+        part.to(device, non_blocking=True).chunk(2) for part in views
     )
-
     pixels = point_grid(torch.arange(size, dtype=torch.float32, device=device))
     in_frame1 = pixels @ linear1.mT + shift1[:, None]
     in_frame2 = pixels @ linear2.mT + shift2[:, None]
@@ -49,7 +48,10 @@ def depth_pairs(
     image2 = _cut(scenes.images[target], in_frame2, size)
 
     z, measured = depth_at(scenes.depth, target, in_frame2)
-    point = _back_project(scenes.K[target], in_frame2, z) @ pose[:, :, :3].mT + pose[:, None, :, 3]
+    K = scenes.K[target]
+    rays = (in_frame2 - K[:, None, :2, 2]) / K.diagonal(dim1=1, dim2=2)[:, None, :2]
+    point = torch.cat([rays * z[..., None], z[..., None]], -1)
+    point = point @ pose[:, :, :3].mT + pose[:, None, :, 3]
     in_front = point[..., 2] > _IN_FRONT
     expected = point[..., 2].clamp(min=_IN_FRONT)
     flat = point @ scenes.K[source].mT
@@ -63,23 +65,15 @@ def depth_pairs(
     hidden = inside & seen & (ratio < 1 - options.hidden)
     known = measured & (visible | hidden | ~inside)
     in_view = in_view.masked_fill(~(measured & in_front)[..., None], -1.0)
-    grid = (batch, size, size)
-    return MapPairs(
-        image1,
-        image2,
-        in_view.view(*grid, 2),
-        (visible & measured).view(grid),
-        known.view(grid),
-    )
+    truth = (in_view, visible & measured, known)
+    return MapPairs(image1, image2, *(values.unflatten(1, (size, size)) for values in truth))
 
 
 def random_views(
     count: int, side: int, size: int, generator: torch.Generator, options: DepthOptions
-) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-    """Views of the sources and of the targets, as maps x' = A x + b to the pixels of the frame.
-
-    A (B, 2, 2), b (B, 2), on the CPU.
-    """
+) -> tuple[Tensor, Tensor]:
+    """Views of frames as maps x' = A x + b to the frame's pixels: A (B, 2, 2), b (B, 2), on the
+    CPU."""
     draw = Draw(generator)
     scale = draw.uniform(count, low=options.view_scale[0], high=options.view_scale[1])
     roll = math.radians(options.view_roll_deg) * draw.normal(count)
@@ -88,9 +82,7 @@ def random_views(
     linear = (scale * side / size)[:, None, None] * rotation
     margin = (1 - scale)[:, None] * side / 2
     middle = (side - 1) / 2 + margin * (2 * draw.uniform(count, 2) - 1)
-    shift = middle - linear.sum(2) * (size - 1) / 2
-    (linear1, linear2), (shift1, shift2) = linear.chunk(2), shift.chunk(2)
-    return (linear1, shift1), (linear2, shift2)
+    return linear, middle - linear.sum(2) * (size - 1) / 2
 
 
 def _cut(frames: Tensor, points: Tensor, size: int) -> Tensor:
@@ -99,10 +91,3 @@ def _cut(frames: Tensor, points: Tensor, size: int) -> Tensor:
     return F.grid_sample(
         frames.float() / 255, grid, padding_mode="reflection", align_corners=False
     ).clamp(0, 1)
-
-
-def _back_project(K: Tensor, pixels: Tensor, z: Tensor) -> Tensor:
-    """Points (B, n, 3) in the camera of pixels (B, n, 2) at depths (B, n)."""
-    focal = K.diagonal(dim1=1, dim2=2)[:, None, :2]
-    rays = (pixels - K[:, None, :2, 2]) / focal
-    return torch.cat([rays * z[..., None], z[..., None]], -1)

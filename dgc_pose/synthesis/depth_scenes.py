@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
@@ -14,11 +15,10 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import load_image
 from dgc_pose.synthesis.batches import changed, joined
-from dgc_pose.synthesis.photos import resized_planes
+from dgc_pose.synthesis.map_pairs import point_grid
+from dgc_pose.synthesis.photos import SIDE, resized_planes
 from dgc_pose.synthesis.posed_depth import PosedFrame
-from dgc_pose.system.options import check_options, option
 
-SIDE = 288  # pixels; frames are kept as squares, as the network squares its input
 # Four neighbouring depths further apart than this (of the nearest) lie on several surfaces.
 _STRADDLES = 0.05
 # Depth that was measured by another sensor and reprojected has cracks: pixels without depth are
@@ -33,16 +33,12 @@ class FramePairOptions:
     """The ranges of two frames of a scene that make a pair."""
 
     # Share of the target's pixels of known depth that are visible in the source.
-    overlap: tuple[float, float] = option((0.3, 0.98), min=0, max=1)
-    # Between the cameras, of the target's median depth.
-    baseline: tuple[float, float] = option((0.03, 1.5), min=0)
-    rotation_deg: float = option(60.0, above=0, max=180)  # at most
+    overlap: tuple[float, float] = (0.3, 0.98)
+    baseline: tuple[float, float] = (0.03, 1.5)  # between the cameras, of the target's median depth
+    rotation_deg: float = 60.0  # at most
     # Pairs for each frame of a scene, at most; drawn in proportion to the change of view, as most
     # pairs of a walk are near. None: all.
-    per_frame: int | None = option(None, min=1)
-
-    def __post_init__(self) -> None:
-        check_options(self)
+    per_frame: int | None = None
 
 
 FRAME_PAIRS = {
@@ -86,14 +82,14 @@ def load_depth_scenes(
     Raises ImageError if a file cannot be read, InputError if no two frames make a pair.
     """
     total = sum(map(len, scenes))
+    parts, first = [], 0
     with tqdm(total=total, desc="frames", unit="", disable=None, leave=False) as bar:
-        parts = [_load_scene(frames, choice, side, bar) for frames in scenes if frames]
-    if sum(len(part.pairs) for part in parts) == 0:
+        for frames in filter(None, scenes):
+            part = _load_scene(frames, choice, side, bar)
+            parts.append(replace(part, pairs=part.pairs + first))
+            first += len(frames)
+    if not any(len(part.pairs) for part in parts):
         raise InputError(f"of {total} frames no two overlap as they should to make a pair")
-    first = 0
-    for k, part in enumerate(parts):
-        parts[k] = replace(part, pairs=part.pairs + first)
-        first += len(part.images)
     return joined(parts)
 
 
@@ -106,22 +102,19 @@ def _load_scene(
         bar.update()
     images, depth, K = map(torch.stack, zip(*squares, strict=True))
     cam_from_world = torch.tensor(np.stack([frame.cam_from_world for frame in frames]))
-    unit = _median_depth(depth)
+    sparse = depth[:, ::4, ::4]
+    unit = float(sparse[sparse > 0].median()) if (sparse > 0).any() else 1.0
     depth = depth / unit
     cam_from_world[:, :3, 3] /= unit
     pairs, poses = _choose(depth, K, cam_from_world, choice)
     if choice.per_frame is not None and len(pairs) > choice.per_frame * len(frames):
-        drawn = _draw(poses, choice.per_frame * len(frames))
+        baseline = poses[:, :, 3].norm(dim=1).clamp(max=1.5)
+        change = (_rotation_deg(poses) + _BASELINE_DEG * baseline) / _VIEW_CHANGE_DEG
+        generator = torch.Generator().manual_seed(len(poses))
+        count = choice.per_frame * len(frames)
+        drawn = torch.multinomial(change.clamp(*_CHANCE), count, generator=generator).sort().values
         pairs, poses = pairs[drawn], poses[drawn]
     return DepthScenes(images, depth.half(), K.float(), pairs, poses.float())
-
-
-def _draw(poses: Tensor, count: int) -> Tensor:
-    """Indices of so many of the poses (P, 3, 4), in order, drawn without replacement."""
-    baseline = poses[:, :, 3].norm(dim=1).clamp(max=1.5)
-    change = (_rotation_deg(poses) + _BASELINE_DEG * baseline) / _VIEW_CHANGE_DEG
-    generator = torch.Generator().manual_seed(len(poses))
-    return torch.multinomial(change.clamp(*_CHANCE), count, generator=generator).sort().values
 
 
 def _rotation_deg(poses: Tensor) -> Tensor:
@@ -154,44 +147,39 @@ def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tens
     return torch.where(known, 1 / inverse, 1.0), known
 
 
-def close_cracks(depth: Tensor, reach: int) -> Tensor:
+def close_cracks(depth: Tensor) -> Tensor:
     """Depth (h, w), 0 if unknown, with the pixels filled that two or more lines through them agree
     on.
 
     Along a line, horizontal, vertical or diagonal, the inverse depth is interpolated linearly
-    between the nearest known pixels on both sides, if both are within `reach` pixels and on one
-    surface.
+    between the nearest known pixels on both sides, if both are within _CRACK_REACH pixels and on
+    one surface.
     """
-    padded = torch.nn.functional.pad(depth, (reach,) * 4)
+    padded = F.pad(depth, (_CRACK_REACH,) * 4)
     flat, width = padded.reshape(-1), padded.shape[1]
     rows, columns = (depth <= 0).nonzero().unbind(1)
-    pixel = (rows + reach) * width + columns + reach
+    pixel = (rows + _CRACK_REACH) * width + columns + _CRACK_REACH
+    lines = torch.tensor([[1], [width], [width + 1], [width - 1]])  # steps along them
 
-    def nearest(step: int) -> tuple[Tensor, Tensor]:
+    def nearest(step: Tensor) -> tuple[Tensor, Tensor]:
         """The first known depth in that direction and its distance in steps; 0 and 1 if none."""
-        first = torch.zeros_like(pixel, dtype=depth.dtype)
+        first = depth.new_zeros(len(step), len(pixel))
         distance = torch.ones_like(first)
-        for steps in range(reach, 0, -1):
+        for steps in range(_CRACK_REACH, 0, -1):
             there = flat[pixel + steps * step]
-            known = there > 0
-            first = torch.where(known, there, first)
-            distance.masked_fill_(known, steps)
+            first = torch.where(there > 0, there, first)
+            distance.masked_fill_(there > 0, steps)
         return first, distance
 
-    total, count = torch.zeros_like(flat[pixel]), torch.zeros_like(flat[pixel])
-    lowest, highest = torch.full_like(total, torch.inf), torch.zeros_like(total)
-    for step in (1, width, width + 1, width - 1):
-        (before, back), (after, ahead) = nearest(-step), nearest(step)
-        low, high = torch.minimum(before, after), torch.maximum(before, after)
-        agrees = (low > 0) & (high < (1 + _STRADDLES) * low)
-        inverse = (ahead / before + back / after) / (back + ahead)
-        total += torch.where(agrees, inverse, 0.0)
-        count += agrees
-        lowest = torch.where(agrees, torch.minimum(lowest, low), lowest)
-        highest = torch.where(agrees, torch.maximum(highest, high), highest)
-    fills = (count >= 2) & (highest < (1 + _STRADDLES) * lowest)
+    (before, back), (after, ahead) = nearest(-lines), nearest(lines)
+    low, high = torch.minimum(before, after), torch.maximum(before, after)
+    agrees = (low > 0) & (high < (1 + _STRADDLES) * low)
+    inverse = torch.where(agrees, (ahead / before + back / after) / (back + ahead), 0.0).sum(0)
+    lowest = low.masked_fill(~agrees, torch.inf).amin(0)
+    highest = high.masked_fill(~agrees, 0.0).amax(0)
+    fills = (agrees.sum(0) >= 2) & (highest < (1 + _STRADDLES) * lowest)
     closed = depth.clone()
-    closed[rows[fills], columns[fills]] = (count / total)[fills]
+    closed[rows[fills], columns[fills]] = (agrees.sum(0) / inverse)[fills]
     return closed
 
 
@@ -204,20 +192,13 @@ def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
         (pixel - K[axis, 2]) / K[axis, axis] * frame.K[axis, axis] + frame.K[axis, 2]
         for axis in (0, 1)
     )
-    points = torch.stack(torch.meshgrid(x, y, indexing="xy"), -1).view(1, -1, 2)
     stored = torch.from_numpy(frame.read_depth())
     if min(stored.shape) < 2:
         raise InputError(f"{frame.depth}: a depth image must have 2 pixels a side at least")
-    stored = close_cracks(stored, _CRACK_REACH)[None]
-    depth, known = depth_at(stored, torch.zeros(1, dtype=torch.int64), points)
+    stored, first = close_cracks(stored)[None], torch.zeros(1, dtype=torch.int64)
+    depth, known = depth_at(stored, first, point_grid(x, y))
     squared = torch.where(known, depth, 0.0).view(side, side).float()
     return resized_planes(pixels, (side, side)), squared, torch.tensor(K)
-
-
-def _median_depth(depth: Tensor) -> float:
-    depth = depth[:, ::4, ::4]
-    known = depth[depth > 0]
-    return float(known.median()) if len(known) else 1.0
 
 
 def _choose(
@@ -226,7 +207,8 @@ def _choose(
     """Pairs (P, 2) of the frames of one scene, source and target, and their poses (P, 3, 4)."""
     count, side = len(depth), depth.shape[-1]
     pixel = (torch.arange(_PROBE, dtype=torch.float64) + 0.5) * side / _PROBE - 0.5
-    points = torch.stack(torch.meshgrid(pixel, pixel, indexing="xy"), -1).view(1, -1, 2)
+    points = point_grid(pixel)
+    rays = F.pad(points, (0, 1), value=1.0)
     frames = torch.arange(count)
     pairs, poses = [], []
     for target in range(count):
@@ -235,9 +217,8 @@ def _choose(
         if total == 0:
             continue
         relative = cam_from_world @ torch.linalg.inv(cam_from_world[target])
-        rays = torch.cat([points, torch.ones_like(points[..., :1])], -1)
-        rays = rays @ torch.linalg.inv(K[target]).T
-        moved = (rays * z[..., None])[known] @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
+        seen = rays @ torch.linalg.inv(K[target]).T * z[..., None]
+        moved = seen[known] @ relative[:, :3, :3].mT + relative[:, None, :3, 3]
         in_front = moved[..., 2] > 1e-6
         flat = moved @ K.mT
         projected = flat[..., :2] / flat[..., 2:].clamp(min=1e-6)
