@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dgc_pose.metrics import aepe, endpoint_errors
+from dgc_pose.metrics import endpoint_errors
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet, normalise
@@ -26,7 +26,8 @@ class LevelMap:
     @property
     def aepe(self) -> float:
         """Mean Euclidean error over the valid cells, pixels; NaN without any."""
-        return aepe(self.points, self.truth, self.valid)
+        errors = endpoint_errors(self.points, self.truth, self.valid)
+        return float(errors.mean()) if len(errors) else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +49,6 @@ class Comparison:
         distance = np.full(finest.valid.shape, np.inf)
         distance[finest.valid] = endpoint_errors(finest.points, finest.truth, finest.valid)
         return distance
-
-    @property
-    def mask(self) -> np.ndarray | None:
-        """(240, 240) bool, matchability above one half."""
-        return None if self.matchability is None else self.matchability > 0.5
 
 
 @torch.no_grad()

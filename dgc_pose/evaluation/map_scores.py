@@ -62,23 +62,23 @@ def score_map(
 ) -> PairScores:
     """The figures of one pair. With `per_axis` the PCK curve takes max(|dx|, |dy|), as the authors'
     evaluation does; all other errors are Euclidean."""
-    finest, mask = comparison.finest, comparison.mask
-    distances = comparison.errors
+    finest, distances, matchability = comparison.finest, comparison.errors, comparison.matchability
     euclidean = distances[finest.valid]
     curve = endpoint_errors(finest.points, finest.truth, finest.valid, per_axis=per_axis)
     overlap = overlap_found = float("nan")
     reliability = None
-    if mask is not None and comparison.matchability is not None:
+    if matchability is not None:
         known = comparison.known
-        overlap = jaccard(mask[known], finest.valid[known])
-        overlap_found = jaccard(mask[known], distances[known] < FOUND_PX)
-        reliability = Reliability.of(comparison.matchability[known], distances[known] <= RIGHT_PX)
+        mask = matchability[known] > 0.5
+        overlap = jaccard(mask, finest.valid[known])
+        overlap_found = jaccard(mask, distances[known] < FOUND_PX)
+        reliability = Reliability.of(matchability[known], distances[known] <= RIGHT_PX)
     return PairScores(
         method=method,
         group=group,
         name=name,
         valid=len(euclidean),
-        aepe=float(euclidean.mean()) if len(euclidean) else float("nan"),
+        aepe=finest.aepe,
         level_aepe=tuple(level.aepe for level in comparison.levels),
         near=count_within(curve, PCK_THRESHOLDS),
         within=count_within(euclidean, WITHIN),

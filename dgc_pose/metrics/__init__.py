@@ -1,12 +1,11 @@
 """Errors and scores of poses and correspondence maps."""
 
-from dgc_pose.metrics.maps import aepe, count_within, endpoint_errors, jaccard
+from dgc_pose.metrics.maps import count_within, endpoint_errors, jaccard
 from dgc_pose.metrics.pose import folded, pose_auc, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.reliability import Reliability
 
 __all__ = [
     "Reliability",
-    "aepe",
     "count_within",
     "endpoint_errors",
     "folded",

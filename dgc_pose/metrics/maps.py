@@ -19,12 +19,6 @@ def endpoint_errors(
     return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
 
 
-def aepe(map: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> float:
-    """Average end-point error: mean of the `endpoint_errors`, NaN if no cell is valid."""
-    errors = endpoint_errors(map, truth, valid)
-    return float(errors.mean()) if len(errors) else float("nan")
-
-
 def count_within(errors: np.ndarray, thresholds: Sequence[float] | np.ndarray) -> np.ndarray:
     """Number (K,) of errors (N,) that are at most each threshold (K,); NaN never is.
 

@@ -39,7 +39,6 @@ from dgc_pose.runtime.correlation import (
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 from dgc_pose.runtime.session import Session
 
-_SCALES = "correlation_scales"  # the one weight that no graph has
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
@@ -62,24 +61,19 @@ class OnnxEngine:
     threads are gone.
     """
 
+    concurrent = True  # each thread computes on, instead of waiting for the others at each layer
+
     def __init__(self, name: str, weights: Mapping[str, np.ndarray]) -> None:
         self.config = preset(name)
         self._stored = weights
         self._weights = folded(weights)
+        self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
         self._names = _weights_of(name)["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
-
-    @property
-    def concurrent(self) -> bool:
-        return True  # each thread computes on, instead of waiting for the others at each layer
 
     @cached_property
     def fingerprint(self) -> str:
         return fingerprint(self._stored.items())
-
-    @property
-    def correlation_scales(self) -> np.ndarray:
-        return self._weights[_SCALES]
 
     def encode(self, pixels: np.ndarray) -> OnnxFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
@@ -132,16 +126,13 @@ class OnnxEngine:
         evidence = match_evidence(full1, full2, scales)
         for pair in ((smaller1, full2), (full1, smaller2)):
             np.maximum(evidence, match_evidence(*pair, scales), out=evidence)
-        grids = (f.levels[COARSEST].shape[2:] for f in (source, target))
-        (height1, width1), (height2, width2) = grids
-        grid1 = height1, width1
-        scores = consensus(match_scores(evidence), PASSES, grid1, (height2, width2))
-        cells, probability = peaks(scores, grid1)
-        points = (2 * cells + 1) / np.array([[width1], [height1]]) - 1
+        grid1, grid2 = (features.levels[COARSEST].shape[2:] for features in (source, target))
+        cells, probability = peaks(consensus(match_scores(evidence), PASSES, grid1, grid2), grid1)
+        points = (2 * cells + 1) / np.array(grid1[::-1])[:, None] - 1
         probability = probability.clip(*PEAK)
         logits = np.log(probability / (1 - probability))
         state = np.concatenate([points, logits[None]])
-        return state.reshape(1, 3, height2, width2).astype(np.float32)
+        return state.reshape(1, 3, *grid2).astype(np.float32)
 
     def _correlated(self, features: OnnxFeatures) -> list[list[np.ndarray]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""

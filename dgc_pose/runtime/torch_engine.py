@@ -15,7 +15,7 @@ from torch import Tensor
 
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
-from dgc_pose.network.config import COARSEST, STRIDE, NetworkConfig
+from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, normalise
@@ -41,17 +41,12 @@ class TorchEngine:
     fingerprint: of the weights before `for_inference`; None to compute it.
     """
 
+    concurrent = False  # its layers use all threads, or the GPU
+
     def __init__(self, net: DGCNet, fingerprint: str | None = None) -> None:
         self.net = net.eval().requires_grad_(False)
+        self.config = net.config
         self._fingerprint = fingerprint
-
-    @property
-    def config(self) -> NetworkConfig:
-        return self.net.config
-
-    @property
-    def concurrent(self) -> bool:
-        return False  # its layers use all threads, or the GPU
 
     @cached_property
     def fingerprint(self) -> str:

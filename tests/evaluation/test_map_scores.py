@@ -81,9 +81,9 @@ def test_a_mask_is_not_judged_where_nothing_is_known() -> None:
     pair = comparison()
     known = pair.finest.valid | (np.arange(12) < 4)
     found = score_map("net", "", "wall", comparison(known=known))
-    assert pair.mask is not None
-    both, either = (pair.mask & pair.finest.valid)[known], (pair.mask | pair.finest.valid)[known]
-    assert found.jaccard == pytest.approx(both.sum() / either.sum())
+    assert pair.matchability is not None
+    mask, valid = (pair.matchability > 0.5)[known], pair.finest.valid[known]
+    assert found.jaccard == pytest.approx((mask & valid).sum() / (mask | valid).sum())
     assert found.jaccard > score_map("net", "", "wall", pair).jaccard
     assert found.reliability is not None and found.reliability.counts.sum() == known.sum() < 144
 

@@ -50,8 +50,7 @@ def test_a_comparison_holds_the_map_in_pixels(pairs: MapPairs, net: MapNet) -> N
         first.levels[0].points[2, 3], [3 * 16 + 7.5, 2 * 16 + 7.5], atol=1e-4
     )
     np.testing.assert_allclose(first.levels[0].truth[2, 3], [3 * 16 + 8.5, 2 * 16 + 5.5], atol=1e-4)
-    assert first.matchability is not None and first.mask is not None
-    assert first.mask[:, :120].all() and not first.mask[:, 120:].any()
+    assert first.matchability is not None
     np.testing.assert_allclose(first.matchability, half_sure(), atol=1e-6)
 
 
