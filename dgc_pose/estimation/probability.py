@@ -171,8 +171,7 @@ class ProbabilityModel:
             self.translation_error.factor(evidence.jackknife_translation_90_deg),
         )
         scale = np.repeat(factors, 3)
-        scaled: np.ndarray = covariance * np.outer(scale, scale)
-        return scaled
+        return covariance * np.outer(scale, scale)
 
 
 @cache

@@ -88,8 +88,7 @@ def mirrored(problem: TwoViewProblem, model: Model) -> Model | None:
 def _reflection(direction: np.ndarray) -> np.ndarray:
     """The reflection (3, 3) that reverses a direction (3,)."""
     unit = direction / np.linalg.norm(direction)
-    reflection: np.ndarray = np.eye(3) - 2 * np.outer(unit, unit)
-    return reflection
+    return np.eye(3) - 2 * np.outer(unit, unit)
 
 
 def _known(candidate: Model, models: Iterable[Model]) -> bool:

@@ -14,8 +14,7 @@ def rescale(points: np.ndarray, size: ArrayLike, other: ArrayLike) -> np.ndarray
     The half-pixel rule x' = (x + 0.5) s - 0.5: resizing keeps the outer edges of the image in
     place, not the centres of its outer pixels.
     """
-    scaled: np.ndarray = (points + 0.5) * np.divide(other, size) - 0.5
-    return scaled
+    return (points + 0.5) * np.divide(other, size) - 0.5
 
 
 def pixel_grid(size: Size) -> np.ndarray:
@@ -31,5 +30,4 @@ def cell_centres(cells: Size, size: ArrayLike) -> np.ndarray:
 
 def within(points: np.ndarray, size: Size) -> np.ndarray:
     """Which of the points (..., 2) lie on an image of size (width, height): (...) bool."""
-    inside: np.ndarray = np.all((points > -0.5) & (points < np.subtract(size, 0.5)), axis=-1)
-    return inside
+    return np.all((points > -0.5) & (points < np.subtract(size, 0.5)), axis=-1)

@@ -51,5 +51,4 @@ def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
     """
     u, _, vt = np.linalg.svd(rays2.T @ rays1)
     u[:, 2] *= np.linalg.det(u) * np.linalg.det(vt)  # a rotation, and no reflection
-    R: np.ndarray = u @ vt
-    return R
+    return u @ vt

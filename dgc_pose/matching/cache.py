@@ -12,8 +12,6 @@ from dgc_pose.system.threads import in_threads
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 
-DEFAULT_BYTES = 2 * 2**30
-
 
 class BoundedCache(Generic[Key, Value]):
     """Values by key. The least recently used are dropped if all together take more than
@@ -25,7 +23,7 @@ class BoundedCache(Generic[Key, Value]):
     def __init__(
         self,
         size: Callable[[Key, Value], int],
-        limit_bytes: int = DEFAULT_BYTES,
+        limit_bytes: int = 2 * 2**30,
         dropped: Callable[[Value], None] = lambda value: None,
     ) -> None:
         self._size = size

@@ -61,9 +61,6 @@ class DenseMatcher(Matcher):
         """Of the weights: different weights of one network have different fingerprints."""
         return self.engine.fingerprint
 
-    def _match(self, image1: Image, image2: Image) -> MatchResult:
-        return self._match_batch([(image1, image2)])[0]
-
     def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
         """The maps at `finest` x `finest` cells, and the matches of each that pass the options."""
         return [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def key_point_cache() -> KeyPointCache:
     )
 
 
-class KeyPointMatcher(Matcher):
+class KeyPointMatcher(Matcher, ABC):
     """Detects key points with descriptors in each image alone, and matches these; makes no map.
 
     cache: of key points; None to detect them anew for each pair.

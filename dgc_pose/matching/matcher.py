@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -75,7 +74,7 @@ class MatchResult:
         )
 
 
-class Matcher(ABC):
+class Matcher:
     """Anything that matches two images: the network, SIFT, optical flow, files, or a refiner."""
 
     engine: Engine | None = None  # of a network of ours, whose features may refine the matches
@@ -105,10 +104,10 @@ class Matcher(ABC):
         """
         raise InputError(f"--pairs auto needs the features of a network, and {self.name} has none")
 
-    @abstractmethod
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, also where an image has no structure: what a subclass defines."""
+        raise NotImplementedError
 
     def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """As `_match` for each pair; for a subclass to override if it can match them together."""
+        """As `_match` for each pair: what a subclass that matches them together defines instead."""
         return [self._match(*pair) for pair in pairs]

@@ -13,6 +13,7 @@ temperature.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -85,8 +86,8 @@ def likely_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
         return None
     thumbnails = _Thumbnails(engine, image1, image2)
     candidates = [thumbnails.compare(angle, 0) for angle in _ANGLES]
-    upright, best = candidates[0], min(candidates, key=_entropy)
-    median = float(np.median([_entropy(candidate) for candidate in candidates]))
+    upright = candidates[0]
+    best, median = _lowest(candidates)
     if best.entropy > _CLEAR * median:
         candidates += [
             thumbnails.compare(angle, sign * octave)
@@ -94,11 +95,16 @@ def likely_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
             for angle in _FEWER_ANGLES
             for sign in (1, -1)
         ]
-        best = min(candidates, key=_entropy)
-        median = float(np.median([_entropy(candidate) for candidate in candidates]))
+        best, median = _lowest(candidates)
     if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
     return _views(best, image1.size, image2.size)
+
+
+def _lowest(candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
+    """The candidate of the lowest entropy, and the median of the entropies."""
+    entropies = [candidate.entropy for candidate in candidates]
+    return candidates[int(np.argmin(entropies))], float(np.median(entropies))
 
 
 class _Thumbnails:
@@ -234,7 +240,3 @@ def _whole(size: tuple[int, int], angle_deg: float) -> View:
     if angle_deg == 0:
         return View.whole(size)
     return View.whole(size, angle_deg, min(1.0, _PIXELS / math.sqrt(math.prod(size))))
-
-
-def _entropy(candidate: _Candidate) -> float:
-    return candidate.entropy

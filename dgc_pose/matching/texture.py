@@ -8,7 +8,6 @@ or a stripe the smaller one is not (the aperture problem). Uniform bars at the b
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -134,13 +133,6 @@ def _varied(row: np.ndarray) -> bool:
 
 
 def _quantiles(values: np.ndarray, *shares: float) -> list[float]:
-    """As `numpy.quantile` of all values, of which there is one at least; without what it checks,
-    which takes longer than the quantiles of a row of an image."""
-    places = [share * (values.size - 1) for share in shares]
-    below = [math.floor(place) for place in places]
-    above = [math.ceil(place) for place in places]
-    ordered = np.partition(values.ravel(), sorted({*below, *above}))
-    return [
-        float(ordered[low]) + (place - low) * (float(ordered[high]) - float(ordered[low]))
-        for place, low, high in zip(places, below, above, strict=True)
-    ]
+    """As `numpy.quantile` of all values, which takes ten times as long for a row of an image."""
+    places = np.multiply(shares, values.size - 1)
+    return np.interp(places, np.arange(values.size), np.sort(values, axis=None)).tolist()

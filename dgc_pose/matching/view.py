@@ -51,14 +51,12 @@ class View:
     def to_view(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 2) of the image, in pixels of the view."""
         matrix = self.matrix
-        moved: np.ndarray = points @ matrix[:, :2].T + matrix[:, 2]
-        return moved
+        return points @ matrix[:, :2].T + matrix[:, 2]
 
     def to_image(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 2) of the view, in pixels of the image."""
         matrix = self.matrix
-        moved: np.ndarray = (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
-        return moved
+        return (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
 
     def cut(self, pixels: np.ndarray) -> np.ndarray:
         """The view (height, width, 3) of an image (H, W, 3) uint8: area means to shrink, bilinear

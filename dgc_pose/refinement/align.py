@@ -161,8 +161,7 @@ class _Shrunk:
 
 def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Points of a shrunk image in pixels of the original: the inverse of `rescale`, to the bit."""
-    original: np.ndarray = (points + 0.5) / scale - 0.5
-    return original
+    return (points + 0.5) / scale - 0.5
 
 
 def _settled(
@@ -172,8 +171,7 @@ def _settled(
     points = patches.points1
     on_image = ((points >= 0) & (points <= np.subtract(image.shape[1::-1], 1))).all(1)
     near = np.linalg.norm((points - start) / max_shift, axis=1) <= 1
-    settled: np.ndarray = on_image & near & (patches.step < _SETTLED)
-    return settled
+    return on_image & near & (patches.step < _SETTLED)
 
 
 def locate(

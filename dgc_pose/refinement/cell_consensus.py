@@ -104,14 +104,12 @@ def _candidates(
     scaled = scales[0] * coarse2
 
     def evidence(rows: slice) -> np.ndarray:
-        cosines: np.ndarray = scaled[rows] @ coarse1.T
-        return cosines
+        return scaled[rows] @ coarse1.T
 
     def sums_over(rows: slice) -> np.ndarray:
         values = evidence(rows)
         values -= scales[0]
-        sums: np.ndarray = np.exp(values, out=values).sum(0)
-        return sums
+        return np.exp(values, out=values).sum(0)
 
     # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
     rivals = np.log(np.sum(in_threads(sums_over, parts), 0))
@@ -132,7 +130,8 @@ def _candidates(
 
     compared = in_threads(compare, parts)
     candidates, scores = (np.concatenate(values) for values in zip(*compared, strict=True))
-    return candidates, np.where(_repeated(candidates), _NEVER, scores)
+    repeated = np.tril(candidates[:, :, None] == candidates[:, None], -1).any(2)
+    return candidates, np.where(repeated, _NEVER, scores)
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:
@@ -142,14 +141,3 @@ def _largest(values: np.ndarray, count: int) -> np.ndarray:
         column[:] = values.argmax(1)
         np.put_along_axis(values, column[:, None], -np.inf, 1)
     return largest
-
-
-def _repeated(candidates: np.ndarray) -> np.ndarray:
-    """Which of each row's candidates stand in it before: (n, K) bool."""
-    order = np.argsort(candidates, 1, kind="stable")
-    ordered = np.take_along_axis(candidates, order, 1)
-    same = np.zeros(candidates.shape, bool)
-    same[:, 1:] = ordered[:, 1:] == ordered[:, :-1]
-    repeated = np.empty_like(same)
-    np.put_along_axis(repeated, order, same, 1)
-    return repeated

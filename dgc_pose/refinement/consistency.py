@@ -50,7 +50,7 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
     design = np.concatenate([offsets, np.ones_like(offsets[:1])])  # (3, k + 1, N)
     tolerance = _TOLERANCE * matches.error_px
     reach = distance[:, -1] + tolerance
-    distance1 = _length(near1 - np.median(near1, 1, keepdims=True))
+    distance1 = np.linalg.norm(near1 - np.median(near1, 1, keepdims=True), axis=0)
     weights = 1 / (1 + (distance1 / (3 * reach)) ** 2)
     # Ridge towards zero slope: keeps the fit finite for neighbours on a line or at one point.
     ridge = 1e-3 * (np.eye(3) * (1, 1, 0)) * tolerance**2
@@ -59,23 +59,16 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
         normal = np.einsum("ikn,jkn->ijn", weighted, design).transpose(2, 0, 1) + ridge
         right = np.einsum("ikn,ckn->icn", weighted, near1).transpose(2, 0, 1)
         fit = np.ascontiguousarray(np.linalg.solve(normal, right).transpose(1, 2, 0))  # (3, 2, N)
-        residual = _length((fit[:, :, None] * design[:, None]).sum(0) - near1)
+        residual = np.linalg.norm((fit[:, :, None] * design[:, None]).sum(0) - near1, axis=0)
         weights = 1 / (1 + (residual / (tolerance * (1 + 2 * remaining))) ** 2) ** 2
     (xx, yx), (xy, yy), fitted = fit
     # Half the sum and half the difference of the singular values; this is negative if mirrored.
     middle, half = np.hypot(xx + yy, yx - xy) / 2, np.hypot(xx - yy, yx + xy) / 2
     kept = (
-        (_length(fitted - points1.T) < 2 * tolerance)
+        (np.linalg.norm(fitted - points1.T, axis=0) < 2 * tolerance)
         & ((residual < 2 * tolerance).sum(0) >= _LEAST_SUPPORT)
         & (middle - half > _STRETCH[0])  # no visible surface is mirrored
         & (middle + half < _STRETCH[1])
     )
     affinity = fit[:2, :, kept].transpose(2, 1, 0)
     return LocalMatches(fitted.T[kept], points2[kept], affinity, finite[kept])
-
-
-def _length(vectors: np.ndarray) -> np.ndarray:
-    """Of vectors (2, ...): (...)."""
-    x, y = vectors
-    length: np.ndarray = np.sqrt(x * x + y * y)
-    return length

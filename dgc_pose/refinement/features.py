@@ -260,8 +260,7 @@ def _guided_cells(
     cells = rescale(points1, source.size, (columns, rows))
     corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
     corner = corner.clip(0, (columns - 1, rows - 1))
-    guided: np.ndarray = corner[..., 1] * columns + corner[..., 0]
-    return guided
+    return corner[..., 1] * columns + corner[..., 0]
 
 
 def _children(coarse: np.ndarray) -> np.ndarray:

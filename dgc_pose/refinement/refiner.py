@@ -66,9 +66,6 @@ class Refiner(Matcher):
     def coarse_features(self, image: Image) -> np.ndarray:
         return self.matcher.coarse_features(image)
 
-    def _match(self, image1: Image, image2: Image) -> MatchResult:
-        return self.refine(image1, image2, self.matcher.match(image1, image2))
-
     def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
         results = self.matcher.match_batch(pairs)
         return [self.refine(*pair, given) for pair, given in zip(pairs, results, strict=True)]

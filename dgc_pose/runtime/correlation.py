@@ -20,8 +20,7 @@ Grid = tuple[int, int]  # rows and columns
 def l2_normalised(features: np.ndarray) -> np.ndarray:
     """Unit length over the channels of (C, H, W): f / sqrt(sum f^2 + 1e-6)."""
     squares = np.einsum("chw,chw->hw", features, features)
-    unit: np.ndarray = features * (1 / np.sqrt(squares + np.float32(EPSILON)))
-    return unit
+    return features * (1 / np.sqrt(squares + np.float32(EPSILON)))
 
 
 def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np.ndarray:
@@ -50,11 +49,10 @@ def match_evidence(
 ) -> np.ndarray:
     """The sum of the levels' correlations, the coarsest first, weighted by `scales`."""
     pairs = enumerate(zip(source, target, strict=True))
-    evidence: np.ndarray = sum(
+    return sum(
         scale * _cell_correlation(*pair, side=2**index)
         for scale, (index, pair) in zip(scales, pairs, strict=True)
     )
-    return evidence
 
 
 def _cell_correlation(source: np.ndarray, target: np.ndarray, side: int) -> np.ndarray:
@@ -65,8 +63,7 @@ def _cell_correlation(source: np.ndarray, target: np.ndarray, side: int) -> np.n
     columns = _cells(source, side).transpose(2, 4, 3, 1, 0).reshape(-1, channels)
     rows = _cells(target, side).transpose(0, 2, 4, 1, 3).reshape(channels, -1)
     scores = (columns @ rows).reshape(side**2, len(columns) // side**2, side**2, -1)
-    mean: np.ndarray = scores.max(0).mean(1)
-    return mean
+    return scores.max(0).mean(1)
 
 
 def _cells(features: np.ndarray, side: int) -> np.ndarray:

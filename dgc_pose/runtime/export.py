@@ -57,8 +57,7 @@ class _Levels(nn.Module):
         return pixels.permute(2, 0, 1)[None] * self.scale + self.shift
 
     def forward(self, pixels: Tensor) -> list[Tensor]:
-        levels: list[Tensor] = self.pyramid(self.input(pixels))
-        return levels
+        return self.pyramid(self.input(pixels))
 
 
 class _Native(_Levels):

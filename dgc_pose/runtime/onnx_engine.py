@@ -87,8 +87,7 @@ class OnnxEngine:
     def coarsest(self, features: OnnxFeatures) -> np.ndarray:
         level = features.levels[COARSEST][0].transpose(1, 2, 0)
         length = np.linalg.norm(level, axis=-1, keepdims=True)
-        unit: np.ndarray = level / np.maximum(length, np.float32(1e-12))
-        return unit
+        return level / np.maximum(length, np.float32(1e-12))
 
     def decode(
         self, source: Sequence[OnnxFeatures], target: Sequence[OnnxFeatures], finest: int
@@ -171,8 +170,7 @@ def load_onnx_engine(path: Path) -> OnnxEngine:
 def _weights_of(name: str) -> dict[str, Any]:
     """The content of `graphs.WEIGHTS` of a preset."""
     text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
-    content: dict[str, Any] = json.loads(text)
-    return content
+    return json.loads(text)
 
 
 def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:

@@ -53,8 +53,7 @@ class Session:
     def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """The outputs."""
         inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
-        outputs: list[np.ndarray] = self._session.run(None, inputs)
-        return outputs
+        return self._session.run(None, inputs)
 
 
 def session_threads() -> int:

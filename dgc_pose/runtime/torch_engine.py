@@ -54,8 +54,7 @@ class TorchEngine:
 
     @cached_property
     def correlation_scales(self) -> np.ndarray:
-        scales: np.ndarray = cast(Tensor, self.net.correlation_scales).float().cpu().numpy()
-        return scales
+        return cast(Tensor, self.net.correlation_scales).float().cpu().numpy()
 
     @torch.inference_mode()
     def encode(self, pixels: np.ndarray) -> TorchFeatures:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.refinement.cell_consensus import _repeated, likely_cells, propagate
+from dgc_pose.refinement.cell_consensus import likely_cells, propagate
 from dgc_pose.runtime.engine import NativeFeatures
 
 
@@ -79,11 +79,8 @@ def test_what_the_map_points_to_is_a_candidate() -> None:
     scales = np.array([8.0, 10.0], np.float32)
     found = likely_cells(source, target, guided, scales, similar=1, likely=2)
     assert (found == 17).any(1).all()
+    repeated = np.tile([17, 3, 17], (28, 1))
+    found = likely_cells(source, target, repeated, scales, similar=1, likely=2)
+    assert (found[:, 0] != found[:, 1]).all()
     every = likely_cells(source, target, guided[:, :0], scales, similar=99, likely=99)
     assert np.array_equal(np.sort(every, 1), np.tile(np.arange(30), (28, 1)))
-
-
-def test_a_repeated_candidate_counts_once() -> None:
-    candidates = np.array([[3, 1, 3, 2, 1, 3], [0, 1, 2, 3, 4, 5]])
-    expected = [[False, False, True, False, True, True], [False] * 6]
-    assert _repeated(candidates).tolist() == expected
