@@ -25,8 +25,8 @@ from dgc_pose.training.processes import (
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule
 
-_SCHEDULE = Schedule(0.3, 0.5, 0.0, coarsest=0.2)
-PROGRESS = {"encoder": 0.2, "coarsest": 0.4, "decoders": 0.6}  # of the schedule
+_SCHEDULE = Schedule(0.3, 0.7, 0.0)
+PROGRESS = {"encoder": 0.2, "decoders": 0.6}  # of the schedule
 
 
 class _BothParts(Trainer):

@@ -79,19 +79,11 @@ class EfficientPyramid(nn.Module):
         mixed2 = F.relu(self.head_2(level2) + _upsampled(self.lift_3(mixed3)))
         return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
 
-    def unfreeze(self, levels: int) -> None:
-        """Make the coarsest `levels` of the five levels trainable, and freeze the others."""
-        modules = (
-            [self.level_0],
-            [self.level_1],
-            [self.stem, self.blocks[:3], self.lift_3, self.head_2, self.merge_2],
-            [self.blocks[3:5], self.lift_4, self.head_3, self.merge_3],
-            [self.blocks[5:], self.head_4],
-        )
-        self.requires_grad_(False)
-        for level in modules[len(modules) - levels :]:
-            for module in level:
-                module.requires_grad_(True)
+    def freeze_fine_levels(self) -> None:
+        """Make levels 2 to 4 trainable, and freeze levels 0 and 1."""
+        self.requires_grad_(True)
+        for level in (self.level_0, self.level_1):
+            level.requires_grad_(False)
 
 
 class InvertedResidual(nn.Module):

@@ -60,10 +60,6 @@ class Correlation:
     # (B, h1 * w1, h2, w2) for each pair of cells, by all correlated levels; None if it is local
     evidence: Tensor | None
 
-    def detached(self) -> Correlation:
-        evidence = None if self.evidence is None else self.evidence.detach()
-        return Correlation(self.coarsest.detach(), evidence)
-
 
 class DGCNet(nn.Module):
     """DGC-Net and its variants (Melekhov et al., WACV 2019), by a `NetworkConfig`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dgc_pose.network.config import LEVEL_SIZES, EfficientNet, NetworkConfig, Pool, PyramidLevel
+from dgc_pose.network.config import EfficientNet, NetworkConfig, Pool, PyramidLevel
 
 
 class Pyramid(nn.Module):
@@ -33,12 +33,6 @@ class Pyramid(nn.Module):
     def coarse(self, image: Tensor) -> list[Tensor]:
         """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
         return self(image)[2:]
-
-    def unfreeze(self, levels: int) -> None:
-        """Make the coarsest `levels` of the five levels trainable, and freeze the others."""
-        self.requires_grad_(False)
-        for level in list(self.children())[len(LEVEL_SIZES) - levels :]:
-            level.requires_grad_(True)
 
 
 def plain_level(level: PyramidLevel, inputs: int, batch_norm: bool = False) -> nn.Sequential:

@@ -16,7 +16,7 @@ from dgc_pose.training.initialise import initialise_stage
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import join_batch_norms, process_count
 from dgc_pose.training.schedule import STAGES, StageName, learning_rate
-from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
+from dgc_pose.training.stages import DecoderStage, EncoderStage
 
 _LARGEST_GRADIENT = 5.0  # norm over all parameters
 _BACKBONE_RATE = 0.25  # times the rate of the rest, to keep what ImageNet taught
@@ -52,9 +52,9 @@ class ActiveStage:
         self._average = moving_average(self.module, options.average_decay)
 
     @property
-    def average(self) -> EncoderStage | CoarsestStage:
+    def average(self) -> EncoderStage | DecoderStage:
         """The module by its averaged weights, in evaluation mode."""
-        return cast(EncoderStage | CoarsestStage, self._average.module)
+        return cast(EncoderStage | DecoderStage, self._average.module)
 
     def set_rate(self, progress: float) -> float:
         """The learning rate at a progress of the stage, from 0 to 1; the next step uses it."""
@@ -75,7 +75,7 @@ class ActiveStage:
 
     def averaged(self) -> DGCNet:
         """A copy of the network by the averaged weights."""
-        if isinstance(self.average, CoarsestStage):
+        if isinstance(self.average, DecoderStage):
             return deepcopy(self.average.net)
         net = deepcopy(self._net)
         self.average.write(net)
@@ -116,15 +116,13 @@ def moving_average(module: nn.Module, decay: float) -> AveragedModel:
 
 def _module(
     name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor
-) -> EncoderStage | CoarsestStage:
+) -> EncoderStage | DecoderStage:
     if name == "encoder":
         stage = EncoderStage(net).to(images.device)
         if options.init is not None:
             initialise_stage(stage, net, images)
         return stage
-    if name == "coarsest":
-        return CoarsestStage(net, options.unfreeze or "coarsest")
-    return DecoderStage(net, end_to_end=name == "polish", unfrozen=options.unfreeze)
+    return DecoderStage(net, end_to_end=name == "polish")
 
 
 def _rate_groups(module: nn.Module) -> list[dict[str, Any]]:

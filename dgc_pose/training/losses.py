@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.network.correlation import consensus, match_scores
+from dgc_pose.network.correlation import match_scores
 from dgc_pose.training.processes import joint_sum
 
 _ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm
@@ -27,7 +27,7 @@ def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
 
 
 def contrastive_loss(
-    logits: Tensor, truth: Tensor, valid: Tensor, stride: int, passes: int = 0
+    logits: Tensor, truth: Tensor, valid: Tensor, stride: int
 ) -> tuple[Tensor, Tensor]:
     """InfoNCE on true correspondences, in both directions, and the share of right cells.
 
@@ -36,19 +36,12 @@ def contrastive_loss(
     classified among all source cells (its true point shared bilinearly by the four cells around
     it), and that point among all target cells given. Returns the loss and the share of valid cells
     whose best source cell lies within 1.5 cells of the truth.
-
-    passes: if positive, Q is the whole grid, and the target cells are classified once more after
-    so many rounds of `consensus`.
     """
     size = math.isqrt(logits.shape[1])
     truth = torch.where(valid[..., None], truth, 0)
     cells = (truth + 0.5) / stride - 0.5  # the true point in source cells
-    scores = match_scores(logits)
+    likely = match_scores(logits) / 2
     index, weight = _bilinear_cells(cells, size)
-    likely = scores / 2
-    if passes > 0:
-        grid = scores.view(*scores.shape[:2], size, size)
-        likely = likely + consensus(grid, passes).flatten(2)
     loss = -joint_mean((likely.gather(1, index) * weight).sum(1), valid)
     best = logits.detach().argmax(1)
     points = torch.stack([torch.div(best, size, rounding_mode="floor"), best % size], -1)

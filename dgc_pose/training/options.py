@@ -12,7 +12,6 @@ from dgc_pose.system.options import MAX_SEED, check_options, option
 from dgc_pose.training.schedule import Schedule
 
 InitPart = Literal["all", "encoder"]
-Unfrozen = Literal["coarsest", "encoder"]
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,7 @@ class TrainingOptions:
     seed: int = option(0, "Seed of all random draws.", min=0, max=MAX_SEED)
     schedule: Schedule = option(
         Schedule(),
-        "Shares of the time for encoder, decoders and polish, in percent; or for encoder, its "
-        "coarsest levels, decoders and polish.",
+        "Shares of the time for encoder, decoders and polish, in percent.",
         flag="--split",
         parse=Schedule.parse,
         text="45,45,10",
@@ -52,16 +50,13 @@ class TrainingOptions:
     fit_decoders: str | None = option(
         None,
         "Weights whose decoders are put on the encoder of --init by least squares; needs a --split "
-        "without encoder stages.",
+        "without an encoder's share.",
     )
     rate: float = option(
         1.0,
         "Factor of the learning rates; with --init, choose less, such as 0.1.",
         above=0,
         max=1000,
-    )
-    unfreeze: Unfrozen | None = option(
-        None, "Train the encoder, or its coarsest levels, together with the decoders."
     )
     batch: int | None = option(
         None, "Pairs a step, over all processes; default: the stage's own.", min=1, max=2**16
@@ -81,7 +76,7 @@ class TrainingOptions:
         preset(self.network)
         if (self.minutes is None) == (self.steps is None):
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
-        if self.fit_decoders is not None and self.schedule.encoder + self.schedule.coarsest > 0:
+        if self.fit_decoders is not None and self.schedule.encoder > 0:
             raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
         if self.fit_decoders is not None and not preset(self.network).any_shape:
             raise InputError(f"fit_decoders needs dgcm-lite0, not {self.network}")

@@ -28,7 +28,7 @@ from dgc_pose.training.log import Meter, Row, append
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import from_first, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, StageName
-from dgc_pose.training.stages import CoarsestStage, Loss
+from dgc_pose.training.stages import DecoderStage, Loss
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
@@ -182,7 +182,7 @@ class Trainer:
     def validate(self) -> dict[str, float]:
         """Figures of the averaged weights on the held-back photographs, each named `val_...`."""
         module = self._stage.average
-        if isinstance(module, CoarsestStage):
+        if isinstance(module, DecoderStage):
             figures = validate(module.net, self._validation)
         else:
             draw = self._draw("validation")

@@ -8,7 +8,7 @@ from typing import Literal
 
 from dgc_pose.errors import InputError
 
-StageName = Literal["encoder", "coarsest", "decoders", "polish"]
+StageName = Literal["encoder", "decoders", "polish"]
 _WARM_UP = 0.02  # of a stage
 
 
@@ -25,7 +25,6 @@ class StageOptions:
 
 STAGES: dict[StageName, StageOptions] = {
     "encoder": StageOptions(batch=16, gpu_batch=128, size=160, learning_rate=2e-3),
-    "coarsest": StageOptions(),
     "decoders": StageOptions(),
     "polish": StageOptions(learning_rate=1e-4),
 }
@@ -38,7 +37,6 @@ class Schedule:
     encoder: float = 0.45
     decoders: float = 0.45
     polish: float = 0.10
-    coarsest: float = 0.0  # between the encoder and the decoders
 
     def __post_init__(self) -> None:
         shares = tuple(getattr(self, name) for name in STAGES)
@@ -47,22 +45,16 @@ class Schedule:
 
     @classmethod
     def parse(cls, text: str) -> Schedule:
-        """From percentages: "45,45,10" of encoder, decoders and polish, or "0,50,40,10" of all.
-
-        Raises InputError for any other text.
-        """
+        """From percentages, as "45,45,10". Raises InputError for any other text."""
         try:
             shares = [float(part) / 100 for part in text.split(",")]
         except ValueError:
             shares = []
-        if len(shares) == 3:
-            return cls(*shares)
-        if len(shares) == 4:
-            return cls(**dict(zip(STAGES, shares, strict=True)))
-        raise InputError(
-            f"split must be three percentages, 45,45,10, or one of each stage "
-            f"({', '.join(STAGES)}), not {text}"
-        )
+        if len(shares) != len(STAGES):
+            raise InputError(
+                f"split must be three percentages, 45,45,10 ({', '.join(STAGES)}), not {text}"
+            )
+        return cls(*shares)
 
     def at(self, progress: float) -> tuple[StageName, float]:
         """The stage at a run's progress (0 to 1) and the progress within that stage."""

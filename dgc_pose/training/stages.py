@@ -1,4 +1,4 @@
-"""The stages of a run: the encoder, its coarsest levels, the decoders, the decoders end to end."""
+"""The stages of a run: the encoder, the decoders, the decoders end to end."""
 
 from __future__ import annotations
 
@@ -9,21 +9,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.errors import InputError
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
-from dgc_pose.network.constants import PASSES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid
-from dgc_pose.network.net import Correlation, DGCNet, normalise, upsample
+from dgc_pose.network.net import DGCNet, normalise, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.map_pairs import MapPairs, level_known, level_truth
 from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mask_loss
-from dgc_pose.training.options import Unfrozen
 
 _CONTRASTED = (3, 2)  # levels with a contrastive loss of their own, beside the coarsest
-_SCALE = 15.0  # inverse temperature of those losses, outside of the encoder's stage
 _QUERIES = 400  # target cells a pair at level 2, which has thousands
 _SIZE = (INPUT_SIZE, INPUT_SIZE)
 
@@ -46,7 +42,7 @@ class EncoderStage(nn.Module):
         self.pyramid: Pyramid | EfficientPyramid
         if isinstance(net.pyramid, EfficientPyramid):
             self.pyramid = deepcopy(net.pyramid)
-            self.pyramid.unfreeze(1 + len(_CONTRASTED))
+            self.pyramid.freeze_fine_levels()
         else:
             self.pyramid = Pyramid(net.config, batch_norm=True)
             for module in self.pyramid.modules():
@@ -69,7 +65,7 @@ class EncoderStage(nn.Module):
         correlations = cell_correlations(*zip(*halves, strict=True))
         evidence = match_evidence(correlations, scales[: len(self.correlated)])
         contrasted = {level: features[level] for level in _CONTRASTED}
-        return _contrast(evidence, 0, contrasted, scales[len(self.correlated) :], pairs, draw)
+        return _contrast(evidence, contrasted, scales[len(self.correlated) :], pairs, draw)
 
     def write(self, net: DGCNet) -> None:
         """Copy the trained pyramid, batch norm folded, and the temperatures into the network."""
@@ -83,103 +79,39 @@ class EncoderStage(nn.Module):
             net.correlation_scales = scales.exp().clamp(max=60).clone()
 
 
-class CoarsestStage(nn.Module):
-    """The encoder, or only its correlated levels, without any decoder.
-
-    Trained by the contrastive loss of the coarsest level over whole views, after belief
-    propagation. No decoder can correct errors of that level, and a step takes half the time of one
-    with decoders. Raises InputError for a network whose correlation is local.
-    """
-
-    def __init__(self, net: DGCNet, unfrozen: Unfrozen | None = "coarsest") -> None:
-        super().__init__()
-        if unfrozen is not None and net.config.correlation == "local":
-            raise InputError(f"{net.config.name} has nothing to unfreeze: its correlation is local")
-        self.net = net
-        self.unfrozen = unfrozen
-        net.requires_grad_(False)
-        count = {None: 0, "coarsest": len(net.config.correlated), "encoder": len(LEVEL_SIZES)}
-        if isinstance(net.pyramid, EfficientPyramid):
-            # The loss does not reach levels 0 and 1, which no other level is computed from.
-            count["encoder"] = 1 + len(_CONTRASTED)
-        net.pyramid.unfreeze(count[unfrozen])
-
-    def train(self, mode: bool = True) -> CoarsestStage:
-        super().train(mode)
-        self.net.pyramid.eval()
-        return self
-
-    def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
-        """The contrastive loss of a batch of 240x240 pairs, and the share of cells found."""
-        source, target = self._features(pairs)
-        return self._contrast(self.net.correlate(source, target), source, target, pairs, draw)
-
-    def _features(self, pairs: MapPairs) -> tuple[list[Tensor], list[Tensor]]:
-        """Features of the first images and of the second."""
-        images = normalise(torch.cat([pairs.image1, pairs.image2]))
-        features = self.net.features(images.contiguous(memory_format=torch.channels_last))
-        halves = [f.chunk(2) for f in features]
-        return [half[0] for half in halves], [half[1] for half in halves]
-
-    def _contrast(
-        self,
-        correlation: Correlation,
-        source: list[Tensor],
-        target: list[Tensor],
-        pairs: MapPairs,
-        draw: Draw,
-    ) -> Loss:
-        """The contrastive loss of the unfrozen levels, from the features of both images.
-
-        If the whole encoder is unfrozen, the finer levels have a loss of their own: otherwise they
-        would drift with the layers that they share with the coarsest.
-        """
-        assert correlation.evidence is not None
-        levels = _CONTRASTED if self.unfrozen == "encoder" else ()
-        features = {level: torch.cat([source[level], target[level]]) for level in levels}
-        scales = pairs.image1.new_full((len(levels),), _SCALE)
-        passes = PASSES if self.net.config.any_shape else 0
-        return _contrast(correlation.evidence, passes, features, scales, pairs, draw)
-
-
-class DecoderStage(CoarsestStage):
+class DecoderStage(nn.Module):
     """All decoders at once on the frozen pyramid, each fed with its predecessor's detached map.
 
     A share of the pairs gets the true map plus smooth noise instead, so that the fine decoders
     learn before the coarse ones have; that share falls over the stage. The two finest levels,
     which cost the most time, are decoded on a random quarter of the view.
 
-    unfrozen: the part of the encoder that continues to learn, as in `CoarsestStage`; the decoders'
-    losses do not reach it. end_to_end: maps are not detached (the polish stage).
+    end_to_end: maps are not detached (the polish stage).
     """
 
-    def __init__(
-        self,
-        net: DGCNet,
-        end_to_end: bool = False,
-        unfrozen: Unfrozen | None = None,
-    ) -> None:
-        super().__init__(net, unfrozen)
-        for name, module in net.named_children():
-            if name != "pyramid":
-                module.requires_grad_(True)
+    def __init__(self, net: DGCNet, end_to_end: bool = False) -> None:
+        super().__init__()
+        self.net = net.requires_grad_(True)
+        net.pyramid.requires_grad_(False)
         self.end_to_end = end_to_end
+
+    def train(self, mode: bool = True) -> DecoderStage:
+        super().train(mode)
+        self.net.pyramid.eval()
+        return self
 
     def forward(self, pairs: MapPairs, draw: Draw, noise_share: float = 0.0) -> Loss:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""
-        source, target = self._features(pairs)
+        images = normalise(torch.cat([pairs.image1, pairs.image2]))
+        features = self.net.features(images.contiguous(memory_format=torch.channels_last))
+        halves = [feature.chunk(2) for feature in features]
+        source, target = [half[0] for half in halves], [half[1] for half in halves]
         correlation = self.net.correlate(source, target)
-        total: Tensor = pairs.image1.new_zeros(())
-        figures: dict[str, Tensor] = {}
-        if self.unfrozen is not None:
-            total, figures = self._contrast(correlation, source, target, pairs, draw)
-        source, target = [f.detach() for f in source], [f.detach() for f in target]
         noisy = draw.chance(len(pairs.map), share=noise_share)
         offset = draw.common_integers(2, LEVEL_SIZES[1] // 2 + 1)
-        state = self.net.start(correlation.detached(), source[COARSEST], target[COARSEST])
-        part, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset))
-        total = total + part
-        figures[f"epe{LEVEL_SIZES[COARSEST]}"] = error
+        state = self.net.start(correlation, source[COARSEST], target[COARSEST])
+        total, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset))
+        figures = {f"epe{LEVEL_SIZES[COARSEST]}": error}
         for level in range(COARSEST - 1, -1, -1):
             window = _window(level, offset)
             previous = upsample(state if self.end_to_end else state.detach())
@@ -255,7 +187,6 @@ class DecoderStage(CoarsestStage):
 
 def _contrast(
     evidence: Tensor,
-    passes: int,
     features: Mapping[int, Tensor],
     scales: Tensor,
     pairs: MapPairs,
@@ -268,7 +199,7 @@ def _contrast(
     """
     truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
     total, share = contrastive_loss(
-        evidence.flatten(2), truth.flatten(1, 2), valid.flatten(1), 2**COARSEST, passes
+        evidence.flatten(2), truth.flatten(1, 2), valid.flatten(1), 2**COARSEST
     )
     shares = {f"found{COARSEST}": share}
     for (level, values), scale in zip(features.items(), scales, strict=True):

@@ -46,23 +46,13 @@ def test_the_coarse_levels_alone_are_the_same(pyramid: EfficientPyramid) -> None
     assert [f.shape[-2:] for f in whole] == [(64 // s, 96 // s) for s in (1, 2, 4, 8, 16)]
 
 
-def test_unfreezing_reaches_the_levels_and_the_layers_below_them(pyramid: EfficientPyramid) -> None:
-    image = torch.randn(1, 3, 32, 32)
-    for levels in range(6):
-        pyramid.unfreeze(levels)
-        frozen = {n for n, p in pyramid.named_parameters() if not p.requires_grad}
-        assert ("head_4.weight" in frozen) == (levels < 1)
-        assert ("head_3.weight" in frozen) == (levels < 2)
-        assert ("stem.0.weight" in frozen) == (levels < 3)
-        assert ("level_0.0.weight" in frozen) == (levels < 5)
-        features = pyramid(image)
-        assert features[4].requires_grad == (levels >= 1)
-        assert features[1].requires_grad == (levels >= 4)
-        if levels > 0:
-            pyramid.zero_grad()
-            sum((f.sum() for f in features[5 - levels :]), torch.zeros(())).backward()
-        reached = {n for n, p in pyramid.named_parameters() if p.grad is not None}
-        assert reached == {n for n, p in pyramid.named_parameters() if p.requires_grad}
+def test_the_fine_levels_are_frozen_and_nothing_else(pyramid: EfficientPyramid) -> None:
+    pyramid.freeze_fine_levels()
+    features = pyramid(torch.randn(1, 3, 32, 32))
+    assert [level.requires_grad for level in features] == [False, False, True, True, True]
+    sum((level.sum() for level in features[2:]), torch.zeros(())).backward()
+    reached = {name for name, p in pyramid.named_parameters() if p.grad is not None}
+    assert reached == {name for name, p in pyramid.named_parameters() if p.requires_grad}
 
 
 def test_an_even_kernel_is_the_mean_of_the_four_shifts() -> None:

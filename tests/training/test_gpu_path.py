@@ -83,7 +83,7 @@ def test_a_run_there_is_the_run_here(photos: Photos, real: DepthScenes, tmp_path
         "dgcm-lite0",
         steps=4,
         batch=2,
-        schedule=Schedule(1 / 4, 1 / 4, 1 / 4, 1 / 4),
+        schedule=Schedule(1 / 4, 1 / 2, 1 / 4),
         pairs=_STILL,
         validation_count=1,
         init=str(tmp_path / "w.safetensors"),

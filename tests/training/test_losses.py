@@ -7,7 +7,7 @@ import math
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.network.correlation import consensus, global_correlation, l2_normalise, match_scores
+from dgc_pose.network.correlation import global_correlation, l2_normalise
 from dgc_pose.synthesis.map_pairs import level_truth
 from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss
 
@@ -77,22 +77,6 @@ def test_contrastive_loss_equals_its_definition() -> None:
     assert math.isclose(float(share), near / count, rel_tol=1e-6)
 
 
-def test_where_neighbours_are_heard_their_belief_counts_beside_the_features() -> None:
-    generator = torch.Generator().manual_seed(4)
-    logits = 3 * torch.randn(1, 25, 25, generator=generator)
-    truth = (torch.randint(5, (1, 25, 2), generator=generator) + 0.5) * 8 - 0.5  # cells' centres
-    valid = torch.rand(1, 25, generator=generator) < 0.7
-    alone, share = contrastive_loss(logits, truth, valid, 8)
-    both, same = contrastive_loss(logits, truth, valid, 8, passes=3)
-    belief = consensus(match_scores(logits.view(1, 25, 5, 5)), 3).flatten(2)
-    x, y = ((truth + 0.5) / 8 - 0.5).long().unbind(-1)
-    expected = -sum(
-        float(belief[0, 5 * int(x[0, t]) + int(y[0, t]), t]) for t in range(25) if valid[0, t]
-    )
-    assert math.isclose(float(both - alone), expected / int(valid.sum()), rel_tol=1e-4)
-    assert float(share) == float(same)
-
-
 def test_map_loss_is_a_mean_over_valid_cells_of_logarithms() -> None:
     error = torch.tensor([[[[1.0, -2.0], [3.0, 0.0]], [[torch.nan, 1.0], [0.5, 0.5]]]])
     valid = torch.tensor([[[True, True], [False, True]]])
@@ -109,7 +93,7 @@ def test_nothing_flows_back_from_what_is_not_valid() -> None:
     truth[~valid] = torch.nan
     evidence = 7.0 * global_correlation(source, target).flatten(2)
     flat = truth.flatten(1, 2), valid.flatten(1)
-    loss, share = contrastive_loss(evidence, *flat, 8, passes=2)
+    loss, share = contrastive_loss(evidence, *flat, 8)
     (gradient,) = torch.autograd.grad(loss, source)
     assert loss.isfinite() and share.isfinite() and gradient.isfinite().all()
 

@@ -13,10 +13,10 @@ import pytest
 import torch
 from map_nets import SMALL
 from photos import drawn_photos
-from torch import Tensor, nn
+from torch import nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
-from dgc_pose.network.config import NetworkConfig, preset
+from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.synthesis.draw import Draw
@@ -24,10 +24,10 @@ from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.log import ProgressLine
-from dgc_pose.training.options import TrainingOptions, Unfrozen
+from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
-from dgc_pose.training.stages import CoarsestStage, DecoderStage, EncoderStage
+from dgc_pose.training.stages import DecoderStage, EncoderStage
 from dgc_pose.training.validation import validate, validation_pairs
 
 _WARPS_ONLY = PairOptions(scene_share=0.0)
@@ -92,61 +92,6 @@ def test_decoder_loss_falls_and_the_pyramid_stays(photos: Photos, name: str) -> 
         assert torch.equal(value, before[key])
 
 
-@pytest.mark.parametrize(
-    ("config", "unfrozen", "learning"),
-    [
-        (SMALL, "coarsest", "level_4"),
-        (SMALL, "encoder", "level_[0-4]"),
-        (preset("dgcm-lite0"), "coarsest", r"(blocks\.([3-9]|10)|head_[34]|merge_3|lift_4)"),
-        (preset("dgcm-lite0"), "encoder", "(stem|blocks|head|merge|lift)"),
-    ],
-)
-def test_what_is_unfrozen_learns_by_its_own_loss_alone(
-    photos: Photos, config: NetworkConfig, unfrozen: Unfrozen, learning: str
-) -> None:
-    torch.manual_seed(0)
-    net = DGCNet(config)
-    stage = DecoderStage(net, unfrozen=unfrozen)
-    stage.train()
-    before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
-    pairs = make_pairs(photos, 1, 240, torch.Generator().manual_seed(0), _WARPS_ONLY)
-    optimizer = torch.optim.AdamW(_trainable(stage), lr=1e-3)
-    loss, figures = stage(pairs, _draws())
-    assert 0 <= figures["found4"] <= 1
-    loss.backward()
-    gradients = _gradients(net)
-    optimizer.step()
-    for key, value in net.pyramid.state_dict().items():
-        learns = re.match(learning, key) is not None
-        assert torch.equal(value, before[key]) != learns, key
-    # The same whatever the decoders make of the features.
-    net.pyramid.load_state_dict(before)
-    for level in range(5):
-        torch.nn.init.zeros_(net.get_submodule(f"reg_{level}.final").weight)
-    net.zero_grad()
-    stage(pairs, _draws())[0].backward()
-    again = _gradients(net)
-    # And without them.
-    net.zero_grad()
-    loss, alone = CoarsestStage(net, unfrozen).train()(pairs, _draws())
-    loss.backward()
-    assert alone == {k: v for k, v in figures.items() if k.startswith("found")}
-    assert ("found2" in alone) == (unfrozen == "encoder")
-    assert {n for n, p in net.named_parameters() if p.requires_grad} == {
-        f"pyramid.{name}" for name in gradients
-    }
-    for others in (again, _gradients(net)):
-        assert others.keys() == gradients.keys() and gradients
-        for key, one in gradients.items():
-            torch.testing.assert_close(one, others[key])
-
-
-def _gradients(net: DGCNet) -> dict[str, Tensor]:
-    """Of those of the pyramid's parameters that have one."""
-    named = net.pyramid.named_parameters()
-    return {name: p.grad.clone() for name, p in named if p.grad is not None}
-
-
 def test_the_noised_truth_is_near_the_truth(photos: Photos) -> None:
     """With the true map as input and untrained corrections, fine levels start within two cells."""
     net = DGCNet(preset("dgcm-lite0")).eval()
@@ -188,14 +133,10 @@ def test_schedule_is_complete_in_the_time_given() -> None:
         Schedule(0.5, 0.5, 0.5)
 
 
-def test_shares_are_read_with_and_without_the_coarsest_levels() -> None:
-    assert Schedule.parse("45,45,10") == Schedule(0.45, 0.45, 0.1)
-    schedule = Schedule.parse("20, 40, 30, 10")
-    assert schedule == Schedule(0.2, 0.3, 0.1, coarsest=0.4)
-    stages = [schedule.at((share + 0.5) / 10)[0] for share in range(10)]
-    assert stages == ["encoder"] * 2 + ["coarsest"] * 4 + ["decoders"] * 3 + ["polish"]
-    for text in ("45,55", "a,b,c", ""):
-        with pytest.raises(InputError, match="three percentages.*encoder, coarsest, decoders"):
+def test_shares_are_read_from_percentages() -> None:
+    assert Schedule.parse("45, 45,10") == Schedule(0.45, 0.45, 0.1)
+    for text in ("45,55", "20,40,30,10", "a,b,c", ""):
+        with pytest.raises(InputError, match="three percentages.*encoder, decoders, polish"):
             Schedule.parse(text)
 
 
@@ -283,7 +224,7 @@ def test_a_run_writes_weights_that_load_and_a_log(
     ticks = itertools.count()
     monkeypatch.setattr("dgc_pose.training.run.time.perf_counter", lambda: float(next(ticks)))
     rows: list[dict[str, object]] = []
-    options = _options(minutes=0.5, schedule=Schedule(0.3, 0.3, 0.2, 0.2), validate_minutes=0.1)
+    options = _options(minutes=0.5, schedule=Schedule(0.3, 0.4, 0.3), validate_minutes=0.1)
     net = Trainer((photos, photos), tmp_path, options).run(rows.append)
     stages = [str(row["stage"]) for row in rows]
     assert sorted(set(stages), key=stages.index) == list(STAGES)
