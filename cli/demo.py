@@ -7,9 +7,9 @@ import numpy as np
 
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.estimate import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
-from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files.outputs import staged
 from dgc_pose.matchers import MatcherOptions

@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice
 from dgc_pose.cli.output import matches_arrays, pose_data, pose_text, write_npz
-from dgc_pose.cli.pipeline import NO_POSE, check_picture, draw, run_pipeline
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
+
+if TYPE_CHECKING:
+    from dgc_pose.pose import Trace
+
+NO_POSE = 3  # exit code if there is no pose
 
 
 @dataclass(frozen=True)
@@ -80,3 +90,44 @@ def estimate(
         if not pose.success:
             click.echo(f"no pose: {pose.reason}", err=True)
     return 0 if pose.success else NO_POSE
+
+
+def run_pipeline(
+    path1: str | Path,
+    path2: str | Path,
+    resolve: Callable[[Image, Image], tuple[Camera, Camera]],
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
+) -> Trace:
+    """Read both images, get their cameras from `resolve`, load the matcher, estimate the pose.
+
+    resolve: raises InputError if a camera does not fit its image. In `seconds` of the pose, `load`
+    is the time for images and weights.
+    """
+    start = time.perf_counter()
+    image1, image2 = load_image(path1), load_image(path2)
+    camera1, camera2 = resolve(image1, image2)
+    read_seconds = time.perf_counter() - start
+    from dgc_pose.pose import match_and_estimate  # heavy; unusable input is refused without it
+
+    start = time.perf_counter()
+    loaded = matcher.load()
+    load_seconds = read_seconds + time.perf_counter() - start
+    return match_and_estimate(image1, image2, camera1, camera2, loaded, estimation, load_seconds)
+
+
+def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:
+    """Draw the trace of a pose into the staged output `name`, unless that is None."""
+    if name is None:
+        return
+    from dgc_pose.viz import plot_pose, save_figure
+
+    save_figure(plot_pose(trace), stage(name))
+
+
+def check_picture(name: str | None) -> None:
+    """Raise InputError, before the work, if `name` ends in no format that can be drawn."""
+    if name is not None:
+        from dgc_pose.viz.figure import picture_format
+
+        picture_format(name)

@@ -20,7 +20,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import output_target, require_no_input
 
 STDOUT = "-"
-DEBUG, OVERWRITE = "--debug", "--overwrite"
+DEBUG = "--debug"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
 # Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
 _SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
@@ -97,10 +97,8 @@ def guarded(command: click.Command) -> click.Command:
     if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
         command.params.append(
             click.Option(
-                [OVERWRITE],
+                ["--overwrite"],
                 is_flag=True,
-                expose_value=False,
-                callback=_set_overwrite,
                 help="Replace outputs that exist. An input is never replaced.",
             )
         )
@@ -110,6 +108,7 @@ def guarded(command: click.Command) -> click.Command:
     @functools.wraps(run)
     def checked(*args: Any, **kwargs: Any) -> Any:
         _check_outputs(click.get_current_context())
+        kwargs.pop("overwrite", None)
         return run(*args, **kwargs)
 
     command.callback = checked
@@ -118,11 +117,7 @@ def guarded(command: click.Command) -> click.Command:
 
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
-    return bool(click.get_current_context().meta.get(OVERWRITE))
-
-
-def _set_overwrite(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    context.meta[OVERWRITE] = value
+    return bool(click.get_current_context().params.get("overwrite"))
 
 
 def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: int | None) -> None:

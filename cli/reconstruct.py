@@ -6,7 +6,6 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -18,10 +17,8 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
-
-if TYPE_CHECKING:
-    from dgc_pose.colmap.reconstruction import SparseModel
 
 BATCH, PICTURE = "batch", "picture.png"
 EXHAUSTIVE_UP_TO = 20  # images
@@ -55,6 +52,8 @@ def reconstruct(
     from dgc_pose.batch.plan import PLAN
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import LEAST_IMAGES
+    from dgc_pose.viz.figure import save_figure
+    from dgc_pose.viz.reconstruction import plot_reconstruction
 
     known = [name for name in (*reconstruction.OUTPUTS, PICTURE) if (out / name).exists()]
     if known and not work.resume:
@@ -72,7 +71,7 @@ def reconstruct(
         work,
         matcher,
         estimation,
-        default_pairs=_default_pairs,
+        default_pairs=lambda n: "exhaustive" if n <= EXHAUSTIVE_UP_TO else "auto:10",
         least_images=LEAST_IMAGES,
     )
     report(batch)
@@ -83,7 +82,9 @@ def reconstruct(
         show = partial(progress, "images")
         model, exported = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
-    _draw(out / PICTURE, model)
+    figure = plot_reconstruction([*model.poses.values()], model.points, model.colours)
+    with replaced(out / PICTURE) as temporary:
+        save_figure(figure, temporary)
     data = reconstruction.write_summary(out, batch, model, exported, seconds)
     click.echo(f"{out / reconstruction.DATABASE}: {described(exported)}")
     click.echo(
@@ -93,17 +94,3 @@ def reconstruct(
     )
     for name in data["not_registered"]:
         click.echo(f"not registered: {name}", err=True)
-
-
-def _default_pairs(images: int) -> str:
-    return "exhaustive" if images <= EXHAUSTIVE_UP_TO else "auto:10"
-
-
-def _draw(path: Path, model: SparseModel) -> None:
-    from dgc_pose.files.outputs import replaced
-    from dgc_pose.viz.figure import save_figure
-    from dgc_pose.viz.reconstruction import plot_reconstruction
-
-    figure = plot_reconstruction([*model.poses.values()], model.points, model.colours)
-    with replaced(path) as temporary:
-        save_figure(figure, temporary)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.output import pose_data
@@ -67,7 +66,10 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
 
     pair = bundled_pair()
     views = ((pair.path1, pair.camera1), (pair.path2, pair.camera2))
-    example = [(path, _k_text(camera)) for path, camera in views]
+    example = [
+        (path, ",".join(f"{value:g}" for value in camera.K[(0, 1, 0, 1), (0, 1, 2, 2)]))
+        for path, camera in views
+    ]
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
     make_estimator = partial(_estimator, matcher, weights)
     token = secrets.token_urlsafe(24)
@@ -141,8 +143,3 @@ def _estimator(matcher: MatcherOptions, weights: str | None) -> Estimator:
     from dgc_pose.serve.estimator import Estimator
 
     return Estimator(matcher.load(), pose_data, weights)
-
-
-def _k_text(camera: Camera) -> str:
-    K = camera.K
-    return ",".join(f"{value:g}" for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))

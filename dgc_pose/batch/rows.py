@@ -95,11 +95,6 @@ def parse_row(data: Any, where: str) -> PairRow:
         raise InputError(f"{where}: {error}") from None
     except (KeyError, TypeError):
         raise InputError(f"{where}: not a row of a batch") from None
-    for name, value in values.items():
-        try:
-            json.dumps(value, allow_nan=False)
-        except ValueError:
-            raise InputError(f"{where}: {name} is not finite") from None
     if (len(row.R or ()), len(row.t or ())) not in ((0, 0), (9, 0), (9, 3)):
         raise InputError(f"{where}: R has 9 numbers and t has 3")
     return row

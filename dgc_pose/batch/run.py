@@ -179,8 +179,7 @@ def _first_plan(
         position = {name: i for i, name in enumerate(source.names)}
         chosen = [(position[a], position[b]) for a, b in source.pairs]
     pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
-    seen = survey(source, calibration)
-    return Plan(source.root, seen.cameras, seen.bad, seen.states, source.names, pairs, settings)
+    return Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
 
 
 def _lazy(start: Callable[[], AbstractContextManager[RunTasks]], stack: ExitStack) -> RunTasks:

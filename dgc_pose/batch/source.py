@@ -30,15 +30,6 @@ class Source:
     left_out: tuple[str, ...] = ()  # what a folder holds beside images, a line for each reason
 
 
-@dataclass(frozen=True)
-class Survey:
-    """What is known of the images before they are matched."""
-
-    cameras: Mapping[str, Camera]  # by name, with their sizes
-    bad: Mapping[str, str]  # the reason by name, of images that cannot be used
-    states: Mapping[str, FileState]  # by name; absent for a file that cannot be asked
-
-
 def open_source(path: Path, root: Path | None = None) -> Source:
     """A folder of photographs, a list of pairs, or a COLMAP database.
 
@@ -53,14 +44,10 @@ def open_source(path: Path, root: Path | None = None) -> Source:
         source = Source(path, content.names, None, {}, content.left_out)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")
-    elif path.suffix.lower() in _DATABASES:
-        database = read_database(path)
-        pairs = database.pairs or None
-        source = Source(root or path.parent, database.names, pairs, database.cameras)
     else:
-        listed = read_pair_list(path)
-        names = tuple(dict.fromkeys(name for pair in listed.pairs for name in pair))
-        source = Source(root or path.parent, names, listed.pairs, listed.cameras)
+        is_database = path.suffix.lower() in _DATABASES
+        listed = read_database(path) if is_database else read_pair_list(path)
+        source = Source(root or path.parent, listed.names, listed.pairs or None, listed.cameras)
     if len(source.names) < 2:
         what = "no image" if not source.names else "a single image"
         raise InputError(
@@ -71,10 +58,12 @@ def open_source(path: Path, root: Path | None = None) -> Source:
     return source
 
 
-def survey(source: Source, calibration: Calibration) -> Survey:
-    """The cameras of all images, by the sizes in their headers.
-
-    An image whose header cannot be read is listed as bad. Raises InputError if an image has no
+def survey(
+    source: Source, calibration: Calibration
+) -> tuple[dict[str, Camera], dict[str, str], dict[str, FileState]]:
+    """By image name: cameras with the sizes in the headers; the reasons of images that cannot be
+    used; and the states of the files, absent for a file that cannot be asked.
+    Raises InputError if an image has no
     camera or one for another size, or if one K without a size is given for images of several.
     """
     cameras: dict[str, Camera] = {}
@@ -107,4 +96,4 @@ def survey(source: Source, calibration: Calibration) -> Survey:
             f"one K for images of several sizes ({listed_sizes}): give a file with a K for each "
             "image"
         )
-    return Survey(cameras, bad, states)
+    return cameras, bad, states

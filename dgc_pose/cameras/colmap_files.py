@@ -7,12 +7,12 @@ import sqlite3
 import struct
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, reason
 from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
 from dgc_pose.files.outputs import scratch_folder, writing
@@ -25,15 +25,6 @@ if TYPE_CHECKING:
 _COUNT, _IMAGE, _POINT_BYTES = struct.Struct("<Q"), struct.Struct("<I7dI"), 24
 _NOTHING = {".txt": b"", ".bin": struct.pack("<Q", 0)}  # a file of no images or no points
 _FAILURES = (RuntimeError, ValueError, KeyError, TypeError, ArithmeticError, MemoryError)
-
-
-@dataclass(frozen=True)
-class DatabaseContent:
-    """What a COLMAP database says of images."""
-
-    cameras: dict[str, Camera]  # by image name; those without a prior focal length are absent
-    names: tuple[str, ...]  # of all images, sorted
-    pairs: tuple[tuple[str, str], ...]  # those matched; may be empty
 
 
 def camera_of(camera: pycolmap.Camera) -> Camera:
@@ -113,7 +104,7 @@ def _text_images(data: bytes) -> dict[str, int]:
     return camera_ids
 
 
-def read_database(path: Path) -> DatabaseContent:
+def read_database(path: Path) -> PairList:
     """The images, cameras and matched pairs of a COLMAP database, which stays as it is.
 
     Raises InputError, with the path, if it is none that this version of pycolmap reads.
@@ -155,9 +146,7 @@ def _require_plain(path: Path) -> None:
                     raise ValueError(f"a column of {name} that is computed")
 
 
-def _content(
-    cameras: Mapping[int, Any], images: Sequence[Any], keys: Sequence[int]
-) -> DatabaseContent:
+def _content(cameras: Mapping[int, Any], images: Sequence[Any], keys: Sequence[int]) -> PairList:
     from dgc_pose.system.colmap_library import pycolmap
 
     names = {image.image_id: image.name for image in images}
@@ -167,12 +156,10 @@ def _content(
     pairs = [pycolmap.pair_id_to_image_pair(key) for key in keys]
     if missing := {number for pair in pairs for number in pair} - names.keys():
         raise ValueError(f"matches of the image {min(missing)}, which is not there")
-    return DatabaseContent(
-        {
-            image.name: camera_of(cameras[image.camera_id])
-            for image in images
-            if cameras[image.camera_id].has_prior_focal_length
-        },
-        tuple(sorted(names.values())),
-        tuple(sorted((names[first], names[second]) for first, second in pairs)),
-    )
+    cameras_by_name = {
+        image.name: camera_of(cameras[image.camera_id])
+        for image in images
+        if cameras[image.camera_id].has_prior_focal_length
+    }
+    listed = sorted((names[first], names[second]) for first, second in pairs)
+    return PairList(tuple(sorted(names.values())), tuple(listed), cameras_by_name)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -52,10 +53,11 @@ class Pair:
 
 @dataclass(frozen=True)
 class PairList:
-    """The pairs of a list, each once, and the cameras that it gives."""
+    """The images, pairs and cameras of a list or a COLMAP database."""
 
-    pairs: tuple[Names, ...]  # as written, in the list's order
-    cameras: Mapping[str, Camera] = field(default_factory=dict)  # by image name; may be empty
+    names: tuple[str, ...]  # as written
+    pairs: tuple[Names, ...]  # each once; none in a database without matches
+    cameras: Mapping[str, Camera]  # by image name; absent if unknown or without a calibration
 
 
 def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
@@ -93,7 +95,8 @@ def read_pair_list(path: Path) -> PairList:
         pairs.setdefault(frozenset(names), names)
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
-    return PairList(tuple(pairs.values()), cameras)
+    listed = tuple(pairs.values())
+    return PairList(tuple(dict.fromkeys(chain.from_iterable(listed))), listed, cameras)
 
 
 def bundled_pair() -> Pair:

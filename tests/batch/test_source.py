@@ -28,8 +28,8 @@ def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
     assert source.left_out == (
         "1 file left out (first: notes.txt): not an image of a known format",
     )
-    found = survey(source, read_calibration("50,50,32,24"))
-    assert {camera.size for camera in found.cameras.values()} == {(64, 48)} and not found.bad
+    cameras, bad, _ = survey(source, read_calibration("50,50,32,24"))
+    assert {camera.size for camera in cameras.values()} == {(64, 48)} and not bad
 
 
 def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
