@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -16,13 +16,15 @@ from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.posed_views import PosedViews
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.colmap.database import colmap_camera
 from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
-from dgc_pose.colmap.sift import sift_database
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics.pose import rotation_error_deg
+from dgc_pose.system.colmap_library import pycolmap
 
 COLMAP_SIFT = "colmap-sift"
 COLUMNS = {  # of the table
@@ -102,6 +104,30 @@ def run_method(
     return score(method, model, views, matched, poses, seconds)
 
 
+def sift_database(
+    database: Path, images: Path, cameras: Mapping[str, Camera], threads: int
+) -> None:
+    """Write a new database of SIFT key points and all verified pairs, with pycolmap's defaults.
+
+    cameras: by image name, with their sizes; the focal lengths count as known. Raises InputError if
+    COLMAP cannot hold a camera.
+    """
+    extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
+    extraction.num_threads = matching.num_threads = threads
+    extraction.use_gpu = matching.use_gpu = False
+    per_image = pycolmap.CameraMode.PER_IMAGE
+    pycolmap.extract_features(
+        database, images, list(cameras), camera_mode=per_image, extraction_options=extraction
+    )
+    with pycolmap.Database.open(database) as opened:
+        for image in opened.read_all_images():
+            camera = colmap_camera(cameras[image.name], image.name)
+            camera.camera_id = image.camera_id
+            camera.has_prior_focal_length = True
+            opened.update_camera(camera)
+    pycolmap.match_exhaustive(database, matching_options=matching)
+
+
 def score(
     method: str,
     model: SparseModel | None,
@@ -151,8 +177,6 @@ def rotation_errors(model: SparseModel, views: PosedViews, names: Sequence[str])
 
 def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
     """Distances (N,) of the positions after the best similarity, the truth's unit."""
-    from dgc_pose.system.colmap_library import pycolmap
-
     centres = np.stack([model.centre(name) for name in names])
     true = np.stack([views.centre(name) for name in names])
     similarity = pycolmap.estimate_sim3d(centres, true)

@@ -17,14 +17,11 @@ from dgc_pose.colmap.shared import PairGeometry, SharedMatches, one_to_one, pair
 _PER_IMAGE = 8192  # key points of an image, unless the options say another number
 
 
-def merge_by_cells(
-    pairs: Sequence[PairGeometry], options: SharingOptions | None = None
-) -> SharedMatches:
+def merge_by_cells(pairs: Sequence[PairGeometry], options: SharingOptions) -> SharedMatches:
     """Key points in cells, and the matches of each pair re-assigned to them.
 
     A cell that more pairs have a match in is preferred to one of fewer, then the better score.
     """
-    options = options or SharingOptions()
     key_points = {
         name: _best_of_cells(name, its_pairs, options)
         for name, its_pairs in pairs_by_image(pairs).items()
@@ -51,7 +48,7 @@ def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: SharingOpt
     cell = cell.ravel()
     pairs_of_cells = np.unique(np.column_stack([cell, pair]), axis=0)
     support = np.bincount(pairs_of_cells[:, 0])[cell]
-    order = np.lexsort((np.arange(len(points)), -scores, -support))
+    order = np.lexsort((-scores, -support))
     _, first = np.unique(cell[order], return_index=True)
     best = order[np.sort(first)][: options.per_image or _PER_IMAGE]
     return points[best]

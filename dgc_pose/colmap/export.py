@@ -55,8 +55,7 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: load_image(batch.plan.root / name))
 
-    shared = track_corners(pairs, batch.plan.cameras, load, options.per_image, progress)
-    return shared, pairs
+    return track_corners(pairs, batch.plan.cameras, load, options.per_image, progress), pairs
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:

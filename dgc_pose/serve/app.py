@@ -57,9 +57,9 @@ class Server:
         *,
         token: str,
         hosts: frozenset[str],
-        options: ServeOptions | None = None,
+        options: ServeOptions,
     ) -> None:
-        self.options = options = options or ServeOptions()
+        self.options = options
         self._example, self._token = example, token
         self._store = ImageStore(folder, options.images)
         decoder = partial(ImageDecoder, int(options.max_megapixels * 1e6))

@@ -98,9 +98,8 @@ def binned_medians(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """
     bins = min(_BINS, max(1, len(x) // _LEAST_PER_BIN))
     groups = np.array_split(np.argsort(x, kind="stable"), bins)
-    medians = [(np.median(x[group]), np.median(y[group])) for group in groups]
-    x_medians, y_medians = np.array(medians).T
-    return x_medians, y_medians
+    x_medians, y_medians = ([np.median(v[group]) for group in groups] for v in (x, y))
+    return np.array(x_medians), np.array(y_medians)
 
 
 def _epipolar(methods: Columns, styles: Styles, protocol: str) -> Figure:

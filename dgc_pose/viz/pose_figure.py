@@ -55,13 +55,11 @@ def plot_pose(trace: Trace) -> Figure:
     _draw_matches(matches, trace, drawn)
     _draw_epipolar(points, lines, trace, _spread(trace.matches, chosen, DRAWN_LINES))
     if trace.correspondence_map is not None:
-        matchability, warp = map_axes
-        correspondences = trace.correspondence_map
-        pixels1, pixels2 = trace.image1.pixels, trace.image2.pixels
-        colours = draw_matchability(matchability, pixels2, correspondences.matchability)
-        draw_colour_bar(matchability, colours, "")
-        size2 = trace.image2.size
-        draw_warp(warp, pixels1, correspondences.map, correspondences.matchability, size2)
+        left, right = map_axes
+        places, matchability = trace.correspondence_map.map, trace.correspondence_map.matchability
+        colours = draw_matchability(left, trace.image2.pixels, matchability)
+        draw_colour_bar(left, colours, "")
+        draw_warp(right, trace.image1.pixels, places, matchability, trace.image2.size)
     return figure
 
 
@@ -90,9 +88,8 @@ def _rows(trace: Trace, counts: str) -> list[list[Panel]]:
         ],
     ]
     if trace.correspondence_map is not None:
-        matchability = Panel(aspect2, "matchability over image 2", bar=True)
-        warp = Panel(aspect2, "image 1 warped onto image 2, pale if not matchable")
-        rows.append([matchability, warp])
+        warp = "image 1 warped onto image 2, pale if not matchable"
+        rows.append([Panel(aspect2, "matchability over image 2", bar=True), Panel(aspect2, warp)])
     return rows
 
 

@@ -18,12 +18,6 @@ def test_points_of_a_resized_image(point, size, other, expected) -> None:
     assert rescale(np.array(point), size, other) == pytest.approx(expected)
 
 
-def test_back_and_forth() -> None:
-    points = np.random.default_rng(0).uniform(-5, 700, (20, 2))
-    there = rescale(points, (640, 480), (333, 77))
-    assert rescale(there, (333, 77), (640, 480)) == pytest.approx(points)
-
-
 def test_cell_centres_are_means_of_their_pixels() -> None:
     pixels = pixel_grid((12, 8))
     means = pixels.reshape(4, 2, 4, 3, 2).mean((1, 3))
