@@ -16,6 +16,7 @@ from dgc_pose.synthesis.depth_scenes import DepthScenes, depth_at
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.map_pairs import MapPairs, point_grid
 from dgc_pose.synthesis.options import DepthOptions
+from dgc_pose.synthesis.warps import rotation_2d
 
 _IN_FRONT = 1e-3  # median depths before a camera; nearer points are not projected
 
@@ -77,9 +78,7 @@ def random_views(
     draw = Draw(generator)
     scale = draw.uniform(count, low=options.view_scale[0], high=options.view_scale[1])
     roll = math.radians(options.view_roll_deg) * draw.normal(count)
-    cos, sin = roll.cos(), roll.sin()
-    rotation = torch.stack([cos, -sin, sin, cos], -1).view(-1, 2, 2)
-    linear = (scale * side / size)[:, None, None] * rotation
+    linear = (scale * side / size)[:, None, None] * rotation_2d(roll)
     margin = (1 - scale)[:, None] * side / 2
     middle = (side - 1) / 2 + margin * (2 * draw.uniform(count, 2) - 1)
     return linear, middle - linear.sum(2) * (size - 1) / 2

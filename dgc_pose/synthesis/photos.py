@@ -83,8 +83,8 @@ def _split(root: str | Path, limit: int | None = None) -> tuple[list[Path], list
         _log.warning("%s: %s", root, line)
     parts: tuple[list[Path], list[Path]] = [], []
     for path in sorted(Path(root, name) for name in content.names)[:limit]:
-        digest = hashlib.sha256(path.name.encode()).digest()[0:4]
-        parts[int.from_bytes(digest, "big") % _HELD_BACK == 0].append(path)
+        digest = hashlib.sha256(path.name.encode()).hexdigest()[:8]
+        parts[int(digest, 16) % _HELD_BACK == 0].append(path)
     return parts
 
 

@@ -96,34 +96,30 @@ def _tps_kernel(distance: Tensor) -> Tensor:
     return squared * squared.clamp(min=1e-12).log()
 
 
-def _rotation(angle: Tensor) -> Tensor:
+def rotation_2d(angle: Tensor) -> Tensor:
+    """Rotations (B, 2, 2) by angles (B,), radians."""
     cos, sin = angle.cos(), angle.sin()
-    return torch.stack([torch.stack([cos, -sin], -1), torch.stack([sin, cos], -1)], -2)
+    return torch.stack([cos, -sin, sin, cos], -1).view(-1, 2, 2)
 
 
 def _random_rotation(draw: Draw, batch: int, limit_deg: float, any_share: float) -> Tensor:
     limit = math.radians(limit_deg)
     usual = draw.uniform(batch, low=-limit, high=limit)
     full = draw.uniform(batch, low=-math.pi, high=math.pi)
-    return _rotation(torch.where(draw.chance(batch, share=any_share), full, usual))
+    return rotation_2d(torch.where(draw.chance(batch, share=any_share), full, usual))
 
 
 def _random_affine(draw: Draw, batch: int, options: WarpOptions) -> Tensor:
-    axes = _rotation(draw.uniform(batch, low=-math.pi, high=math.pi))
+    axes = rotation_2d(draw.uniform(batch, low=-math.pi, high=math.pi))
     low, high = options.singular_values
     stretch = torch.diag_embed(draw.log_uniform(batch, 2, low=low, high=high))
     rotation = _random_rotation(
         draw, batch, options.affine_rotation_deg, options.any_rotation_share
     )
     linear = rotation @ axes @ stretch @ axes.transpose(1, 2)
-    shift = draw.uniform(batch, 2, low=-options.translation, high=options.translation)
-    return _homogeneous(linear, shift)
-
-
-def _homogeneous(linear: Tensor, shift: Tensor) -> Tensor:
-    matrix = torch.eye(3).repeat(len(linear), 1, 1)
+    matrix = torch.eye(3).repeat(batch, 1, 1)
     matrix[:, :2, :2] = linear
-    matrix[:, :2, 2] = shift
+    matrix[:, :2, 2] = draw.uniform(batch, 2, low=-options.translation, high=options.translation)
     return matrix
 
 
@@ -137,4 +133,6 @@ def _random_homography(draw: Draw, batch: int, options: WarpOptions) -> Tensor:
     )
     low, high = options.homography_scale
     scale = draw.log_uniform(batch, low=low, high=high)[:, None, None]
-    return matrix @ _homogeneous(rotation * scale, torch.zeros(batch, 2))
+    similarity = torch.eye(3).repeat(batch, 1, 1)
+    similarity[:, :2, :2] = rotation * scale
+    return matrix @ similarity

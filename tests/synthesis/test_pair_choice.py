@@ -49,8 +49,8 @@ def test_pairs_lie_within_the_ranges(walk: Path) -> None:
 def test_far_pairs_are_likelier_and_the_draw_repeats(walk: Path) -> None:
     ranges = dict(overlap=(0.3, 0.99), baseline=(0.01, 2.0))
     everything = load_depth_scenes([read_rgbd(walk)], FramePairOptions(**ranges))
-    drawn = [load_depth_scenes([read_rgbd(walk)], FramePairOptions(**ranges, per_frame=3))] * 2
-    drawn[1] = load_depth_scenes([read_rgbd(walk)], FramePairOptions(**ranges, per_frame=3))
+    choice = FramePairOptions(**ranges, per_frame=3)
+    drawn = [load_depth_scenes([read_rgbd(walk)], choice) for _ in range(2)]
     assert len(everything.pairs) > len(drawn[0].pairs) == 3 * FRAMES
     assert torch.equal(drawn[0].pairs, drawn[1].pairs)
     assert torch.equal(drawn[0].source_from_target, drawn[1].source_from_target)

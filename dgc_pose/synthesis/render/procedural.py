@@ -77,8 +77,7 @@ def _shades(
 
 def _grid(size: int) -> tuple[np.ndarray, np.ndarray]:
     """x and y of the pixel centres, in (0, 1), both (size, size)."""
-    steps = (np.arange(size) + 0.5) / size
-    x, y = np.meshgrid(steps, steps)
+    y, x = (np.indices((size, size)) + 0.5) / size
     return x, y
 
 
@@ -98,7 +97,7 @@ def _wood(rng: np.random.Generator, size: int) -> np.ndarray:
     """Planks with rings, streaks along them, and dark joints."""
     x, y = _grid(size)
     planks = 5
-    plank = np.minimum((x * planks).astype(int), planks - 1)
+    plank = (x * planks).astype(int)
     shift = rng.uniform(0, 1, planks)[plank]
     rings = 1.2 * _noise(rng, size, 3, octaves=3, stretch=4) + 7 * (x + 3 * shift)
     streaks = _noise(rng, size, 40, octaves=3, stretch=12)
@@ -129,8 +128,7 @@ def _checker(rng: np.random.Generator, size: int) -> np.ndarray:
     """Tiles of two shades, each a little different, so that no two points look the same."""
     cells = int(rng.integers(5, 9))
     x, y = _grid(size)
-    row = np.minimum((y * cells).astype(int), cells - 1)
-    column = np.minimum((x * cells).astype(int), cells - 1)
+    row, column = (y * cells).astype(int), (x * cells).astype(int)
     pair = _shades(rng, 2, 0.35)
     image = pair[(row + column) % 2] * rng.uniform(0.75, 1.2, (cells, cells, 1))[row, column]
     image = image * (1 + 0.13 * _noise(rng, size, 6)[..., None])
@@ -177,24 +175,17 @@ def _text(rng: np.random.Generator, size: int) -> np.ndarray:
         scale = max(1, round(size / 256 * rng.choice((1, 1, 2, 2, 4))))
         if top + 7 * scale > size:
             break
-        _write_line(rng, page, top, scale, alphabet)
+        left, right = 3 * scale, int(size * rng.uniform(0.6, 1.0)) - 6 * scale
+        while left < right:
+            if rng.uniform() < 0.18:
+                left += 4 * scale
+                continue
+            letter = np.kron(alphabet[rng.integers(len(alphabet))], np.ones((scale, scale)))
+            page[top : top + 7 * scale, left : left + 4 * scale] = letter
+            left += 5 * scale
         top += 9 * scale + int(rng.integers(0, 3))
     stained = paper * (1 + 0.06 * _noise(rng, size, 3)[..., None])
     return stained + page[..., None] * (ink - stained)
-
-
-def _write_line(
-    rng: np.random.Generator, page: np.ndarray, top: int, scale: int, alphabet: np.ndarray
-) -> None:
-    left, size = 3 * scale, len(page)
-    right = int(size * rng.uniform(0.6, 1.0)) - 6 * scale
-    while left < right:
-        if rng.uniform() < 0.18:
-            left += 4 * scale
-            continue
-        letter = np.kron(alphabet[rng.integers(len(alphabet))], np.ones((scale, scale)))
-        page[top : top + 7 * scale, left : left + 4 * scale] = letter
-        left += 5 * scale
 
 
 def _leaves(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -222,7 +213,7 @@ def _paint_leaf(
     v = (np.cos(angle) * down - np.sin(angle) * across) / radius * rng.uniform(1, 2.5)
     squares = [u * u, v * v]  # of an ellipse; to the 8th, nearly a rectangle
     if rng.uniform() < 0.33:
-        squares = [(square * square) * (square * square) for square in squares]
+        squares = [np.square(np.square(square)) for square in squares]
     inside = squares[0] + squares[1] < 1
     light = 1 + rng.uniform(-0.35, 0.35) * u[inside] + rng.uniform(-0.25, 0.25) * v[inside]
     image[top:bottom, left:right][inside] = colour * light[:, None]

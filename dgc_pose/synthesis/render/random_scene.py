@@ -71,8 +71,7 @@ def _relative_rotation(draw: Draw, batch: int, options: SceneOptions) -> Tensor:
 
 
 def _about_z(angle: Tensor) -> Tensor:
-    axis = angle.new_tensor((0.0, 0.0, 1.0)).expand(*angle.shape, 3)
-    return axis_angle(axis, angle)
+    return axis_angle(angle.new_tensor((0.0, 0.0, 1.0)).expand(*angle.shape, 3), angle)
 
 
 def _intrinsics(draw: Draw, batch: int, size: int) -> Tensor:
@@ -161,20 +160,17 @@ def _room(draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor) ->
 
 def _background(draw: Draw, centre1: Tensor) -> Parts:
     """A large rectangle behind the look-at point, tilted by up to 45 degrees to the first view."""
-    batch = len(centre1)
-    towards = normalize(centre1, dim=-1)
-    axes = _facing(draw, towards[:, None], math.radians(45.0))
-    behind = draw.uniform(batch, 1, low=0.25, high=1.0)
-    half_size = draw.uniform(batch, 1, 3, low=0.5, high=1.5)
-    return (-behind * towards)[:, None], axes, half_size
+    towards = normalize(centre1, dim=-1)[:, None]
+    axes = _facing(draw, towards, math.radians(45.0))
+    behind = draw.uniform(len(centre1), 1, 1, low=0.25, high=1.0)
+    return -behind * towards, axes, draw.uniform(len(centre1), 1, 3, low=0.5, high=1.5)
 
 
 def _table(draw: Draw, height: Tensor) -> Parts:
-    batch = len(height)
     zero = torch.zeros_like(height)
     centre = torch.stack((zero, height, zero), dim=-1)[:, None]
     up = torch.stack((zero, zero - 1, zero), dim=-1)[:, None]
-    half_size = draw.uniform(batch, 1, 3, low=0.5, high=1.2)
+    half_size = draw.uniform(len(height), 1, 3, low=0.5, high=1.2)
     return centre, _facing(draw, up, 0.0), half_size
 
 
@@ -222,8 +218,7 @@ def _around(draw: Draw, batch: int, count: int) -> Tensor:
 
 def _facing(draw: Draw, normal: Tensor, largest: float) -> Tensor:
     """Axes (B, n, 3, 3) whose third is `normal` (B, n, 3), tilted by up to `largest` radians."""
-    shape = normal.shape[:-1]
-    tilt = draw.uniform(*shape, high=1.0) * largest
+    tilt = draw.uniform(*normal.shape[:-1], high=1.0) * largest
     third = (axis_angle(_perpendicular(draw, normal), tilt) @ normal[..., None])[..., 0]
     first = _perpendicular(draw, third)
     return torch.stack((first, torch.linalg.cross(third, first), third), dim=-2)

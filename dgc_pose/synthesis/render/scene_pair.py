@@ -30,11 +30,7 @@ PairKind = Literal["general", "planar", "rotation_only", "forward"]
 _OPTIONS = SceneOptions(
     presence=0.9, texture_span=(0.45, 0.9), min_overlap=0.5, tries=12, shadow=0.3
 )
-_FOCAL = (1.0, 1.4)  # over the larger side
 _DISTANCE = 1.2  # from the look-at point, fields of view
-_ADVANCE = 0.3  # of that distance, for the forward kind
-_TEXTURES = 18
-_TEXTURE_SIZE = 384
 _PLANE_TEXTURE = 0  # leaves: not periodic, so that no two points of the plane look alike
 
 
@@ -87,24 +83,16 @@ def as_arrays(pairs: RenderedPairs) -> RenderedPair:
     """The first pair of a batch, as numpy arrays and 8-bit images."""
     names = ("K1", "K2", "map", "depth1", "depth2")
     values = {name: getattr(pairs, name)[0].double().numpy() for name in names}
+    for name in ("image1", "image2"):
+        planes = 255 * getattr(pairs, name)[0]
+        values[name] = planes.permute(1, 2, 0).round().byte().contiguous().numpy()
     pose = pairs.cam2_from_cam1[0].double().numpy()
-    return RenderedPair(
-        image1=_as_image(pairs.image1[0]),
-        image2=_as_image(pairs.image2[0]),
-        R=pose[:, :3],
-        t=pose[:, 3],
-        visible=pairs.visible[0].numpy(),
-        **values,
-    )
-
-
-def _as_image(colours: Tensor) -> np.ndarray:
-    return (colours.permute(1, 2, 0) * 255).round().clamp(0, 255).byte().contiguous().numpy()
+    return RenderedPair(R=pose[:, :3], t=pose[:, 3], visible=pairs.visible[0].numpy(), **values)
 
 
 @lru_cache(maxsize=1)
 def _bank() -> TextureBank:
-    return TextureBank.from_photos(procedural_textures(_TEXTURES, _TEXTURE_SIZE))
+    return TextureBank.from_photos(procedural_textures(18, 384))
 
 
 def _camera_pair(
@@ -122,7 +110,7 @@ def _camera_pair(
     if kind == "rotation_only":
         centre2 = centre1
     elif kind == "forward":
-        centre2 = centre1 * (1 - _ADVANCE)
+        centre2 = centre1 * (1 - 0.3)
     else:
         distance2 = draw.uniform(1, 1, low=0.9, high=1.1) * _DISTANCE * K2[:, 0, 0] / max(size2)
         centre2 = -distance2 * rotation2[:, 2]
@@ -131,7 +119,7 @@ def _camera_pair(
 
 
 def _intrinsics(draw: Draw, size: tuple[int, int]) -> Tensor:
-    focal = max(size) * draw.uniform(low=_FOCAL[0], high=_FOCAL[1])
+    focal = max(size) * draw.uniform(low=1.0, high=1.4)
     K = torch.eye(3, dtype=focal.dtype)
     K[0, 0] = K[1, 1] = focal
     K[:2, 2] = (torch.tensor(size) - 1) / 2 + max(size) * draw.uniform(2, low=-0.03, high=0.03)

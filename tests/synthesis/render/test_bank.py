@@ -18,13 +18,6 @@ def sampled(photo: int, x: np.ndarray, y: np.ndarray, footprint: float) -> torch
     return BANK.sample(index, x, y, torch.full_like(x, footprint))
 
 
-def test_texel_centres_give_the_texels():
-    for photo in range(3):
-        y, x = np.mgrid[:24, :40].reshape(2, -1) + 0.5
-        expected = PHOTOS[photo].reshape(3, -1) / 255
-        assert torch.allclose(sampled(photo, x, y, 1.0), expected, atol=1e-6)
-
-
 def test_each_level_is_sampled_as_grid_sample_does():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(0, 40, 500), rng.uniform(0, 24, 500)

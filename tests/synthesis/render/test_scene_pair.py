@@ -50,24 +50,6 @@ def test_kinds_have_their_motion():
         assert share > 0.999 if kind in ("planar", "rotation_only") else share < 0.8, kind
 
 
-def test_pairs_can_be_matched():
-    """SIFT finds the true points: the textures have detail, and images agree with the map."""
-    pair = render_scene_pair(0, size1=(320, 240), size2=(300, 260), rotation_deg=10.0)
-    sift = cv2.SIFT_create()
-    points, descriptors = zip(
-        *(sift.detectAndCompute(image, None) for image in (pair.image1, pair.image2)), strict=True
-    )
-    nearest = cv2.BFMatcher().knnMatch(descriptors[1], descriptors[0], k=2)
-    errors = []
-    for best, second in nearest:
-        x, y = np.rint(points[1][best.queryIdx].pt).astype(int)
-        if best.distance < 0.8 * second.distance and pair.visible[y, x]:
-            found = np.array(points[0][best.trainIdx].pt) - points[1][best.queryIdx].pt + (x, y)
-            errors.append(np.linalg.norm(found - pair.map[y, x]))
-    assert len(errors) > 80
-    assert np.median(errors) < 1.0
-
-
 def test_textures_are_seeded_and_full_of_detail():
     textures = procedural_textures(9, 64, seed=1)
     assert textures.shape == (9, 3, 64, 64) and textures.dtype == torch.float32
