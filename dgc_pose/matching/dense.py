@@ -84,15 +84,13 @@ class DenseMatcher(Matcher):
         views = [(View.whole(image1.size), View.whole(image2.size)) for image1, image2 in pairs]
         decoded = self._decode(pairs, views, cache)
         likely = {
-            i: likely_views(self.engine, *pairs[i])
+            i: pair_views
             for i, (upright, _) in enumerate(decoded)
             if upright.matchability.mean() < self.options.search_below
+            and (pair_views := likely_views(self.engine, *pairs[i]))
         }
-        likely_by_pair = {i: pair_views for i, pair_views in likely.items() if pair_views}
-        again = self._decode(
-            [pairs[i] for i in likely_by_pair], list(likely_by_pair.values()), cache
-        )
-        for (i, pair_views), other in zip(likely_by_pair.items(), again, strict=True):
+        again = self._decode([pairs[i] for i in likely], list(likely.values()), cache)
+        for (i, pair_views), other in zip(likely.items(), again, strict=True):
             matchability = other[0].matchability
             inside = pair_views[1].inside(pairs[i][1].size, matchability.shape[::-1])
             if matchability[inside].mean() > decoded[i][0].matchability.mean():

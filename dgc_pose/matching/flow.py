@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import pixel_grid, rescale
+from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
@@ -56,13 +57,7 @@ def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """
     height, width = forward.shape[:2]
     ends = (pixel_grid((width, height)) + forward).astype(np.float32)
-    returned = cv2.remap(
-        backward.astype(np.float32),
-        ends[..., 0],
-        ends[..., 1],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    returned = bilinear(backward.astype(np.float32), ends)
     error = ((forward + returned) ** 2).sum(-1)
     agrees = error < 0.01 * ((forward**2).sum(-1) + (returned**2).sum(-1)) + 0.5
     inside = ((ends >= -0.5) & (ends <= np.array([width, height]) - 0.5)).all(-1)

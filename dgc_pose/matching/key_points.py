@@ -45,14 +45,10 @@ class KeyPointMatcher(Matcher, ABC):
     def _error_px(self, image1: Image, image2: Image) -> float:
         """Expected error of a good match, pixels of the images."""
 
-    def _key_points(self, image: Image) -> KeyPoints:
-        if self.cache is None:
-            return self._detect(image)
-        return self.cache.get(image, lambda: self._detect(image))
-
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        points1, descriptors1 = self._key_points(image1)
-        points2, descriptors2 = self._key_points(image2)
+        cache = self.cache or key_point_cache()
+        points1, descriptors1 = cache.get(image1, lambda: self._detect(image1))
+        points2, descriptors2 = cache.get(image2, lambda: self._detect(image2))
         rows1 = rows2 = np.zeros(0, int)
         confidence = np.zeros(0)
         if min(len(points1), len(points2)) > 1:  # a ratio test needs a second one

@@ -8,7 +8,7 @@ import pytest
 
 from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.view import View
-from dgc_pose.refinement.guide import (
+from dgc_pose.refinement.features import (
     matchable_points,
     points_in_image1,
     rotation_between,
