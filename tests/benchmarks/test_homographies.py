@@ -180,12 +180,9 @@ def test_a_bad_line_is_named(folder, change, words) -> None:
         read_lists(folder / "lists", folder)
 
 
-def test_all_five_lists_are_needed(folder) -> None:
+def test_all_five_lists_and_an_image_are_needed(folder) -> None:
+    with pytest.raises(InputError, match="no image of the 10 pairs"):
+        read_lists(folder / "lists", folder / "lists")
     (folder / "lists" / "hpatches_1_5.csv").unlink()
     with pytest.raises(InputError, match="hpatches_1_5.csv: no such list"):
         read_lists(folder / "lists", folder)
-
-
-def test_a_root_without_any_image_is_refused(folder) -> None:
-    with pytest.raises(InputError, match="no image of the 10 pairs"):
-        read_lists(folder / "lists", folder / "lists")

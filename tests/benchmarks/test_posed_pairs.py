@@ -43,7 +43,7 @@ def run(pairs, matchers, options):
     ]
     passes = {one.matching_pass: MatchingPass(matchers[one.name]) for one in methods}
     for scored in Evaluation(ListedPairs(pairs), methods, passes).run():
-        yield from (one.score for one in scored)
+        yield from (result.score for result in scored)
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ def test_a_summary_is_of_one_method(results):
 
 def test_the_summary_is_that_of_the_records(tmp_path) -> None:
     rows = evaluation(posed_pairs(tmp_path, 3)).run()
-    results = [one.score for scored in rows for one in scored]
+    results = [result.score for scored in rows for result in scored]
     results[0] = replace(
         results[0],
         success=False,

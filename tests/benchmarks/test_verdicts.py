@@ -119,9 +119,6 @@ def test_the_gates_chosen_on_one_half_are_reported_on_the_other():
     assert lines[1].split()[3:6] == [str(sum(halves)), "100.0", "%"]
     assert lines[3].split()[3:6] == ["0", "0.0", "%"]
     assert lines[5].endswith("min_occupied_cells 30")
-
-
-def test_halves_without_pairs_of_both_kinds_are_said_so():
     assert gates_table([GOOD]).startswith("no gates")
 
 
