@@ -7,8 +7,7 @@ import numpy as np
 
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, check_picture, draw, run_pipeline
-from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.estimate import NO_POSE, Outputs, check_picture, draw, run_pipeline
 from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files.outputs import staged
@@ -19,22 +18,16 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 @click.command()
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
-@click.option(
-    "--plot",
-    "plot_path",
-    type=OutputFile(),
-    metavar="PATH.png",
-    help="Draw inliers, epipolar lines and the warp.",
-)
-def demo(matcher: MatcherOptions, estimation: EstimationOptions, plot_path: str | None) -> int:
+@dataclass_options(Outputs, "outputs", only=("plot",))
+def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Outputs) -> int:
     """Estimate the pose of the bundled pair and print it beside the known pose."""
-    check_picture(plot_path)
+    check_picture(outputs.plot)
     pair = bundled_pair()
-    with staged(plot_path) as stage:
+    with staged(outputs.plot) as stage:
         trace = run_pipeline(
             pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), matcher, estimation
         )
-        draw(trace, stage, plot_path)
+        draw(trace, stage, outputs.plot)
     pose = trace.pose
     click.echo(f"image 1: {pair.path1}\nimage 2: {pair.path2}\n")
     click.echo(pose_text(pose) + "\n")

@@ -1,8 +1,7 @@
 """What every sub-command gets: --debug, --max-pixels, --overwrite, and the check of its outputs.
 
-A command declares its outputs by the types `OutputFile` and `OutputFolder` of its options; its
-other options and arguments may name inputs. The rule: an output that exists is replaced with
---overwrite alone, and an input is never replaced. It is checked before the command runs.
+Outputs are options of the types `OutputFile` and `OutputFolder`; all others may name inputs. Before
+the command runs: an output that exists is replaced with --overwrite alone, an input never.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return None, 128 + PIPE
         case Stopped():
-            return f"stopped by {error.name}", 128 + error.number
+            return f"stopped by {signal.Signals(error.number).name}", 128 + error.number
         case OSError():
             return _describe(error), UNUSABLE_INPUT
         case ModuleNotFoundError() if (missing := missing_package(error)) is not None:

@@ -51,7 +51,9 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
 
 def pose_text(pose: RelativePose) -> str:
     """A pose for people."""
-    lines = [_headline(pose)]
+    lines = [f"no pose ({pose.status}): {pose.reason}"]
+    if pose.success:
+        lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
         lines += [f"  R  {line}" for line in matrix_lines(pose.R)]
         lines.append(f"     rotation angle {rotation_angle_deg(pose.R):.2f} deg")
@@ -116,12 +118,6 @@ def _percent(probability: float) -> str:
     if probability > 0.995:
         return "over 99 %"
     return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
-
-
-def _headline(pose: RelativePose) -> str:
-    if pose.success:
-        return "pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"
-    return f"no pose ({pose.status}): {pose.reason}"
 
 
 def _list(array: np.ndarray | None) -> list[Any] | None:

@@ -33,10 +33,6 @@ class Stopped(BaseException):
         super().__init__(number)
         self.number = number
 
-    @property
-    def name(self) -> str:
-        return signal.Signals(self.number).name
-
 
 @contextmanager
 def stopped_by_signals() -> Iterator[None]:

@@ -89,8 +89,6 @@ def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
     best = scores[0].copy() if count else np.zeros(0)
     for _ in range(count - 1):
         node = int(np.where(outside, best, -np.inf).argmax())
-        if not outside[node]:  # the scores of all others are -inf
-            node = int(outside.argmax())
         yield int(nearest[node]), node
         outside[node] = False
         closer = outside & (scores[node] > best)

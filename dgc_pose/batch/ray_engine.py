@@ -1,9 +1,7 @@
 """Workers as actors of a Ray cluster: the same tasks and outcomes as `local_workers`.
 
-An actor loads the matcher once. It gets neighbouring blocks, which share images, one at a time; the
-outcomes come back to this process, which stores them. Ray starts an actor that dies again, and has
-it do its block again. The package must be installed on all machines of the cluster, and the images
-must lie at the same path.
+This process stores the outcomes. Ray starts an actor that dies again, and has it redo its block.
+All machines of the cluster need the package, and the images at the same path.
 """
 
 from __future__ import annotations

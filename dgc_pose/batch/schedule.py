@@ -1,9 +1,8 @@
 """The order of the pairs in which each image is loaded as few times as memory allows.
 
-Images that are paired with each other get neighbouring ranks (reverse Cuthill-McKee). The pairs are
-ordered by rank, which suits sequences; or the ranks are cut into tiles, and the pairs of one pair
-of tiles follow each other, which suits images of which most are paired. Of several such orders that
-with the fewest loads is taken. If all images fit, each is loaded once by each worker.
+Images that are paired get neighbouring ranks (reverse Cuthill-McKee). Of several orders that with
+the fewest loads is taken: by rank, which suits sequences, or by tiles of ranks, which suit
+images of which most are paired.
 """
 
 from __future__ import annotations

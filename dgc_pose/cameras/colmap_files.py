@@ -111,12 +111,10 @@ def read_database(path: Path) -> PairList:
     """
     from dgc_pose.system.colmap_library import pycolmap
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such database")
     require_regular(path)
     with scratch_folder() as folder:
         # Opening a database of an older COLMAP changes it, so a copy is opened.
-        copy = Path(folder, "database.db")
+        copy = folder / "database.db"
         shutil.copyfile(path, copy)
         try:
             _require_plain(copy)

@@ -40,22 +40,18 @@ def environment() -> Facts:
             "build": build(),
             "folder": str(Path(__file__).resolve().parents[1]),
         },
-        "machine": _machine(),
+        "machine": {
+            "Python": f"{platform.python_version()} ({sys.executable})",
+            "system": platform.platform(),
+            "processor": _processor(),
+            "processors": f"{usable_cpus()} of {os.cpu_count()} usable",
+            "memory": _memory(),
+        },
         "libraries": {name: _library(name) for name in LIBRARIES},
         "weights": _weights(),
         "devices": _devices(),
         "threads": _threads(),
         "environment": {name: os.environ[name] for name in VARIABLES if name in os.environ},
-    }
-
-
-def _machine() -> dict[str, str]:
-    return {
-        "Python": f"{platform.python_version()} ({sys.executable})",
-        "system": platform.platform(),
-        "processor": _processor(),
-        "processors": f"{usable_cpus()} of {os.cpu_count()} usable",
-        "memory": _memory(),
     }
 
 

@@ -16,7 +16,7 @@ from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import align
 from dgc_pose.refinement.consistency import consistent
-from dgc_pose.system.threads import in_threads, slices, usable_cpus
+from dgc_pose.system.threads import in_threads, slices
 from two_view import two_view_scene
 
 
@@ -98,13 +98,3 @@ def test_aligned_patches_are_the_same_for_any_number_of_threads() -> None:
     assert len(found[0].index) > 512  # several chunks
     assert np.array_equal(found[0].points1, found[1].points1)
     assert np.array_equal(found[0].zncc, found[1].zncc)
-
-
-def test_usable_cpus_need_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
-    """macOS and Windows have no `os.sched_getaffinity`."""
-    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {3, 5, 7}, raising=False)
-    assert usable_cpus() == 3
-    monkeypatch.delattr("os.sched_getaffinity")
-    for count, expected in ((6, 6), (None, 1)):
-        monkeypatch.setattr("os.cpu_count", lambda count=count: count)
-        assert usable_cpus() == expected
