@@ -96,7 +96,5 @@ def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
     for side in (0, 1):
         order = order[best[order]]
         _, first = np.unique(index[order, side], return_index=True)
-        chosen = np.zeros(len(index), dtype=bool)
-        chosen[order[first]] = True
-        best &= chosen
+        best &= np.isin(np.arange(len(index)), order[first])
     return index[best]

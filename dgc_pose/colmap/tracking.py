@@ -171,9 +171,8 @@ class _Builder:
 
     def add(self, name: str, corners: np.ndarray, tracks: Sequence[Track]) -> None:
         """The corners of an image: key points of it, and of each image that has them."""
-        seen = np.zeros(len(corners), dtype=bool)
-        for track in tracks:
-            seen[track.corner] = True
+        used = [track.corner for track in tracks]
+        seen = np.isin(np.arange(len(corners)), np.concatenate([np.zeros(0, int), *used]))
         key_point = np.full(len(corners), -1)
         key_point[seen] = self._add_points(name, corners[seen])
         indices = [self._add_points(track.name, track.points) for track in tracks]

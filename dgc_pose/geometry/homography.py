@@ -14,7 +14,7 @@ _PIXELS = 1000.0
 def fit_homography(
     points1: np.ndarray, points2: np.ndarray, threshold: float, seed: int = 0
 ) -> np.ndarray | None:
-    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None if none is found.
+    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None if there is none.
 
     points1, points2: normalised (N, 2); threshold: on the transfer error, in the same unit.
     """
@@ -32,8 +32,8 @@ def fit_homography(
         if H is None or not np.isfinite(H).all():
             return None
         H = H * np.outer([1 / _PIXELS, 1 / _PIXELS, 1], [_PIXELS, _PIXELS, 1])
-        kept = transfer_error(points1, points2, H) < threshold
-        fitted, _ = cv2.findHomography(points1[kept], points2[kept], 0)
+        inliers = transfer_error(points1, points2, H) < threshold
+        fitted, _ = cv2.findHomography(points1[inliers], points2[inliers], 0)
     except cv2.error:  # degenerate points, such as copies of one
         return None
     return H if fitted is None else fitted

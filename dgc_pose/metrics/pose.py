@@ -15,14 +15,10 @@ def rotation_error_deg(R: np.ndarray, R_gt: np.ndarray) -> float:
 
     acos((trace - 1) / 2), computed as an arctangent, which is accurate near 0 and 180 too.
     """
-    relative = np.asarray(R_gt, dtype=np.float64).T @ np.asarray(R, dtype=np.float64)
-    axis = (
-        relative[2, 1] - relative[1, 2],
-        relative[0, 2] - relative[2, 0],
-        relative[1, 0] - relative[0, 1],
-    )
+    R = np.asarray(R_gt, dtype=np.float64).T @ np.asarray(R, dtype=np.float64)
+    axis = (R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
     # The axis has length 2 sin(angle), and trace - 1 is 2 cos(angle).
-    return float(np.degrees(np.arctan2(np.linalg.norm(axis), np.trace(relative) - 1)))
+    return float(np.degrees(np.arctan2(np.linalg.norm(axis), np.trace(R) - 1)))
 
 
 def translation_error_deg(t: np.ndarray, t_gt: np.ndarray) -> float:

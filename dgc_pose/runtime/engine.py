@@ -21,7 +21,7 @@ class MapFeatures(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NativeFeatures:
-    """Features of an image in its own shape, unit length over the channels, channels last."""
+    """Features of an image in the image's shape, unit length over the channels, channels last."""
 
     coarse: np.ndarray  # (h, w, C) float32, stride 16
     middle: np.ndarray  # (2 h, 2 w, C') float32, stride 8
