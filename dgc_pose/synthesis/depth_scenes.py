@@ -45,11 +45,6 @@ FRAME_PAIRS = {
     "near": FramePairOptions(),
     "far": FramePairOptions((0.15, 0.97), (0.03, 2.5), rotation_deg=90.0, per_frame=40),
 }
-# A pair's chance: degrees of rotation, plus so many for a baseline of one median depth (at most 1.5
-# of them count), over _VIEW_CHANGE_DEG, within _CHANCE.
-_BASELINE_DEG = 40.0
-_VIEW_CHANGE_DEG = 30.0
-_CHANCE = (0.15, 2.0)
 
 
 @dataclass(frozen=True)
@@ -108,11 +103,12 @@ def _load_scene(
     cam_from_world[:, :3, 3] /= unit
     pairs, poses = _choose(depth, K, cam_from_world, choice)
     if choice.per_frame is not None and len(pairs) > choice.per_frame * len(frames):
+        # A baseline of one median depth counts as 40 degrees of rotation.
         baseline = poses[:, :, 3].norm(dim=1).clamp(max=1.5)
-        change = (_rotation_deg(poses) + _BASELINE_DEG * baseline) / _VIEW_CHANGE_DEG
+        change = ((_rotation_deg(poses) + 40 * baseline) / 30).clamp(0.15, 2.0)
         generator = torch.Generator().manual_seed(len(poses))
         count = choice.per_frame * len(frames)
-        drawn = torch.multinomial(change.clamp(*_CHANCE), count, generator=generator).sort().values
+        drawn = torch.multinomial(change, count, generator=generator).sort().values
         pairs, poses = pairs[drawn], poses[drawn]
     return DepthScenes(images, depth.half(), K.float(), pairs, poses.float())
 

@@ -19,8 +19,6 @@ from dgc_pose.files.inputs import read_text
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.image import image_size, read_pixels
 
-_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame:
@@ -46,7 +44,7 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
     differ or a matrix is malformed; ImageError if a file is not an image; OSError.
     """
     root = Path(root)
-    images = _files(root / "images", _IMAGE_SUFFIXES)
+    images = _files(root / "images", (".jpg", ".jpeg", ".png"))
     depths = _files(root / "depth", (".png",))
     K = as_camera(root / "K.txt").K
     if abs(K[0, 1]) > 1e-6 * K[0, 0]:

@@ -19,7 +19,7 @@ from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.render.rendered_pairs import render_pairs
-from dgc_pose.synthesis.warps import random_warp
+from dgc_pose.synthesis.warps import random_warp, rotation_2d
 
 
 def make_pairs(
@@ -95,8 +95,8 @@ def _random_views(
     scale = draw.uniform(batch, low=options.view_scale[0], high=options.view_scale[1])
     roll = math.radians(options.view_roll_deg) * draw.normal(batch)
     mirrored = 1 - 2 * draw.chance(batch, share=0.5).float()
-    cos, sin = scale * roll.cos(), scale * roll.sin()
-    linear = torch.stack([cos * mirrored, -sin, sin * mirrored, cos], -1).view(batch, 2, 2)
+    linear = scale[:, None, None] * rotation_2d(roll)
+    linear[:, :, 0] *= mirrored[:, None]
     return linear, (1 - scale)[:, None] * (2 * draw.uniform(batch, 2) - 1)
 
 
@@ -109,17 +109,12 @@ def _occlude(
     random = Draw(generator, images.device, images.dtype).uniform(batch, 7)
     axis = torch.linspace(-1, 1, size, device=images.device)
     y, x = torch.meshgrid(axis, axis, indexing="ij")
-    centre = 2 * random[:, :2] - 1
-    radii = 0.1 + 0.4 * random[:, 2:4]
-    angle = math.pi * random[:, 4]
-    dx = x - centre[:, 0, None, None]
-    dy = y - centre[:, 1, None, None]
-    cos, sin = angle.cos()[:, None, None], angle.sin()[:, None, None]
-    along = (cos * dx + sin * dy) / radii[:, 0, None, None]
-    across = (-sin * dx + cos * dy) / radii[:, 1, None, None]
-    hidden = (along.square() + across.square() < 1) & (random[:, 5, None, None] < share)
-    hidden = hidden[:, None]
-    scale = 0.5 + 0.5 * random[:, 6, None, None]
-    grid = torch.stack([x, y], -1)[None] * scale[..., None]
+    x0, y0, radius1, radius2, angle, chance, zoom = random[..., None, None].unbind(1)
+    dx, dy = x - (2 * x0 - 1), y - (2 * y0 - 1)
+    cos, sin = (math.pi * angle).cos(), (math.pi * angle).sin()
+    along = (cos * dx + sin * dy) / (0.1 + 0.4 * radius1)
+    across = (-sin * dx + cos * dy) / (0.1 + 0.4 * radius2)
+    hidden = ((along.square() + across.square() < 1) & (chance < share))[:, None]
+    grid = torch.stack([x, y], -1)[None] * (0.5 + 0.5 * zoom)[..., None]
     patch = F.grid_sample(others, grid.expand(batch, -1, -1, -1), align_corners=False)
     return torch.where(hidden, patch, images), hidden

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.synthesis.draw import Draw
@@ -61,18 +62,17 @@ def thin_plate_spline(control: Tensor, values: Tensor) -> Warp:
     """
     count = len(control)
     kernel = _tps_kernel(torch.cdist(control, control))
-    poly = torch.cat([control.new_ones(count, 1), control], 1)
-    system = control.new_zeros(count + 3, count + 3)
-    system[:count, :count] = kernel
+    poly = F.pad(control, (1, 0), value=1.0)
+    system = F.pad(kernel, (0, 3, 0, 3))
     system[:count, count:] = poly
     system[count:, :count] = poly.T
-    right = torch.cat([values, values.new_zeros(len(values), 3, 2)], 1)
+    right = F.pad(values, (0, 0, 0, 3))
     weights = torch.linalg.solve(system.double(), right.double()).to(values.dtype)
 
     def warp(points: Tensor) -> Tensor:
         knots = control.to(points, non_blocking=True).expand(len(points), -1, -1)
         basis = _tps_kernel(torch.cdist(points, knots))
-        affine = torch.cat([torch.ones_like(points[..., :1]), points], -1)
+        affine = F.pad(points, (1, 0), value=1.0)
         return torch.cat([basis, affine], -1) @ weights.to(points, non_blocking=True)
 
     return warp
@@ -87,8 +87,7 @@ def homography_from_corners(corners: Tensor) -> Tensor:
     rows_v = torch.stack([zero, zero, zero, x, y, one, -v * x, -v * y], -1)
     system = torch.cat([rows_u, rows_v], 1).double()
     solution = torch.linalg.solve(system, torch.cat([u, v], 1).double()[..., None])[..., 0]
-    ones = solution.new_ones(len(corners), 1)
-    return torch.cat([solution, ones], 1).view(-1, 3, 3).to(corners.dtype)
+    return F.pad(solution, (0, 1), value=1.0).view(-1, 3, 3).to(corners.dtype)
 
 
 def _tps_kernel(distance: Tensor) -> Tensor:
@@ -116,9 +115,8 @@ def _random_affine(draw: Draw, batch: int, options: WarpOptions) -> Tensor:
     rotation = _random_rotation(
         draw, batch, options.affine_rotation_deg, options.any_rotation_share
     )
-    linear = rotation @ axes @ stretch @ axes.transpose(1, 2)
     matrix = torch.eye(3).repeat(batch, 1, 1)
-    matrix[:, :2, :2] = linear
+    matrix[:, :2, :2] = rotation @ axes @ stretch @ axes.transpose(1, 2)
     matrix[:, :2, 2] = draw.uniform(batch, 2, low=-options.translation, high=options.translation)
     return matrix
 

@@ -7,36 +7,16 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
-from scipy.interpolate import RBFInterpolator
 
 from dgc_pose.synthesis.map_pairs import point_grid
 from dgc_pose.synthesis.options import WIDE, WarpOptions
-from dgc_pose.synthesis.warps import (
-    TPS_KNOTS,
-    apply_homography,
-    homography_from_corners,
-    random_warp,
-    thin_plate_spline,
-)
+from dgc_pose.synthesis.warps import apply_homography, homography_from_corners, random_warp
 
 _CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 def _grid(batch: int, side: int = 9) -> torch.Tensor:
     return point_grid(torch.linspace(-1, 1, side)).repeat(batch, 1, 1)
-
-
-def test_spline_agrees_with_scipys() -> None:
-    values = TPS_KNOTS + 0.2 * torch.randn(3, 9, 2, generator=torch.Generator().manual_seed(0))
-    points = _grid(3)
-    found = thin_plate_spline(TPS_KNOTS, values)(points)
-    for index in range(3):
-        reference = RBFInterpolator(
-            TPS_KNOTS.double().numpy(), values[index].double().numpy(), kernel="thin_plate_spline"
-        )
-        np.testing.assert_allclose(
-            found[index].numpy(), reference(points[index].double().numpy()), atol=1e-4
-        )
 
 
 def test_homography_takes_corners_to_corners() -> None:

@@ -218,7 +218,7 @@ def _around(draw: Draw, batch: int, count: int) -> Tensor:
 
 def _facing(draw: Draw, normal: Tensor, largest: float) -> Tensor:
     """Axes (B, n, 3, 3) whose third is `normal` (B, n, 3), tilted by up to `largest` radians."""
-    tilt = draw.uniform(*normal.shape[:-1], high=1.0) * largest
+    tilt = draw.uniform(*normal.shape[:-1]) * largest
     third = (axis_angle(_perpendicular(draw, normal), tilt) @ normal[..., None])[..., 0]
     first = _perpendicular(draw, third)
     return torch.stack((first, torch.linalg.cross(third, first), third), dim=-2)

@@ -18,12 +18,7 @@ from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
 from dgc_pose.synthesis.render.procedural import procedural_textures
 from dgc_pose.synthesis.render.random_scene import random_scene, random_viewpoints, single_plane
-from dgc_pose.synthesis.render.rendered_pairs import (
-    RenderedPairs,
-    Views,
-    overlapping,
-    render_views,
-)
+from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, Views, overlapping, render_views
 
 PairKind = Literal["general", "planar", "rotation_only", "forward"]
 
@@ -105,8 +100,8 @@ def _camera_pair(
 
     tilt = draw.normal(1, 3) * 0.3
     tilt[:, 1] = 1 - 2 * draw.chance(1, share=0.5).to(tilt.dtype)
-    relative = axis_angle(normalize(tilt, dim=-1), torch.full_like(tilt[:, 0], rotation))
-    rotation2 = relative @ rotation1
+    angle = torch.full_like(tilt[:, 0], rotation)
+    rotation2 = axis_angle(normalize(tilt, dim=-1), angle) @ rotation1
     if kind == "rotation_only":
         centre2 = centre1
     elif kind == "forward":
