@@ -5,8 +5,8 @@
     def estimate(estimation: EstimationOptions) -> None: ...
 
 gives the command an option for each field of `EstimationOptions` that was made by
-`dgc_pose.system.options.option` with a help text, and passes it one instance. A field whose type is
-such a dataclass, and whose default is that class's own, contributes the options of that class.
+`dgc_pose.system.options.option` with a help text, and passes it an instance. A field whose type is
+a dataclass contributes the options of that class.
 """
 
 from __future__ import annotations

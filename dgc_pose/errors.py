@@ -34,8 +34,7 @@ _OPTIONAL = {
 
 
 def missing_package(failure: ModuleNotFoundError) -> str | None:
-    """What a person is told of an import that failed; None if the module is not one that may be
-    absent."""
+    """What a person is told of an import that failed; None if the module is never absent."""
     name = _OPTIONAL.get((failure.name or "").split(".")[0])
     if name is None:
         return None

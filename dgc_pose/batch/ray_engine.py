@@ -22,7 +22,7 @@ MOST_TRIES = 3  # of one block, whose worker may end each time
 
 @contextmanager
 def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
-    """Actors of the cluster at RAY_ADDRESS, or of one that is started on this machine.
+    """Actors of the cluster at RAY_ADDRESS; without that, a cluster is started on this machine.
 
     Raises InputError without Ray. Running tasks raises DgcPoseError if a block kills its worker
     again and again; `--resume` goes on after that.

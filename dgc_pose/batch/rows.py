@@ -50,13 +50,6 @@ class PairRow:
     guessed_focal: bool = False  # whether a focal length is a guess: expect a bad pose
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
-    @property
-    def cam2_from_cam1(self) -> np.ndarray | None:
-        """[R | t] (3, 4), or None without a pose."""
-        if self.R is None or self.t is None:
-            return None
-        return np.column_stack([np.reshape(self.R, (3, 3)), self.t])
-
 
 def row_of(
     names: tuple[str, str], pose: RelativePose, error_px: float, guessed_focal: bool

@@ -96,7 +96,7 @@ class PartStore:
         self.plan = plan
         self.folder = out / PARTS
         self.bad = dict(plan.bad)  # of all pairs that are done, the reason by image
-        self._part_of: dict[int, Path] = {}  # by pair; the last one holds for a pair in several
+        self._part_of: dict[int, Path] = {}  # by pair, the last part that has it
         self._in_result: set[int] = set()  # pairs that are done in the result
         self._number = -1  # of the last part
         self._has_result = before is not None and (out / SUMMARY).is_file()

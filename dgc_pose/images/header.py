@@ -53,7 +53,7 @@ class Header:
 
 
 def image_format(start: bytes) -> str:
-    """The format of an image file that begins so: its first `START_BYTES`, or all of a smaller one.
+    """The format of an image file by its first `START_BYTES`, or by all of a smaller file.
 
     Raises UnreadableFormatError, which says what the file is, if it is not read.
     """

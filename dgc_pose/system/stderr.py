@@ -20,7 +20,7 @@ def quiet() -> Iterator[None]:
     """
     with _lock:
         try:
-            kept = os.dup(_STDERR)
+            terminal = os.dup(_STDERR)
         except OSError:  # the process has no stderr
             yield
             return
@@ -30,5 +30,5 @@ def quiet() -> Iterator[None]:
             os.close(nowhere)
             yield
         finally:
-            os.dup2(kept, _STDERR)
-            os.close(kept)
+            os.dup2(terminal, _STDERR)
+            os.close(terminal)
