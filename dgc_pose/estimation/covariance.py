@@ -69,8 +69,8 @@ def error_radius_deg(covariance: np.ndarray) -> float:
     """The length that a Gaussian vector of angles, covariance (3, 3) in rad^2, stays below nine
     times in ten. Degrees, at most 180.
 
-    The squared length is approximated by a scaled chi-square of the same mean
-    and variance (Satterthwaite 1946), which is exact for a single axis and for equal ones.
+    The squared length is taken for a scaled chi-square of the same mean and variance (Satterthwaite
+    1946), which is exact for a single axis and for equal ones.
     """
     eigenvalues = np.linalg.eigvalsh(covariance).clip(min=0)
     mean, squares = eigenvalues.sum(), (eigenvalues**2).sum()

@@ -21,7 +21,9 @@ def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[
         return []
 
     def run(seed: int) -> np.ndarray | None:
-        sampled = _sample(len(problem), options.max_sampled, seed)
+        sampled = np.arange(len(problem))
+        if len(problem) > options.max_sampled:
+            sampled = np.random.default_rng(seed).permutation(sampled)[: options.max_sampled]
         return essential_matrix(
             problem.points1[sampled],
             problem.points2[sampled],
@@ -39,10 +41,3 @@ def run_seeds(options: EstimationOptions) -> list[int]:
     """A seed for each run, all different, drawn from the one in the options."""
     seeds = np.random.SeedSequence(options.seed).generate_state(options.runs)
     return [int(seed) % (2**31 - 1) for seed in seeds]
-
-
-def _sample(count: int, most: int, seed: int) -> np.ndarray | slice:
-    """Indices of at most `most` of `count` matches, drawn at random; all if there are no more."""
-    if count <= most:
-        return slice(None)
-    return np.random.default_rng(seed).permutation(count)[:most]

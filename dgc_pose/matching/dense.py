@@ -136,10 +136,8 @@ class DenseMatcher(Matcher):
         decoded: DecodedMap,
         cycle: np.ndarray | None,
     ) -> CorrespondenceMap:
-        """The map over image 2 as it is, of one decoded between views.
-
-        Cells that the view of image 2 does not show have matchability 0.
-        """
+        """The map over image 2 as it is, from a map between views; with matchability 0 where the
+        view of image 2 shows nothing."""
         values = [decoded.points, decoded.matchability, *(() if cycle is None else (cycle,))]
         cells = decoded.matchability.shape[::-1]
         grid = cell_centres(cells, image2.size)

@@ -237,6 +237,5 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
 
 def _whole(size: tuple[int, int], angle_deg: float) -> View:
     """The whole of an image, no larger than the network needs it."""
-    if angle_deg == 0:
-        return View.whole(size)
-    return View.whole(size, angle_deg, min(1.0, _PIXELS / math.sqrt(math.prod(size))))
+    scale = min(1.0, _PIXELS / math.sqrt(math.prod(size)))
+    return View.whole(size, angle_deg, scale if angle_deg else 1.0)

@@ -73,8 +73,8 @@ class FeatureMatches:
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
     ) -> Matches:
         """Matches at the scale that the map shows, to the octave: features tolerate half of one."""
-        octave = round(math.log2(scale_between(correspondence_map)))
-        return self.at_scale(image1, image2, correspondence_map, 2.0**octave)
+        scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
+        return self.at_scale(image1, image2, correspondence_map, scale)
 
     def at_scale(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float

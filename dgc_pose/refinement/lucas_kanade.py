@@ -142,8 +142,8 @@ def _alike(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Which affinities (N, 2, 2) differ by a stretch of less than `_STRETCH` along every axis."""
     change = np.linalg.inv(first) @ second
     stretch = np.linalg.svd(change, compute_uv=False)
-    alike: np.ndarray = np.all((stretch < _STRETCH) & (stretch > 1 / _STRETCH), axis=1)
-    return alike & (np.linalg.det(change) > 0)
+    little = np.all((stretch < _STRETCH) & (stretch > 1 / _STRETCH), axis=1)
+    return little & (np.linalg.det(change) > 0)
 
 
 def _window(grey: np.ndarray, points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

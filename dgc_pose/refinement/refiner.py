@@ -68,18 +68,18 @@ class Refiner(Matcher):
 
     def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
         results = self.matcher.match_batch(pairs)
-        return [self.refine(*pair, given) for pair, given in zip(pairs, results, strict=True)]
+        return [self.refine(*pair, result) for pair, result in zip(pairs, results, strict=True)]
 
-    def refine(self, image1: Image, image2: Image, given: MatchResult) -> MatchResult:
+    def refine(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         """A matcher's result with its matches refined; `error_px` is that of the last step done.
 
         A step that leaves too few matches is undone. If every source gives too few, the result is
-        returned as given.
+        returned as result.
         """
-        dense = given.correspondence_map
-        sources: Iterable[Matches] = [given.matches]
+        dense = result.correspondence_map
+        sources: Iterable[Matches] = [result.matches]
         if dense is not None:
-            sources = (s.find(image1, image2, dense, given.matches) for s in self.sources)
+            sources = (s.find(image1, image2, dense, result.matches) for s in self.sources)
         for source in sources:
             for candidates, least in self._steps(image1, image2, source):
                 matches = textured(candidates, image1, image2)
@@ -88,7 +88,7 @@ class Refiner(Matcher):
                         matches.points2, matches.confidence, image2.size, self.max_matches
                     )
                     return MatchResult(matches.subset(rows), dense)
-        return given
+        return result
 
     def _steps(
         self, image1: Image, image2: Image, matches: Matches
