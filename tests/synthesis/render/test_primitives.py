@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.synthesis.render.primitives import (
+from dgc_pose.synthesis.render.scene import (
     intersect_box,
     intersect_ellipsoid,
     intersect_quad,
@@ -20,7 +20,7 @@ RAYS = 2000
 
 def plane_hits(origin: np.ndarray, direction: np.ndarray) -> list[float]:
     """Parameters at which a line meets the surface of the unit cube, by its six planes."""
-    found = []
+    result = []
     for axis in range(3):
         for side in (-1.0, 1.0):
             if direction[axis] == 0:
@@ -28,8 +28,8 @@ def plane_hits(origin: np.ndarray, direction: np.ndarray) -> list[float]:
             t = (side - origin[axis]) / direction[axis]
             point = origin + t * direction
             if all(abs(point[k]) <= 1 for k in range(3) if k != axis):
-                found.append(t)
-    return found
+                result.append(t)
+    return result
 
 
 def box_by_loop(origin: np.ndarray, direction: np.ndarray) -> float:
@@ -78,18 +78,18 @@ def test_intersections_agree_with_a_loop(function, loop, distance, dtype):
     expected = np.array(
         [loop(np.float64(o), np.float64(d)) for o, d in zip(origins, directions, strict=True)]
     )
-    found = function(
+    result = function(
         torch.from_numpy(origins).to(dtype)[..., None],
         torch.from_numpy(directions).to(dtype)[..., None],
     )[:, 0].numpy()
 
-    hit, expected_hit = np.isfinite(found), np.isfinite(expected)
+    hit, expected_hit = np.isfinite(result), np.isfinite(expected)
     assert 0.05 * RAYS < expected_hit.sum()
     # A ray that grazes an edge may fall on either side of it in float32.
     allowed = 0 if dtype == torch.float64 else 2
     assert (hit != expected_hit).sum() <= allowed
     both = hit & expected_hit
-    error = np.abs(found[both] - expected[both]) / np.maximum(1, expected[both])
+    error = np.abs(result[both] - expected[both]) / np.maximum(1, expected[both])
     assert error.max() < (1e-12 if dtype == torch.float64 else 3e-4)
     assert np.median(error) < (1e-14 if dtype == torch.float64 else 3e-7)
 
