@@ -133,3 +133,10 @@ def _project(
     pixels = (local @ K.T)[:, :2] / local[:, 2:]
     inside = (pixels >= 0).all(1) & (pixels <= np.subtract(size, 1)).all(1)
     return pixels, inside & (local[:, 2] > 0.1)
+
+
+def assert_among(poses, R, t, most):
+    """The pose is one of these to `most`, and each has a rotation and a direction of length 1."""
+    assert min(np.abs(R_ - R).max() + np.abs(t_ - t).max() for R_, t_ in poses) < most
+    for R_, t_ in poses:
+        assert np.isclose(np.linalg.det(R_), 1) and np.isclose(np.linalg.norm(t_), 1)

@@ -18,13 +18,10 @@ def worker():
     worker.close()
 
 
-def test_a_call_returns_what_the_method_does_and_its_reports_come_first(worker):
+def test_calls_share_another_process_and_their_reports_come_first(worker):
     reports = []
     assert worker.call("add", 2, 3, seconds=20, report=reports.append) == 5
     assert reports == ["adding 2", "and 3"]
-
-
-def test_calls_share_a_process_which_is_another_one(worker):
     first, second = (worker.call("process", seconds=20) for _ in range(2))
     assert first == second != os.getpid()
 

@@ -55,12 +55,6 @@ def test_residuals_beyond_the_limit_are_in_the_last_bar():
     assert axes.get_xlim() == (0, 1)
 
 
-def test_no_residuals_can_be_drawn():
-    axes = new_figure(4, 3).subplots()
-    draw_residuals(axes, np.zeros(0), np.zeros(0, bool))
-    axes.figure.canvas.draw()
-
-
 def test_a_panel_a_group_and_a_curve_a_method():
     alphas = np.linspace(0.005, 0.1, 5)
     curves = {
@@ -96,7 +90,8 @@ def test_shares_stand_over_the_mean_confidence_and_counts_below():
     figure.canvas.draw()
 
 
-def test_no_reliability_leaves_the_diagonal():
+def test_nothing_can_be_drawn():
     figure = plot_reliability({}, right="within 3 px")
     assert len(figure.axes[0].lines) == 1
+    draw_residuals(figure.axes[1], np.zeros(0), np.zeros(0, bool))
     figure.canvas.draw()
