@@ -25,9 +25,8 @@ from dgc_pose.cameras.camera import Camera, check_size, parse_camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.poselib_calls import MINIMAL, essential_matrix
+from dgc_pose.estimation.poselib_calls import MINIMAL, essential_matrix, run_seeds
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import run_seeds
 from dgc_pose.images.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DenseMatcher, MatchResult, select_matches

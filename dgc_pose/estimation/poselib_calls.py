@@ -1,11 +1,15 @@
-"""PoseLib: LO-RANSAC on the five-point solver, and the refinement of a pose on its inliers."""
+"""PoseLib: seeded runs of LO-RANSAC on the five-point solver, and the refinement of a pose."""
 
 from __future__ import annotations
 
 import numpy as np
 import poselib
 
+from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.system.threads import in_threads
 
 MINIMAL = 5  # matches that determine an essential matrix
 _LEAST_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
@@ -13,6 +17,38 @@ _LEAST_ITERATIONS = 200  # of a run, however many inliers there are; see docs/ex
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
 _FOCAL = 1000.0
 _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
+
+
+def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[Model]:
+    """The models of `options.runs` RANSAC runs, that with most inliers first.
+
+    Each run draws its samples from at most `options.max_sampled` matches, chosen by its own seed.
+    Inliers are counted over all matches.
+    """
+    if len(problem) < MINIMAL:
+        return []
+
+    def run(seed: int) -> np.ndarray | None:
+        sampled = np.arange(len(problem))
+        if len(problem) > options.max_sampled:
+            sampled = np.random.default_rng(seed).permutation(sampled)[: options.max_sampled]
+        return essential_matrix(
+            problem.points1[sampled],
+            problem.points2[sampled],
+            threshold=problem.threshold,
+            iterations=options.iterations,
+            seed=seed,
+        )
+
+    matrices = in_threads(run, run_seeds(options))
+    models = [Model.of_essential(problem, E) for E in matrices if E is not None]
+    return sorted(models, key=lambda model: -model.count)  # of equals the first run's
+
+
+def run_seeds(options: EstimationOptions) -> list[int]:
+    """A seed for each run, all different, drawn from the one in the options."""
+    seeds = np.random.SeedSequence(options.seed).generate_state(options.runs)
+    return [int(seed) % (2**31 - 1) for seed in seeds]
 
 
 def essential_matrix(

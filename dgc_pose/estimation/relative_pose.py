@@ -13,9 +13,9 @@ from dgc_pose.estimation.covariance import pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.poselib_calls import sampled_models
 from dgc_pose.estimation.probability import ProbabilityModel, match_kind, shipped_models
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import sampled_models
 from dgc_pose.estimation.refine import best_planar_model, planar_share, refine, refit
 from dgc_pose.estimation.result import Alternative, RelativePose
 from dgc_pose.estimation.rivals import rivals

@@ -17,8 +17,8 @@ import numpy as np
 
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.poselib_calls import sampled_models
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import sampled_models
 from dgc_pose.estimation.refine import planar_models, refine
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.triangulation import depths

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dgc_pose.estimation import EstimationOptions, ransac
-from dgc_pose.estimation.ransac import run_seeds, sampled_models
+from dgc_pose.estimation import EstimationOptions, poselib_calls
+from dgc_pose.estimation.poselib_calls import run_seeds, sampled_models
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
@@ -33,7 +33,7 @@ def test_of_all_runs_the_one_with_most_inliers_is_kept(monkeypatch):
         asked.append((threshold, iterations, seed))
         return answers[seed]
 
-    monkeypatch.setattr(ransac, "essential_matrix", answer)
+    monkeypatch.setattr(poselib_calls, "essential_matrix", answer)
     model = sampled_models(problem, options)[0]
     assert sorted(asked) == [(problem.threshold, 77, seed) for seed in sorted(seeds)]
     assert rotation_error_deg(model.R, scene.R) < 1e-5
@@ -53,7 +53,7 @@ def test_each_run_samples_from_its_own_draw_and_its_model_is_scored_on_all(monke
         seen[seed] = [rows[tuple(row)] for row in np.column_stack([points1, points2])]
         return truth
 
-    monkeypatch.setattr(ransac, "essential_matrix", answer)
+    monkeypatch.setattr(poselib_calls, "essential_matrix", answer)
     options = EstimationOptions(max_sampled=120)
     model = sampled_models(problem, options)[0]
     assert [len(set(drawn)) for drawn in seen.values()] == [120] * 5
@@ -69,7 +69,7 @@ def test_each_run_samples_from_its_own_draw_and_its_model_is_scored_on_all(monke
 
 
 def test_no_run_with_a_model_is_no_model(monkeypatch):
-    monkeypatch.setattr(ransac, "essential_matrix", lambda *a, **k: None)
+    monkeypatch.setattr(poselib_calls, "essential_matrix", lambda *a, **k: None)
     assert sampled_models(two_view_scene(count=100).problem(), EstimationOptions()) == []
 
 
