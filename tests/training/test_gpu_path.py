@@ -25,7 +25,7 @@ from dgc_pose.training.schedule import Schedule
 
 # Without changes of light: their noise is drawn on the device, by its own generator.
 _STILL = PairOptions(scene_share=0.4, real_share=0.3, photometric=None)
-_MAY_WAIT = "overlap.py: overlapping"  # for whether a scene's views overlap, once a draw
+_MAY_WAIT = "rendered_pairs.py: overlapping"  # for whether a scene's views overlap, once a draw
 
 
 @pytest.fixture(scope="module")
