@@ -4,8 +4,6 @@ A camera rolled about its optical axis, with another focal length and another wi
 copy of the picture, so that cameras and poses stay exact. Image 2 is `K' Rz K^-1` of its pixels.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

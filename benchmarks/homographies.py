@@ -10,8 +10,6 @@ HPatches pairs, hpatches_1_2.csv to hpatches_1_6.csv, are read too: a line is
 the homography from im1 to im2 at full size.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The report of bench-hpatches and bench-synthetic: tables, JSON, and a CSV row a pair."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO

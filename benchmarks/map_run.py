@@ -1,7 +1,5 @@
 """Every network on every pair of a data set with known maps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

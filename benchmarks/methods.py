@@ -9,8 +9,6 @@ set in each of them that has it; `refine` is the source of refinement, or none, 
 one matching pass.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace

@@ -1,7 +1,5 @@
 """Reconstructions of one scene by several methods, compared with the true cameras."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A few matches of each pair and method, kept for the pictures of a report."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Records: what one method made of one pair. The columns of the result tables are their fields."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeVar

@@ -1,7 +1,5 @@
 """From the matches of one method on one pair to its record: the work that other processes do."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import asdict, dataclass, replace

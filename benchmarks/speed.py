@@ -6,8 +6,6 @@ iterations. Beside them the ways to run a network. All are measured in turn in e
 medians are reported.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The figures of each method over all pairs, as data and as a table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -4,8 +4,6 @@ The paper's sets (section 4 and Table 1) by their published ranges, without phot
 occluders, as its lists have none; and ray-cast 3D scenes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain

@@ -1,7 +1,5 @@
 """Tables of text with aligned columns."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 

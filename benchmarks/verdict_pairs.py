@@ -3,8 +3,6 @@
 What a user named is checked when a function is called; images are read pair by pair.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice

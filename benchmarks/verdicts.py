@@ -4,8 +4,6 @@ Unrelated pairs must get no pose, true ones must get one. The pairs fall into tw
 of their names: gates are chosen on one half, and reported on the other.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

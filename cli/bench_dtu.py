@@ -1,7 +1,5 @@
 """`dgc-pose bench-dtu`: the paper's experiment on relative pose, over a user's copy of DTU."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

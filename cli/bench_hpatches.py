@@ -1,7 +1,5 @@
 """`dgc-pose bench-hpatches`: dense maps scored on pairs with known homographies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import click

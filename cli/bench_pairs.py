@@ -1,7 +1,5 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`dgc-pose bench-reconstruct`: reconstructions compared with true cameras."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the pose benchmarks share: --workers, --batch and --resume, and the run."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

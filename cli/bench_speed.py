@@ -1,7 +1,5 @@
 """`dgc-pose bench-speed`: where the time of a pair goes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path

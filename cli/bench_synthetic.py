@@ -1,7 +1,5 @@
 """`dgc-pose bench-synthetic`: dense maps scored on fixed sets of synthetic pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """`dgc-pose bench-verdicts`: whether a verdict and its expected error can be trusted."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

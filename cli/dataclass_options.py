@@ -9,8 +9,6 @@ gives the command an option for each field of `EstimationOptions` that was made 
 a dataclass contributes the options of that class.
 """
 
-from __future__ import annotations
-
 import functools
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping

@@ -1,7 +1,5 @@
 """`dgc-pose demo`: the bundled pair, its estimated pose beside the known pose."""
 
-from __future__ import annotations
-
 import click
 import numpy as np
 

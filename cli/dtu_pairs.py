@@ -1,7 +1,5 @@
 """`dgc-pose dtu-pairs`: a pair list from DTU's calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

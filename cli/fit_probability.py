@@ -1,7 +1,5 @@
 """`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

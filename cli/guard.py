@@ -4,8 +4,6 @@ Outputs are options of the types `OutputFile` and `OutputFolder`; all others may
 the command runs: an output that exists is replaced with --overwrite alone, an input never.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import re

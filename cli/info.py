@@ -1,7 +1,5 @@
 """`dgc-pose info`: what a bug report needs."""
 
-from __future__ import annotations
-
 import click
 
 from dgc_pose.files.json_files import json_text

@@ -5,8 +5,6 @@ Exit codes: 0 done, 1 an error that no code here expects, 2 unusable input, 3 no
 sub-command), 128 and the signal's number if one stopped it.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """What bench-hpatches and bench-synthetic share: options, the run, and the files of --out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`dgc-pose match`: the dense matches of two photographs, no K needed."""
 
-from __future__ import annotations
-
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options

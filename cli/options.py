@@ -1,7 +1,5 @@
 """Options that several commands share: dataclasses that `dataclass_options` makes options of."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

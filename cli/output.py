@@ -1,7 +1,5 @@
 """Poses and matches as text, JSON and .npz."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

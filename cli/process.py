@@ -4,8 +4,6 @@ SIGTERM and SIGHUP become exceptions, so that a command that is stopped removes 
 No standard stream is closed, and errors of stdout name it. Our warnings are a line each.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

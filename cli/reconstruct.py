@@ -1,7 +1,5 @@
 """`dgc-pose reconstruct`: from a folder of photographs to a COLMAP model."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from functools import partial

@@ -4,8 +4,6 @@
 >>> pose = estimate_relative_pose("1.jpg", "2.jpg", K)  # doctest: +SKIP
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING, Any
 

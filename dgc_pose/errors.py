@@ -1,7 +1,5 @@
 """The errors that dgc-pose raises. They share one base class."""
 
-from __future__ import annotations
-
 _REASON = 160  # characters of a library's message that are told
 
 

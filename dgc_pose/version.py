@@ -1,7 +1,5 @@
 """Which dgc-pose this is: its version, and the commit that it was built from."""
 
-from __future__ import annotations
-
 import subprocess
 from importlib import metadata
 from pathlib import Path

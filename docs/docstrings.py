@@ -4,8 +4,6 @@ A Griffe extension, loaded by mkdocs.yml. The code documents a field by the comm
 the comment lines above it, where shapes and units are.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Batches of rendered views with SIFT, for tests in which the network is not the point."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -4,8 +4,6 @@ Chromium reads commands from its descriptor 3 and answers on 4 (--remote-debuggi
 no driver and no port are needed.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,8 +1,6 @@
 """Matches of rendered views as a batch would find them: exact ones of the scene's points, noisy,
 at fresh places in each pair."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

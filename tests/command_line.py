@@ -1,7 +1,5 @@
 """Commands, run in this process, and what one that refuses its input prints and leaves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from click.testing import CliRunner, Result

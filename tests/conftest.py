@@ -1,7 +1,5 @@
 """How often hypothesis draws: always the same in the suite, anew in each round of `make fuzz`."""
 
-from __future__ import annotations
-
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(

@@ -4,8 +4,6 @@ The surface is given by its depth in camera 2, so the map comes straight from th
 bent enough not to pass for a plane.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Posed RGB-D folders and MVSNet folders of rendered scenes, as their makers lay them out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

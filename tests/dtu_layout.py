@@ -1,7 +1,5 @@
 """Tiny scans of one scene, rendered or grey, written in each of DTU's layouts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

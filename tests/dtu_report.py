@@ -1,7 +1,5 @@
 """A finished DTU run made up for its report: true matches and made-up errors, nothing estimated."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A data set for the evaluation's loop: the two views of `dense_scene`, over and over."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import dense_scene

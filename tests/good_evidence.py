@@ -1,7 +1,5 @@
 """Evidence of a pose that passes every gate."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence

@@ -1,7 +1,5 @@
 """A textured plane seen in images of several sizes, written in the layouts of known pair sets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

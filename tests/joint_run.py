@@ -1,7 +1,5 @@
 """A few steps of each stage, alone or under torchrun: what the losses and the weights come to."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Networks whose maps are known without any weights, and a small one."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn

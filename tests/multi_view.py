@@ -1,7 +1,5 @@
 """A rendered scene seen by several cameras: boxes of planes in a corner of a room, ray-cast."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small photographs, drawn: in memory, or in a folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

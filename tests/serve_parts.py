@@ -1,7 +1,5 @@
 """A server's estimator without a network, for tests."""
 
-from __future__ import annotations
-
 import dense_scene
 
 from dgc_pose.cli.output import pose_data

@@ -1,7 +1,5 @@
 """Objects for a worker's process."""
 
-from __future__ import annotations
-
 import os
 import time
 

@@ -1,7 +1,5 @@
 """Pairs and views in the light that they were made in."""
 
-from __future__ import annotations
-
 from dgc_pose.synthesis.options import PhotometricOptions
 
 STILL = PhotometricOptions(

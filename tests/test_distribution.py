@@ -1,7 +1,5 @@
 """The sdist and the wheel: built as for a release, installed into empty environments, and run."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

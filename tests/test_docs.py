@@ -1,7 +1,5 @@
 """The documentation names what is there: public names, sub-commands, files that are linked."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

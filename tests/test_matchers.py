@@ -1,7 +1,5 @@
 """Matchers by name: what each name gives, and what the caches and fingerprints tell."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import dense_scene

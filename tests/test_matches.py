@@ -1,7 +1,5 @@
 """Matches refuse shapes that do not agree."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What setup.cfg says of the package, and that importing the package stays cheap."""
 
-from __future__ import annotations
-
 import configparser
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The whole pipeline, from paths, arrays and tensors to a pose and its verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

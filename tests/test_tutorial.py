@@ -1,7 +1,5 @@
 """The tutorial runs from top to bottom, and says what it is said to."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Field numbers are those of onnx.proto3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 

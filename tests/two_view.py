@@ -1,7 +1,5 @@
 """Seeded two-view scenes of points, of every kind that the estimator must tell apart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -1,7 +1,5 @@
 """DTU's calibrated camera positions, from the matrices that each layout holds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

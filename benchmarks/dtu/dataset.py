@@ -1,7 +1,5 @@
 """DTU on a user's disk, in any of its layouts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ RANSAC runs of 1000 iterations, and the best of them is the answer (Melekhov et 
 matches, and the pose refined on its inliers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property

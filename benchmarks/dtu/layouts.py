@@ -10,8 +10,6 @@
   (4x4) of `cameras.npz` is the projection, world (mm) to pixel, of image i, from 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

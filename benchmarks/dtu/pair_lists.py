@@ -8,8 +8,6 @@ The truth comes from the calibration, so that a list serves every layout and lig
 - `id1 id2 scan q(4) t(3)`, views from 1, after comment lines that begin with `--`.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Collection, Iterator, Sequence

@@ -3,8 +3,6 @@
 Its data are JSON, which has no infinity: null stands for it, and for a figure that a method lacks.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A scene of DTU: its views that are on the disk, whatever the layout."""
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

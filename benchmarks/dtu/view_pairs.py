@@ -1,7 +1,5 @@
 """Pairs of DTU views with a chosen rotation and overlap, drawn at random from the calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, groupby

@@ -6,8 +6,6 @@ collection goes on after any kill. `engine.json` of a method's folder has the we
 a collection with other weights is refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pairs drawn from posed scenes, evenly over rotation and overlap: easy, hard and hopeless ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

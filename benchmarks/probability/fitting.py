@@ -6,8 +6,6 @@ each scene gets from weights fitted on the other scenes. The expected error is a
 on right poses of scenes whose reference is exact.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Mapping, Sequence

@@ -15,8 +15,6 @@ never on both sides. Kinds:
 - `textureless`: drawn images without structure, alone and beside photographs of `path`.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from importlib.resources import files

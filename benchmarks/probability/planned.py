@@ -1,7 +1,5 @@
 """The pairs of a plan's entries, each made when it is matched."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From stored matches to evidence and errors: a record for each pair, whatever the verdict."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

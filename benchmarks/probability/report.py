@@ -1,7 +1,5 @@
 """What a probability is worth on scenes that nothing was fitted on, beside the old gates."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Fit, calibration and report in one go, from stored matches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ features.h5 has `<image>/keypoints` (float32, (0, 0) the centre of the first pix
 (int32, -1 for none) and `matching_scores0` (float16); pairs.txt has two names a line.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

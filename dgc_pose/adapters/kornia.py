@@ -1,7 +1,5 @@
 """A matcher with the call of kornia's `LoFTR`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A matcher as a class of vismatch (image-matching-models)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -9,8 +9,6 @@
   other images, the first.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import os

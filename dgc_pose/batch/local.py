@@ -1,7 +1,5 @@
 """Workers on this machine: in this process, or in one process each."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import deque

@@ -5,8 +5,6 @@ float32, pixels of the images, (0, 0) the centre of the top-left pixel, `scores`
 `inliers` (N,) bool, which hloc passes over.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields

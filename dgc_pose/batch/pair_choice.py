@@ -1,7 +1,5 @@
 """Which images of a folder are paired: all, neighbours in a sequence, or the most similar."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The plan of a batch: its settings, the images with their cameras, and the pairs; `plan.json`."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

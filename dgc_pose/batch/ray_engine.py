@@ -4,8 +4,6 @@ This process stores the outcomes. Ray starts an actor that dies again, and has i
 All machines of the cluster need the package, and the images at the same path.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Iterator, Sequence

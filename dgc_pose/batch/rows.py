@@ -1,7 +1,5 @@
 """One row a pair: what a batch says of it, as a JSON line or a row of a Parquet table."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields

@@ -1,7 +1,5 @@
 """A batch from the source to the result, and its result read again."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections import Counter

@@ -5,8 +5,6 @@ the fewest loads is taken: by rank, which suits sequences, or by tiles of ranks,
 images of which most are paired.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from functools import lru_cache

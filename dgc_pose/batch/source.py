@@ -1,7 +1,5 @@
 """What a batch works on: photographs, their cameras and sizes, and the pairs if they are given."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@
   pairs whatever the order in which they were done; the parts are removed then.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What a worker does: it holds a matcher and images, and matches blocks of pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

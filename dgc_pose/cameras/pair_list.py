@@ -6,8 +6,6 @@ and rot2 count quarter turns to be applied to the images before they are matched
 rotations are refused, since K and T are of the images as stored.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

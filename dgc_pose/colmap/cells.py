@@ -4,8 +4,6 @@ The matches of each pair are then re-assigned to the nearest key points. This ne
 moves each match by up to the side of a cell, as hloc does with dense matchers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A COLMAP database of shared key points, matches and two-view geometries, through pycolmap."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import closing

@@ -1,7 +1,5 @@
 """From a finished batch to a COLMAP database."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A reconstruction from a COLMAP database, by pycolmap's incremental or global mapper."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from dgc_pose.colmap.options import MappingOptions

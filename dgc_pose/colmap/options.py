@@ -1,7 +1,5 @@
 """How a batch becomes a model, also as options of the commands."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """From a finished batch to a model, its points and a summary in one folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Matches of a dense matcher lie at fresh places in each pair. A reconstruction ne
 that are seen in three views and more, so the pairs of an image must share key points.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

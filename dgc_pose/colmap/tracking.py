@@ -6,8 +6,6 @@ locates it there to a fraction of a pixel. A corner and its locations are one tr
 merged, so no match is moved.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

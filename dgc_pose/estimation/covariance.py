@@ -7,8 +7,6 @@ spread is measured by leaving out one block after the other (the delete-a-group 
 2001), so that correlated errors are left out together.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

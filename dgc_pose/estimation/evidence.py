@@ -1,7 +1,5 @@
 """The measurements that the verdict on a model rests on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Options of the estimation, each with its default and unit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from dgc_pose.system.options import MAX_SEED, check_options, option

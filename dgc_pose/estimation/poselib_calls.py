@@ -1,7 +1,5 @@
 """PoseLib: seeded runs of LO-RANSAC on the five-point solver, and the refinement of a pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import poselib
 

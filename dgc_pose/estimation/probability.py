@@ -4,8 +4,6 @@ A logistic model of a few features, fitted by `dgc-pose fit-probability`. `proba
 model for each kind of matches; `probability.md` beside it is the card: data, split, figures.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

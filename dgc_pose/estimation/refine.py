@@ -1,8 +1,6 @@
 """Refinement of a model by robust least squares (Cauchy loss of the Sampson errors), and the poses
 that the homography of a plane allows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.estimation.model import Model, error_scale

@@ -1,7 +1,5 @@
 """The result of an estimate: a pose, or the reason why there is none."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

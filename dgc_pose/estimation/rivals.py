@@ -8,8 +8,6 @@ scene whose depth is mirrored.
   rotated the other way (the bas-relief, or Necker, reversal).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

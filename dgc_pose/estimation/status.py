@@ -1,7 +1,5 @@
 """The statuses of a result: what is known with each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal

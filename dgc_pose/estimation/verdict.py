@@ -4,8 +4,6 @@ The number of inliers does not decide it: random matches have inliers, and after
 all matches are inliers of an arbitrary translation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

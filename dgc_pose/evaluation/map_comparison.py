@@ -1,7 +1,5 @@
 """A network's dense maps of pairs, with the true maps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

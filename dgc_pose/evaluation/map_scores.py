@@ -4,8 +4,6 @@ AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over
 are in pixels of the 240x240 images, over the pixels whose true correspondence is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

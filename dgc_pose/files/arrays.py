@@ -1,7 +1,5 @@
 """Arrays: those of an argument, and those of NumPy's files .npy and .npz."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Collection, Mapping

@@ -4,8 +4,6 @@ For a damaged file a reader of NumPy, Pillow or torch raises almost anything, so
 within `read_as`, which names it.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 import warnings

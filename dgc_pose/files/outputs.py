@@ -1,7 +1,5 @@
 """Output files that appear whole or not at all, and never in place of an input."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

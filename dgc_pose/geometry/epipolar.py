@@ -1,7 +1,5 @@
 """The essential matrix and distances to it. x2^T E x1 = 0 for homogeneous points x1, x2."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Homographies, by OpenCV: robust fit, transfer error, and the poses of a plane."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Nearest neighbours in the plane, by a k-d tree."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

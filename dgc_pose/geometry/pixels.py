@@ -1,7 +1,5 @@
 """Pixel coordinates under resizing. Pixel (0, 0) is the centre of the top-left pixel everywhere."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

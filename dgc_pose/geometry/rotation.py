@@ -3,8 +3,6 @@
 In NumPy: SciPy's rotations cost a command more time at its start than the pose of a pair.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

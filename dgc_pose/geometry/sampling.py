@@ -1,7 +1,5 @@
 """Bilinear sampling of images at points between their pixels."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Depths, triangulation angles and epipolar angles of matches under a pose, in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.geometry.epipolar import homogeneous

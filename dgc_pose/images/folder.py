@@ -1,7 +1,5 @@
 """The images below a folder, told by their content, and what is left out."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass

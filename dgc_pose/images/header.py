@@ -5,8 +5,6 @@ pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory f
 claims, so an image is decoded only after its size is known.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import re

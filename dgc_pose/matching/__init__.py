@@ -1,7 +1,5 @@
 """Matching: from two images to matches, by the network, SIFT, optical flow, or from files."""
 
-from __future__ import annotations
-
 from dgc_pose.matching.dense import DenseMatcher, load_dense_matcher
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches

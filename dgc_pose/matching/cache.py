@@ -1,7 +1,5 @@
 """A cache of what is computed from an image, for images that belong to several pairs."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """The frozen network as a matcher of images of any size."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

@@ -14,8 +14,6 @@ W x H. Formats:
   true if the matches are independent detections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 

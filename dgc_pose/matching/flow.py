@@ -1,7 +1,5 @@
 """Dense optical flow as a matcher, for comparison with a correspondence network."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

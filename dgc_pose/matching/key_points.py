@@ -1,7 +1,5 @@
 """Matchers of key points: what they detect in an image is kept for its next pair."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np

@@ -9,8 +9,6 @@ The model takes one image (1, 3, H, W) or (1, 1, H, W) in [0, 1]. Two layouts of
   optionally scores.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence

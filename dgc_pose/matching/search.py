@@ -10,8 +10,6 @@ Entropies are relative to each other within a pair, so that no bound depends on 
 temperature.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a correspondence map to matches: by matchability, by cycle error, evenly spread."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """SIFT as a matcher, for comparison through the same estimator."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

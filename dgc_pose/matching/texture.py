@@ -6,8 +6,6 @@ structure tensor (Förstner and Gülch 1987) are larger than those of the image'
 or a stripe the smaller one is not (the aperture problem). Uniform bars at the border are no scene.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 

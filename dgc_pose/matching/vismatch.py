@@ -1,7 +1,5 @@
 """Every matcher of the package vismatch (image-matching-models) by its name there."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 

@@ -1,7 +1,5 @@
 """Image 1 as a map warps it, at a size that can be shown."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """How far matches lie from the true epipolar lines: D_e of the paper's section 4.4."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera

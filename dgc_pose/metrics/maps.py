@@ -1,7 +1,5 @@
 """Errors of a dense correspondence map and of a matchability mask."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

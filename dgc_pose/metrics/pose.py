@@ -1,7 +1,5 @@
 """Errors of a relative pose, and the area under their recall curve."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fixed numbers of the network, which every library that runs it needs."""
 
-from __future__ import annotations
-
 EPSILON = 1e-6  # under the root of a feature's length
 PEAK = (0.01, 0.99)  # bounds of the peak's probability, from which the coarsest mask logit starts
 PEAK_WINDOW = 2  # cells along each axis around the highest that belong to the peak

@@ -1,7 +1,5 @@
 """Normalised map coordinates and pixels: both of torch's align_corners conventions."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

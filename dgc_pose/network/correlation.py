@@ -1,7 +1,5 @@
 """Correlation of features, neighbourhood consensus by belief propagation (ours), and peaks."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

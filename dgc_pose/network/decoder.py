@@ -1,7 +1,5 @@
 """Correspondence decoders and the mask network: blocks of convolution, batch norm and ReLU."""
 
-from __future__ import annotations
-
 from torch import nn
 
 from dgc_pose.network.config import DecoderConfig

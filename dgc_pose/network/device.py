@@ -1,7 +1,5 @@
 """The device that the network runs on."""
 
-from __future__ import annotations
-
 import torch
 
 from dgc_pose.errors import InputError

@@ -7,8 +7,6 @@ output cell (with TensorFlow's padding); over four such layers that adds up to h
 16. The offset cancels between two upright views, but not if one is rotated or scaled.
 """
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn

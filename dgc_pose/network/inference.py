@@ -1,7 +1,5 @@
 """A frozen network made faster: the same maps by fewer operations."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import torch

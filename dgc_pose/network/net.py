@@ -1,7 +1,5 @@
 """The assembled network: pyramid, correlation, five decoders, matchability."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import cast
 

@@ -1,7 +1,5 @@
 """A feature pyramid of plain convolutions: VGG-16's first layers in the paper's presets."""
 
-from __future__ import annotations
-
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 

@@ -1,7 +1,5 @@
 """Weights: our safetensors, the authors' checkpoints, and those shipped in the package."""
 
-from __future__ import annotations
-
 import pickle
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Refinement: matches at the accuracy of the original photographs, whatever the matcher."""
 
-from __future__ import annotations
-
 from dgc_pose.refinement.options import (
     AlignmentOptions,
     FeatureOptions,

@@ -5,8 +5,6 @@ t + d) of the eight neighbours t + d. All pairs of thousands of cells would be t
 has a few candidates, the most similar cells and those that the dense map points to.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

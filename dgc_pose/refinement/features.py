@@ -7,8 +7,6 @@ and mutual nearest neighbours remain. At stride 4 the point is located to a frac
 Only the comparison at stride 16 is quadratic in the number of pixels.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

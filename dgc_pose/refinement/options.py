@@ -1,7 +1,5 @@
 """The options of refinement, with defaults and units. docs/experiments.md has the measurements."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

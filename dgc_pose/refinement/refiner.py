@@ -1,7 +1,5 @@
 """The refiner: a matcher's matches, or more accurate ones of the pair, aligned on the images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Protocol

@@ -4,8 +4,6 @@ Scores are (h1 * w1, h2 * w2): of each source cell, column by column, for each t
 row.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

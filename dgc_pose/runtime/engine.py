@@ -1,7 +1,5 @@
 """The contract of what runs the network. Nothing above it knows torch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -9,8 +9,6 @@ Needs torch, onnx and onnxscript. The graphs are to be made anew if the network 
 tests/runtime/test_onnx_engine.py fails until they are.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

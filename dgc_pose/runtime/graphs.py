@@ -1,7 +1,5 @@
 """The ONNX graphs: of which presets there are some, and where they lie."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 PRESETS = ("dgcm-lite0",)

@@ -1,7 +1,5 @@
 """Which engine runs given weights: ONNX Runtime where it can, otherwise torch."""
 
-from __future__ import annotations
-
 import shutil
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The network run by ONNX Runtime and NumPy, on the CPU, without torch."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

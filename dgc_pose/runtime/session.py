@@ -1,7 +1,5 @@
 """One ONNX graph with its weights, run by ONNX Runtime on the CPU."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

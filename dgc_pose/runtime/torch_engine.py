@@ -1,7 +1,5 @@
 """The network run by torch: on any device, with any weights."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """The server: the page, images in, poses out."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence

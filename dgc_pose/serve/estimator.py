@@ -1,7 +1,5 @@
 """What the second worker does: estimate a pose, and describe it for the page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar

@@ -5,8 +5,6 @@ name as Host. A page of another origin sends its Origin, and cannot set the head
 without a permission that is never given. A program of another user does not know the token.
 """
 
-from __future__ import annotations
-
 import secrets
 
 from starlette.datastructures import MutableHeaders

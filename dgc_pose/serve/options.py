@@ -1,7 +1,5 @@
 """Bounds on what a client may send, and on what that may cost."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from dgc_pose.system.options import check_options, option

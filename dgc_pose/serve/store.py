@@ -1,7 +1,5 @@
 """The images that were sent: files under names of ours, in a folder that goes with the server."""
 
-from __future__ import annotations
-
 import secrets
 from dataclasses import dataclass
 from pathlib import Path

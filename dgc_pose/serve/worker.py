@@ -4,8 +4,6 @@ Decoders of images are written in C. If one crashes, or does not come to an end,
 and the server goes on with a fresh one.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

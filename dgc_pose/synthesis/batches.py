@@ -1,7 +1,5 @@
 """Operations on all tensors of a dataclass at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any, TypeVar

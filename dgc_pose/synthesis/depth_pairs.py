@@ -4,8 +4,6 @@ The counterpart of the paper's training on real 3D scenes. Pixels that the depth
 about are not `MapPairs.known`.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Seeded random draws, independent of the device and of the number of processes."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Views that make matching fail: rotated, enlarged, at night, and facades of equal windows."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

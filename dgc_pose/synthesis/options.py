@@ -1,7 +1,5 @@
 """The ranges of random pairs: warps, scenes, views and light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from dgc_pose.errors import InputError

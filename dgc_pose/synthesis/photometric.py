@@ -4,8 +4,6 @@ Random numbers come from a CPU generator and move to the device in whole tensors
 of single pixels. The views that a change applies to are chosen on the CPU: nothing waits for a GPU.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

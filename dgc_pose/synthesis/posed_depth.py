@@ -6,8 +6,6 @@ the images' size, along the optical axis, 0 if unknown; a step is a millimetre i
 metres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

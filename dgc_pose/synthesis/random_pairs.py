@@ -1,7 +1,5 @@
 """Random pairs with a known map, from photographs, ray-cast scenes and real scenes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

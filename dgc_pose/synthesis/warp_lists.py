@@ -13,8 +13,6 @@ the 240x240 pixels from (264, 168) of a 768x576 photograph, its homographic imag
 edges.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ A warp maps points (B, N, 2) of the target view to points of the source view, bo
 coordinates where -1 and +1 are the outer edges of the view.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@ end at once, and leave its temporary files. The handlers that were there before 
 its log is turned off.
 """
 
-from __future__ import annotations
-
 import signal
 from contextlib import suppress
 

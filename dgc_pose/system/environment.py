@@ -1,7 +1,5 @@
 """What a bug report needs to know of an installation and its machine."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -4,8 +4,6 @@ Its files for Linux hold its maker's telemetry (seen in 1.32), which starts a th
 file `.ses` among the temporary ones, unless it is told not to. Nothing here may send anything.
 """
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when the library is loaded

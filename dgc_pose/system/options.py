@@ -4,8 +4,6 @@ A field made by `option` is checked by `check_options`, and the commands make a 
 of it, if it has a help text (`dgc_pose.cli.dataclass_options`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields

@@ -1,7 +1,5 @@
 """Worker processes: pools that end at once, and how a process ended, told by the system's words."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

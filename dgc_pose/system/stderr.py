@@ -1,7 +1,5 @@
 """What C libraries print to stderr while they decode, kept from the user's terminal."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Iterator

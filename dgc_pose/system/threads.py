@@ -1,7 +1,5 @@
 """Work in parallel threads, for whose results an interrupt does not wait."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The stage that a run is in: its module, optimiser and averaged weights."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from typing import Any, cast
 

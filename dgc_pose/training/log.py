@@ -1,7 +1,5 @@
 """Rates and figures of a run's steps: the CSV files that keep them, and the progress line."""
 
-from __future__ import annotations
-
 import csv
 import sys
 import time

@@ -3,8 +3,6 @@
 Means are over the batches of all processes: each process gets its part, and the parts add up.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

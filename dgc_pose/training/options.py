@@ -1,7 +1,5 @@
 """What a training run does: network, length, pairs, starting weights, what learns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

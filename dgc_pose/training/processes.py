@@ -3,8 +3,6 @@
 A process that trains alone may call everything here.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """A training run: stages by the clock, checkpoints that a killed run resumes from, a log."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Validation on fixed pairs of photographs that no run trains on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

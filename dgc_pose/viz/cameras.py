@@ -1,7 +1,5 @@
 """Both cameras of a pose and the points between them, in three dimensions."""
 
-from __future__ import annotations
-
 import numpy as np
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection

@@ -1,7 +1,5 @@
 """Errors of methods as curves and histograms: cumulative, residuals, PCK, reliability."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

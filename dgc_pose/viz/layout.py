@@ -1,8 +1,6 @@
 """Rows of panels that fill a figure's width: sizes follow from the panels' own aspect ratios, so
 that no band stays blank."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Pictures of dense maps beside the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

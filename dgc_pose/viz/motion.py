@@ -1,7 +1,5 @@
 """Pose errors of a data set: cumulative histograms, and errors against the true motion."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Axes are in original pixels, (0, 0) the centre of the top-left one; large images
 a figure can show. What is drawn later, such as points on an image, does not move the axes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """One figure that shows what a pose was estimated from."""
 
-from __future__ import annotations
-
 from itertools import chain
 
 import numpy as np

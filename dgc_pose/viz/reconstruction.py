@@ -1,7 +1,5 @@
 """A reconstruction from above and from the front: camera positions, viewing directions, points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The call of kornia's LoFTR."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """vismatch's class: by the real package where it installs, else by a stand-in of its contract."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Cameras of many images from each kind of file."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

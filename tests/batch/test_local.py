@@ -1,7 +1,5 @@
 """Workers of this machine: what they raise, and how their end is told."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

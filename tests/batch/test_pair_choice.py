@@ -1,7 +1,5 @@
 """Which images are paired."""
 
-from __future__ import annotations
-
 import networkx as nx
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The batch on Ray: the local result, also if a worker is killed while it runs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

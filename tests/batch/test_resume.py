@@ -1,7 +1,5 @@
 """A batch that is resumed: what must be the same, what is matched again, and what is kept."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Rows of a batch as JSON."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import pytest

@@ -1,7 +1,5 @@
 """Batches: results, bad images, resuming after a kill, and unusable input."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """The order of the pairs, and how blocks are dealt."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.batch.pair_choice import PairChoice

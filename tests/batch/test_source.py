@@ -1,7 +1,5 @@
 """The images that a batch works on, and what of a folder is left out."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The worker: pairs are matched as one at a time, whatever it keeps of images."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from pathlib import Path
 

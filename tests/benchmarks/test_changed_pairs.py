@@ -1,7 +1,5 @@
 """Rolled, shrunk and cropped views: their cameras and poses say where the pixels went."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

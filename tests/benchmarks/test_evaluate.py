@@ -1,7 +1,5 @@
 """The benchmarks' loop: its records are right, and the same however the work is cut up."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import dense_scene

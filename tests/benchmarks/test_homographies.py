@@ -1,7 +1,5 @@
 """Pairs with known homographies: found in every layout, with their true maps."""
 
-from __future__ import annotations
-
 import cv2
 import homography_scene as scene
 import numpy as np

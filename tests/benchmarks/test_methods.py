@@ -1,7 +1,5 @@
 """Methods by specification, and what each takes of a map."""
 
-from __future__ import annotations
-
 import cv2
 import dense_scene
 import numpy as np

@@ -1,7 +1,5 @@
 """True cameras from lists and from DTU, and scores of models against them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """bench-speed: floors that are right, a table that adds up, one-line errors."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

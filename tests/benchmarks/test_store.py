@@ -1,7 +1,5 @@
 """A run's folder: what a kill leaves, and what is refused."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import asdict
 

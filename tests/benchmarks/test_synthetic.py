@@ -1,7 +1,5 @@
 """The fixed sets: what they hold, by an independent look at their maps."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Cameras: parsing, checks, resizing, distortion; against OpenCV, pycolmap and resized images."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,8 +1,6 @@
 """`batch`, `export-colmap` and `reconstruct` with unusable input: one line, exit code 2,
 nothing written."""
 
-from __future__ import annotations
-
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path

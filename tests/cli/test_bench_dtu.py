@@ -1,7 +1,5 @@
 """bench-dtu from a scan on the disk to the report, in every layout and both protocols."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """click's own completion: `eval "$(_DGC_POSE_COMPLETE=bash_source dgc-pose)"`."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import dense_scene
 import numpy as np
 import pytest

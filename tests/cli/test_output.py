@@ -1,7 +1,5 @@
 """What the commands print of a pose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

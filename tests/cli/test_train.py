@@ -1,7 +1,5 @@
 """`dgc-pose train`: a run from a folder of photographs, its progress line, and its refusals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

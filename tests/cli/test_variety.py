@@ -1,7 +1,5 @@
 """Ordinary variety of the names of folders and files."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

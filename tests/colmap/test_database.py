@@ -1,7 +1,5 @@
 """The COLMAP database: the half-pixel offset, cameras, geometries, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

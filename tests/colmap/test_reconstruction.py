@@ -1,7 +1,5 @@
 """From rendered photographs to a model, whose cameras are compared with the rendered ones."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Key points that pairs share: tracks, errors, one-to-one matches."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corners located anew in each pair: positions, tracks, and matches that are wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 from colmap_scene import camera, cloud_pairs, project
 from multi_view import render_views

@@ -1,7 +1,5 @@
 """The chance level against loops and exact arithmetic, and what it keeps out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The model of the probability: applied as its file says, monotone, and with reasons."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Other poses that explain the matches: of a plane, of repeated structure, of mirrored depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Figures of a pair and of a group, against loops over single pixels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from dgc_pose.files.inputs import read_start

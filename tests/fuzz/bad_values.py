@@ -1,7 +1,5 @@
 """Every command with every option of a number or a path set to what it must refuse."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

@@ -1,8 +1,6 @@
 """Damage to files as strategies: bytes anywhere, and words, values, chunks, members and columns
 where a format has them, so that the damage gets past checksums and compression."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Every reader of the package, with good files that the tests make themselves."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import suppress

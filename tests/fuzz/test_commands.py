@@ -1,7 +1,5 @@
 """What every command refuses, and what it never destroys."""
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Many calls in one process, four threads at once: the same bits, and no memory that is kept."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import dense_scene

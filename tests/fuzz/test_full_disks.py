@@ -1,7 +1,5 @@
 """Disks that are full while whole commands run: the system's words, and nothing that is half."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What a stranger's file may not do: run code, lead elsewhere, take memory or time without end."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """What batches, exports and models never replace or remove: files of the user, and their inputs."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

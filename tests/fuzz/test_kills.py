@@ -1,7 +1,5 @@
 """Commands that are killed while they work, and run again, end as if nothing had happened."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -3,8 +3,6 @@
 The command is a light one that opens its output, writes half of it, and waits to be told more.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,8 +1,6 @@
 """Every reader answers a damaged file with its value or with one line of error: no other exception,
 no hang, no memory without bound, nothing printed, changed or left."""
 
-from __future__ import annotations
-
 import faulthandler
 from pathlib import Path
 

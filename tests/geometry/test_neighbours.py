@@ -1,7 +1,5 @@
 """Nearest neighbours against SciPy's tree."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """Reading images: every kind of file and array, and every way in which one can be unusable."""
 
-from __future__ import annotations
-
 import os
 import struct
 import sys

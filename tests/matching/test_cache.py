@@ -1,7 +1,5 @@
 """The cache: what it keeps and drops, and that a matcher finds the same with one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

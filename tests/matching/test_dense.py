@@ -1,7 +1,5 @@
 """The network as a matcher: sizes, the half-pixel rule, the cycle error, rotations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

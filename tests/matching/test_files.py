@@ -1,7 +1,5 @@
 """Files of other programs: every format gives the map that it was written from."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Optical flow as a matcher, against images drawn from a formula, whose map is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

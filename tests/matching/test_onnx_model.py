@@ -1,7 +1,5 @@
 """A user's ONNX detector as a matcher, by models whose key points are bright dots."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """The search of rotation and scale, on pictures whose rotation and scale are known."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """From a map to matches: every filter, and an even spread."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

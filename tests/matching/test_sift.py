@@ -1,7 +1,5 @@
 """SIFT as a matcher, on a rendered pair whose true map is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.images.image import Image

@@ -1,7 +1,5 @@
 """No match without structure, whatever makes the matches."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Views: where points of an image go, and which pixels a view shows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

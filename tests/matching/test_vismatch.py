@@ -1,7 +1,5 @@
 """Matchers of vismatch: by the real package where it installs, else by a stand-in."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

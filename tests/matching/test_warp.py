@@ -1,7 +1,5 @@
 """Image 1 as a map warps it."""
 
-from __future__ import annotations
-
 import dense_scene
 import numpy as np
 

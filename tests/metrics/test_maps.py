@@ -1,7 +1,5 @@
 """Map errors and masks, against loops over single cells."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pose errors and their AUC, against scipy's rotations and a curve integrated by brute force."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Counts by confidence and the calibration error, against loops over single matches."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Neighbourhood consensus against belief propagation written out in loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Correlations against loops written out here."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The pyramid on EfficientNet-Lite0: where its cells lie, shapes, freezing, ImageNet weights."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import pytest

@@ -1,7 +1,5 @@
 """A network made for inference gives the maps of the one it was made from."""
 
-from __future__ import annotations
-
 from importlib import resources
 
 import pytest

@@ -1,7 +1,5 @@
 """The assembled network: shapes, sizes and keys as published, and the paper's ablations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The pyramid: batch norm folded without a trace."""
 
-from __future__ import annotations
-
 import torch
 from map_nets import SMALL
 from torch import nn

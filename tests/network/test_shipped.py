@@ -1,7 +1,5 @@
 """The weights inside the package: each loads, is in half precision, and has a card that fits it."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from importlib import resources

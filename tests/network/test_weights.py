@@ -1,7 +1,5 @@
 """Weights: our files, the authors' layout, and errors that name the file and the keys."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Alignment of patches: to a fraction of a pixel, invariant to gain and offset."""
 
-from __future__ import annotations
-
 import cv2
 import dense_scene
 import numpy as np

@@ -1,7 +1,5 @@
 """Likely cells of stride 16, against belief propagation written out cell by cell."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Matches that agree with their neighbours, and the affinity that they share."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.matches import Matches

@@ -1,7 +1,5 @@
 """The encoder's features at native resolution."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

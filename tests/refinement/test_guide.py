@@ -1,7 +1,5 @@
 """What the dense map shows: points, rotation and scale."""
 
-from __future__ import annotations
-
 import dense_scene
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Patches aligned by shift, or with their affinity: against an exact affinity between images."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Matching and refinement on a pretended device: the CPU's matches, and no devices mixed."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import dense_scene

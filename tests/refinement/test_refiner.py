@@ -1,7 +1,5 @@
 """The refiner as a whole: as exact as the images allow, and never worse than what it was given."""
 
-from __future__ import annotations
-
 import dense_scene
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Which runtime is taken, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

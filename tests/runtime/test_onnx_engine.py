@@ -1,7 +1,5 @@
 """ONNX Runtime gives what torch gives, without importing it, in every process and thread."""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The bundled pair has one pose on all processors and by both runtimes."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

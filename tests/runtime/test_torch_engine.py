@@ -1,7 +1,5 @@
 """The network run by torch: shapes, precision, batches, fingerprints."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

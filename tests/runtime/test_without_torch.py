@@ -1,7 +1,5 @@
 """What runs the shipped weights imports no torch, and needs none."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The page in a browser, as a user would use it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Pairs from depth and poses: the rendered truth, and a loop in double precision."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Views that mislead: their cameras and poses are those of their pixels."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Photometric changes: JPEG as OpenCV's encoder does it, blur that moves nothing, noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

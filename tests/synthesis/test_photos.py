@@ -1,7 +1,5 @@
 """The photographs that training holds back, on their own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Folders of posed RGB-D and MVSNet's layouts: what is read, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

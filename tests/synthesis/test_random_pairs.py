@@ -1,7 +1,5 @@
 """Random pairs: the map and its valid pixels agree with the images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

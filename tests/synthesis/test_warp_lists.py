@@ -1,7 +1,5 @@
 """The authors' lists: maps and views against loops in double precision."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

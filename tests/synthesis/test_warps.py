@@ -1,7 +1,5 @@
 """Random warps against float64 references and the ranges they promise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

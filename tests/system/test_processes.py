@@ -1,7 +1,5 @@
 """Pools of processes, and how processes ended, in words."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

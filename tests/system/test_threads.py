@@ -1,7 +1,5 @@
 """Work in threads is the same work: its order, its errors, and what is made of it."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The active stage: learning rates by group of parameters, and averaged weights."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from map_nets import SMALL

@@ -1,7 +1,5 @@
 """Training on a simulated GPU: no mixed devices, no waiting, the CPU's numbers."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 

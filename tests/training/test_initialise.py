@@ -1,7 +1,5 @@
 """Initialising from trained weights: features stay the same, and the right weights are loaded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

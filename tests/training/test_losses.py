@@ -1,7 +1,5 @@
 """The losses against loops written out here."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Two processes that torchrun starts train as one process with the joint batch."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

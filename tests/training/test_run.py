@@ -1,7 +1,5 @@
 """A training run: losses fall, stages follow each other, a killed run resumes exactly."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import re

@@ -1,7 +1,5 @@
 """A network's maps beside the truth: figures against loops over single pixels."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 
 from dgc_pose.viz.map_figure import MapPicture, plot_maps

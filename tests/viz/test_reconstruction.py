@@ -1,7 +1,5 @@
 """The figure of a reconstruction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from multi_view import render_views

@@ -1,7 +1,5 @@
 """Seeded procedural textures for scenes without photographs."""
 
-from __future__ import annotations
-
 import colorsys
 
 import numpy as np

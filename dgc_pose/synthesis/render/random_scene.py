@@ -1,7 +1,5 @@
 """Random scenes around the origin (a room, a table, a background, objects), and their cameras."""
 
-from __future__ import annotations
-
 import math
 
 import torch

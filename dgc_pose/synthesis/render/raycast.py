@@ -1,7 +1,5 @@
 """Cast rays into scenes: images, depth, and the exact map between two views."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

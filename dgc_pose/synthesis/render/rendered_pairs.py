@@ -1,7 +1,5 @@
 """Batches of pairs of views of random 3D scenes, with their exact geometry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from operator import itemgetter

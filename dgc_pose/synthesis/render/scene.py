@@ -1,7 +1,5 @@
 """Batches of scenes of textured primitives, and their intersection with rays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import accumulate

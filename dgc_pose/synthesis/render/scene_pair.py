@@ -1,7 +1,5 @@
 """One pair of views of a seeded scene with procedural textures, as NumPy arrays."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

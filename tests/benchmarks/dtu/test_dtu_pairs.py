@@ -1,7 +1,5 @@
 """What the protocols show of a pair: image sizes, cameras, options."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from dtu_layout import WRITERS, grey_scan
 

@@ -1,7 +1,5 @@
 """report.html as a user sees and uses it, in headless Chromium."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """Pairs drawn from posed scenes."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pycolmap

@@ -1,7 +1,5 @@
 """From stored matches to models and report, on synthetic scenes."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

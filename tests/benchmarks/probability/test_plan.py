@@ -1,7 +1,5 @@
 """Plans of scenes and their parts."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Texture look-ups against loops and other samplers."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch.nn.functional import avg_pool2d, grid_sample

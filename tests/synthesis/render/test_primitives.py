@@ -1,7 +1,5 @@
 """Ray intersections against loops over rays in float64, written another way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Training pairs: the truth they carry, checked by geometry done another way in float64."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The pairs that tests of other rooms use, and the textures they wear."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
