@@ -27,7 +27,7 @@ test-processors: $(VENV)/.installed-dev
 	env $$(cat tests/avx2.env) OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 \
 		--dist loadfile tests/network tests/runtime/test_torch_engine.py \
 		tests/runtime/test_onnx_engine.py tests/runtime/test_processors.py \
-		tests/refinement/test_features.py tests/refinement/test_native.py
+		tests/refinement/test_features.py
 
 # Types and layers are checked on the package as it installs: in the repository cli/ and benchmarks/
 # lie beside dgc_pose/, where mypy would take every import between them for `Any`.

@@ -14,7 +14,7 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.files.inputs import open_regular, read_as
 from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
-from dgc_pose.system.options import check_options
+from dgc_pose.system.options import check_options, field_types
 
 # Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.
@@ -104,14 +104,15 @@ def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
     """Rows as a Parquet table. Raises InputError without pyarrow."""
     arrow, parquet = require_pyarrow()
     kinds = {
-        "str": arrow.string(),
-        "bool": arrow.bool_(),
-        "int": arrow.int64(),
-        "float | None": arrow.float64(),
-        "tuple[float, ...] | None": arrow.list_(arrow.float64()),
-        "tuple[str, ...]": arrow.list_(arrow.string()),
+        str: arrow.string(),
+        bool: arrow.bool_(),
+        int: arrow.int64(),
+        float: arrow.float64(),
+        tuple[float, ...]: arrow.list_(arrow.float64()),
+        tuple[str, ...]: arrow.list_(arrow.string()),
     }
-    schema = arrow.schema([(field.name, kinds[str(field.type)]) for field in fields(PairRow)])
+    types = field_types(PairRow).items()
+    schema = arrow.schema([(name, kinds[kind]) for name, (kind, _) in types])
     data = map(asdict, rows)
     with parquet.ParquetWriter(path, schema) as writer:
         while some := list(islice(data, _PER_WRITE)):
