@@ -133,4 +133,7 @@ def _varied(row: np.ndarray) -> bool:
 def _quantiles(values: np.ndarray, *shares: float) -> list[float]:
     """As `numpy.quantile` of all values, which takes ten times as long for a row of an image."""
     places = np.multiply(shares, values.size - 1)
-    return np.interp(places, np.arange(values.size), np.sort(values, axis=None)).tolist()
+    low, high = np.floor(places).astype(int), np.ceil(places).astype(int)
+    ordered = np.partition(values.ravel(), sorted({*low, *high}))  # a sort takes five times as long
+    below, above = ordered[low].astype(float), ordered[high].astype(float)
+    return (below + (places - low) * (above - below)).tolist()
