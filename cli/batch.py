@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from tqdm import tqdm
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.progress import progress_bars
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
-    from dgc_pose.batch.run import Batch, Progress
+    from dgc_pose.batch.run import Batch
 
 
 @dataclass(frozen=True)
@@ -120,24 +119,6 @@ def report(batch: Batch) -> None:
         f"{batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "
         f"{summary['images']} images, {summary['matched_now']} pairs in {summary['seconds']:.0f} s"
     )
-
-
-@contextmanager
-def progress_bars() -> Iterator[Progress]:
-    """Progress bars with the time left, one for each stage, such as "images"."""
-    bars: dict[str, tqdm] = {}
-
-    def progress(stage: str, done: int, of: int) -> None:
-        if stage not in bars:
-            unit = stage.removesuffix("s")
-            bars[stage] = tqdm(total=of, initial=done, unit=unit, disable=None)
-        bars[stage].update(done - bars[stage].n)
-
-    try:
-        yield progress
-    finally:
-        for bar in bars.values():
-            bar.close()
 
 
 @click.command()

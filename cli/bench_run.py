@@ -15,8 +15,7 @@ from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.errors import InputError
-from dgc_pose.matchers import DEVICE_HELP, RUNTIME_HELP
-from dgc_pose.runtime.load import RuntimeName, device_type
+from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.system.options import option
 
 GPU_BATCH = 16

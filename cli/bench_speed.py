@@ -27,12 +27,12 @@ from dgc_pose.cli.options import split_names
 from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import save_text, scratch_folder, staged
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import RUNTIME_HELP, MatcherOptions, refined
+from dgc_pose.matchers import MatcherOptions, refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.runtime.load import RuntimeName
+from dgc_pose.runtime.load import RUNTIME_HELP, RuntimeName
 from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.torch_engine import network_input
 from dgc_pose.system.options import option

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cli.batch import progress_bars
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile, OutputFolder
+from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.export import Exported
-
 
 HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
 

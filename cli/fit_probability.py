@@ -8,19 +8,15 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from dgc_pose.benchmarks.probability.collection import collect, require_engine
 from dgc_pose.benchmarks.probability.plan import PlanEntry, read_plan
-from dgc_pose.benchmarks.probability.planned import planned, require_data
-from dgc_pose.benchmarks.probability.run import fit_all
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.matchers import DEVICE_HELP, load_matcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
-from dgc_pose.viz import save_figure
 
 
 @dataclass(frozen=True)
@@ -66,6 +62,9 @@ def fit_probability(choice: FitChoice) -> None:
     if not choice.collected and not _collected(choice, methods, entries):
         click.echo("stopped; the same command continues")
         return
+    from dgc_pose.benchmarks.probability.run import fit_all
+    from dgc_pose.viz import save_figure
+
     fitted = fit_all(choice.out, methods, entries, say=click.echo)
     model, text, figure = (
         str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
@@ -79,6 +78,10 @@ def fit_probability(choice: FitChoice) -> None:
 
 def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> bool:
     """Match what is not stored yet; whether nothing is left."""
+    from dgc_pose.benchmarks.probability.collection import collect, require_engine
+    from dgc_pose.benchmarks.probability.planned import planned, require_data
+    from dgc_pose.matchers import load_matcher
+
     start = time.monotonic()
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
     require_data(entries, choice.data)

@@ -22,8 +22,8 @@ from dgc_pose.cli.options import split_names
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
-from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.stored import shipped
+from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
 from dgc_pose.viz import save_figure
 from dgc_pose.viz.curves import plot_pck, plot_reliability

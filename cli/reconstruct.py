@@ -8,10 +8,11 @@ from pathlib import Path
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import SourceChoice, progress_bars, report, work_through
+from dgc_pose.cli.batch import SourceChoice, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions

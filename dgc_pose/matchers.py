@@ -23,14 +23,8 @@ from dgc_pose.refinement.features import FeatureMatches, NativeCache, native_cac
 from dgc_pose.refinement.options import RefinementOptions
 from dgc_pose.refinement.refiner import MapMatches, MatchSource, Refiner
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.runtime.load import RuntimeName
+from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName
 from dgc_pose.system.options import check_options, check_type, option
-
-DEVICE_HELP = "Where the network runs: auto, cpu, cuda or cuda:N."
-RUNTIME_HELP = (
-    "What runs the network: ONNX Runtime, on the CPU, or torch; auto: ONNX Runtime for shipped "
-    "weights on the CPU, torch for all others."
-)
 
 
 @dataclass(frozen=True)

@@ -71,8 +71,7 @@ class Refiner(Matcher):
     def refine(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         """A matcher's result with its matches refined; `error_px` is that of the last step done.
 
-        A step that leaves too few matches is undone. If every source gives too few, the result is
-        returned as result.
+        A step that leaves too few matches is undone. If all do, `result` itself is returned.
         """
         dense = result.correspondence_map
         sources: Iterable[Matches] = [result.matches]

@@ -36,9 +36,8 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
     rest is not begun.
     """
     count = min(cv2.getNumThreads(), len(items))
-    alone = threading.current_thread() is not threading.main_thread()
-    if count <= 1 and alone:  # signals are handled in the main thread only
-        return [work(item) for item in items]
+    if count <= 1 and threading.current_thread() is not threading.main_thread():
+        return [work(item) for item in items]  # signals are handled in the main thread alone
     results: dict[int, Result] = {}
     errors: dict[int, BaseException] = {}
     waiting = iter(range(len(items)))
