@@ -10,7 +10,7 @@ import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from dgc_pose.files.arrays import as_numpy, read_array
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import rescale
 
+FocalSource = Literal["given", "exif", "size", "matches"]
 _USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
 _MAX_FILE_BYTES = 4096  # of a file with nine numbers
 
@@ -33,6 +34,14 @@ class Camera:
     size: tuple[int, int] | None = None  # (width, height) of the image K refers to; None if unknown
     distortion: Distortion | None = None  # of the lens; None for a pinhole
     warnings: tuple[str, ...] = ()  # about the origin of K, for the user
+    # Standard deviation of the logarithm of the focal lengths; 0: they are exact. The estimation
+    # fits the focal lengths of a camera with a deviation, with K as the prior.
+    focal_std: float = 0.0
+    centre_std: float = 0.0  # of each coordinate of the principal point, pixels
+    focal_source: FocalSource = "given"  # what says the focal length: "size" is the image's
+    # Images whose cameras have the same identity were taken by one camera: K is wrong by the same
+    # factor. None: a camera of its image alone.
+    identity: str | None = None
     guessed_focal: bool = False  # whether the focal length is from EXIF data or the image's size
 
     def __post_init__(self) -> None:

@@ -99,6 +99,8 @@ def estimate_pose(
         R=model.R if known.has_t else rotation,
         t=model.t if known.has_t else None,
         covariance=best.calibrated_covariance if known.has_t else None,
+        camera1=camera1 if known.has_t else None,
+        camera2=camera2 if known.has_t else None,
         evidence=best.evidence,
         probability=0.0 if known.rotation_alone else best.probability,
         alternatives=alternatives,

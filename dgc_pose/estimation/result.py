@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.status import STATUSES, Status
@@ -42,6 +43,10 @@ class RelativePose:
     # it. Scaled so that the expected error of right poses holds nine times in ten; it does not
     # include an alternative pose, a wrong K or a wrong verdict.
     covariance: np.ndarray | None = None
+    # The cameras that the pose is of: as they were given, or with the focal lengths that the
+    # matches tell, if theirs had a deviation. None without a pose.
+    camera1: Camera | None = None
+    camera2: Camera | None = None
     evidence: Evidence | None = None  # what the verdict rests on; None without a model
     # That R and t are both within 10 degrees; 0 without a model, and with "rotation_only". None
     # if no model of the probability is fitted for such matches.

@@ -37,6 +37,7 @@ class Image:
     warnings: tuple[str, ...] = ()  # about how it was read, for the user
     # (width, height) as stored, if `pixels` were resized after reading; None if they were not
     stored_size: tuple[int, int] | None = None
+    exif: bytes = b""  # the file's EXIF block, if its format holds one apart from the pixels
 
     def __post_init__(self) -> None:
         pixels = self.pixels
@@ -96,7 +97,7 @@ def _read_file(path: Path) -> Image:
             if array.ndim == 3 and array.shape[2] >= 3:
                 array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
             rgb = _to_rgb8(array, str(path))
-        return Image(rgb, str(path), notes)
+        return Image(rgb, str(path), notes, exif=header.exif)
 
 
 def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:

@@ -1,0 +1,48 @@
+"""The camera of an image without a K: a focal length with its deviation, from what the image says.
+
+The principal point is the middle of the image.
+"""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.images.image import Image
+
+Sharing = Literal["files", "shared", "two"]
+SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
+SIZE_STD = 0.4  # deviation of their logarithm
+CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
+
+
+def auto_camera(image: Image) -> Camera:
+    """The camera of an image without a K.
+
+    `identity` is equal for images that one camera may have taken: of the same size, and of the same
+    camera and focal length by their EXIF data.
+    """
+    width, height = image.size
+    focal = SIZE_FOCAL * max(width, height)
+    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    return Camera(
+        K,
+        image.size,
+        focal_std=SIZE_STD,
+        centre_std=CENTRE_STD * max(width, height),
+        focal_source="size",
+        identity=f"auto {max(width, height)} x {min(width, height)}",
+    )
+
+
+def auto_cameras(image1: Image, image2: Image, sharing: Sharing = "files") -> tuple[Camera, Camera]:
+    """`auto_camera` of two images.
+
+    sharing: whether one camera took both: "files" decides by the `identity` of both.
+    """
+    camera1, camera2 = auto_camera(image1), auto_camera(image2)
+    if sharing == "files":
+        return camera1, camera2
+    identities = ("shared", "shared") if sharing == "shared" else ("image1", "image2")
+    return replace(camera1, identity=identities[0]), replace(camera2, identity=identities[1])
