@@ -4,12 +4,11 @@ The principal point is the middle of the image.
 """
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.images.image import Image
 
 Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
@@ -17,7 +16,19 @@ SIZE_STD = 0.4  # deviation of their logarithm
 CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
 
 
-def auto_camera(image: Image) -> Camera:
+class Photograph(Protocol):
+    """What an `Image` and the `Header` of a file say of the camera."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+
+    @property
+    def exif(self) -> bytes:
+        """The EXIF block, empty without one."""
+
+
+def auto_camera(image: Photograph) -> Camera:
     """The camera of an image without a K.
 
     `identity` is equal for images that one camera may have taken: of the same size, and of the same
@@ -36,7 +47,9 @@ def auto_camera(image: Image) -> Camera:
     )
 
 
-def auto_cameras(image1: Image, image2: Image, sharing: Sharing = "files") -> tuple[Camera, Camera]:
+def auto_cameras(
+    image1: Photograph, image2: Photograph, sharing: Sharing = "files"
+) -> tuple[Camera, Camera]:
     """`auto_camera` of two images.
 
     sharing: whether one camera took both: "files" decides by the `identity` of both.
