@@ -67,6 +67,12 @@ class Camera:
         normalised = np.column_stack([x, y])
         return normalised if self.distortion is None else self.distortion.undo(normalised)
 
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """The inverse of `normalise`: normalised points (N, 2), x / z and y / z, to pixels."""
+        points = np.asarray(points, dtype=np.float64)
+        distorted = points if self.distortion is None else self.distortion.apply(points)
+        return distorted @ self.K[:2, :2].T + self.K[:2, 2]
+
     def resized(self, size: tuple[int, int]) -> Camera:
         """The camera of the image resized to (width, height), each side by its own factor.
 

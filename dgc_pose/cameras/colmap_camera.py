@@ -52,15 +52,24 @@ class Distortion:
         NaN if the model has no inverse there: for rays at 90 degrees or more from the axis, and for
         points beyond the radius at which the distorted radius stops growing.
         """
+        ideal = np.asarray(self._camera().cam_from_img(np.ascontiguousarray(points)))
+        undone = np.abs(self.apply(ideal) - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP_ERROR
+        return np.where(undone[:, None], ideal, np.nan)
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Normalised points (N, 2) float64, x / z and y / z, with the distortion."""
+        return np.asarray(
+            self._camera().img_from_cam(np.column_stack([points, np.ones(len(points))]))
+        )
+
+    def _camera(self) -> pycolmap.Camera:
+        """A camera of focal length 1 with the principal point (0, 0)."""
         camera = _model(self.model)
         parameters = np.zeros(len(camera.params))
         parameters[camera.focal_length_idxs()] = 1
         parameters[camera.extra_params_idxs()] = self.coefficients
         camera.params = parameters.tolist()
-        ideal = np.asarray(camera.cam_from_img(np.ascontiguousarray(points)))
-        again = np.asarray(camera.img_from_cam(np.column_stack([ideal, np.ones(len(ideal))])))
-        undone = np.abs(again - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP_ERROR
-        return np.where(undone[:, None], ideal, np.nan)
+        return camera
 
 
 def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distortion | None]:

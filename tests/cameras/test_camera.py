@@ -41,6 +41,7 @@ def test_normalise_inverts_K_with_its_skew() -> None:
     homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
     expected = np.linalg.solve(K, homogeneous.T).T[:, :2]
     np.testing.assert_allclose(Camera(K).normalise(pixels), expected, atol=1e-13)
+    np.testing.assert_allclose(Camera(K).project(expected), pixels, atol=1e-10)
 
 
 @pytest.mark.parametrize("distortion", [None, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001))])
@@ -282,11 +283,27 @@ LENSES = [
     ("RADIAL", [-0.15, 0.03], 1),
     ("OPENCV", [-0.2, 0.05, 0.002, -0.001], 2),
     ("FULL_OPENCV", [-0.2, 0.05, 0.002, -0.001, 0.01, 0.02, 0.01, 0.0], 2),
+    ("SIMPLE_RADIAL_FISHEYE", [0.02], 1),
+    ("RADIAL_FISHEYE", [0.03, -0.005], 1),
     ("OPENCV_FISHEYE", [-0.03, 0.005, -0.001, 0.0002], 2),
-    ("SIMPLE_FISHEYE", [], 1),
-    ("FOV", [0.8], 2),
     ("THIN_PRISM_FISHEYE", [0.01, -0.01, 0.001, 0.002, 0.001, 0, 0.001, 0.002], 2),
+    (
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        [0.2, -0.4, 0.3, -0.2, 0.05, -0.005, 0.001, 0.002, 0.001, 0, -0.001, 0],
+        2,
+    ),
+    ("SIMPLE_FISHEYE", [], 1),
+    ("FISHEYE", [], 2),
+    ("FOV", [0.8], 2),
+    ("SIMPLE_DIVISION", [-0.15], 1),
+    ("DIVISION", [-0.15], 2),
+    ("EUCM", [0.6, 1.1], 2),
 ]
+NO_LENSES = {"INVALID", "PINHOLE", "SIMPLE_PINHOLE", "EQUIRECTANGULAR"}
+
+
+def test_every_lens_of_colmap_is_tested() -> None:
+    assert {lens[0] for lens in LENSES} | NO_LENSES == set(pycolmap.CameraModelId.__members__)
 
 
 @pytest.mark.parametrize(("model", "coefficients", "focals"), LENSES)
@@ -298,6 +315,7 @@ def test_distortion_is_undone_as_pycolmap_does(
     pixels = points()
     rays = theirs.cam_from_img(pixels + 0.5)
     np.testing.assert_allclose(ours.normalise(pixels), rays, atol=1e-8)
+    np.testing.assert_allclose(ours.project(rays), pixels, atol=1e-5)
     pinhole = pycolmap.Camera(
         model="PINHOLE",
         width=640,
