@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.posed_views import PosedViews
+from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import colmap_camera
 from dgc_pose.colmap.mapping import MappingError, map_database

@@ -38,9 +38,10 @@ class SourceChoice:
     k: str | None = option(
         None,
         "Cameras: one K for all images, as for estimate; or COLMAP's cameras.txt or .bin, a .csv "
-        "(name,fx,fy,cx,cy), NeRF's transforms.json, KITTI's calib.txt.",
+        "(name,fx,fy,cx,cy), NeRF's transforms.json, KITTI's calib.txt; or auto: not known. "
+        "auto:shared says that one camera took all images, auto:two that each has its own.",
         flag="--K",
-        metavar="K|FILE",
+        metavar="K|FILE|auto",
     )
     guess_focal: bool = option(
         False,
@@ -63,10 +64,10 @@ def work_through(
     default_pairs: from the number of images of a folder to its --pairs, if that is absent. Raises
     InputError for fewer than `least_images`.
     """
-    from dgc_pose.batch.calibration import read_calibration
     from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import open_source
+    from dgc_pose.cameras.calibration import read_calibration
 
     images = open_source(Path(source), inputs.root)
     for line in images.left_out:
@@ -80,7 +81,7 @@ def work_through(
     with progress_bars() as progress:
         return run_batch(
             images,
-            read_calibration(inputs.k, inputs.guess_focal),
+            read_calibration(inputs.k, guess=inputs.guess_focal),
             choice,
             out,
             matcher=matcher,

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from dgc_pose.cameras.camera import Camera, camera_for, guess_camera
+from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import option
@@ -20,10 +21,11 @@ class CameraChoice:
 
     k: str | None = option(
         None,
-        "Camera of both images: fx,fy,cx,cy, a 3x3 text or .npy file, or a COLMAP camera "
-        "MODEL,w,h,params.",
+        "Camera of both images: fx,fy,cx,cy, a COLMAP camera MODEL,w,h,params, a file (a 3x3 text "
+        "or .npy, COLMAP's, .csv, transforms.json, KITTI's), or auto: it is not known. auto:shared "
+        "says that one camera took both images, auto:two that two did.",
         flag="--K",
-        metavar="K",
+        metavar="K|FILE|auto",
     )
     k1: str | None = option(None, "Camera of image 1 alone.", flag="--K1", metavar="K")
     k2: str | None = option(None, "Camera of image 2 alone.", flag="--K2", metavar="K")
@@ -35,14 +37,14 @@ class CameraChoice:
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked. Raises InputError, naming the option, if one is
         missing, unusable, or does not fit its image."""
-        return self._camera(1, self.k1, image1), self._camera(2, self.k2, image2)
-
-    def _camera(self, number: int, k: str | None, image: Image) -> Camera:
-        name, text = ("--K", self.k) if k is None else (f"--K{number}", k)
-        if text is not None:
-            return camera_for(text, image.size, name)
-        if self.guess_focal:
-            return guess_camera(Path(image.name))
-        raise InputError(
-            f"image {number} has no K: give --K or --K{number}, or --guess-focal for a rough guess"
+        text1, text2 = (self.k if k is None else k for k in (self.k1, self.k2))
+        name1, name2 = (
+            "--K" if k is None else f"--K{number}"
+            for number, k in enumerate((self.k1, self.k2), start=1)
         )
+        if self.guess_focal and text1 is None and text2 is None:
+            return guess_camera(Path(image1.name)), guess_camera(Path(image2.name))
+        if text1 is None or text2 is None:
+            number = 1 if text1 is None else 2
+            raise InputError(f"image {number} has no K: give --K or --K{number}, or --K auto")
+        return pair_cameras(text1, text2, image1, image2, (name1, name2))

@@ -8,7 +8,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dgc_pose.cameras.camera import Camera, parse_camera
+    from dgc_pose.cameras.calibration import parse_camera
+    from dgc_pose.cameras.camera import Camera
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
     from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
     from dgc_pose.images.image import Image, load_image
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
-    "cameras.camera": ("Camera", "parse_camera"),
+    "cameras.calibration": ("parse_camera",),
+    "cameras.camera": ("Camera",),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
     "estimation": ("EstimationOptions", "RelativePose", "estimate_pose"),
     "images.image": ("Image", "load_image"),

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dgc_pose.cameras.camera import Camera, camera_for
+from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
@@ -73,9 +74,8 @@ def trace_relative_pose(
     """As `estimate_relative_pose`, with the images, the map and the matches besides the pose."""
     start = time.perf_counter()
     first, second = load_image(image1, "image1"), load_image(image2, "image2")
-    camera1 = camera_for(K1, first.size, "K1")
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
-    camera2 = camera_for(K, second.size, name)
+    camera1, camera2 = pair_cameras(K1, K, first, second, ("K1", name))
     matcher = load_matcher() if matcher is None else matcher
     load_seconds = time.perf_counter() - start
     return match_and_estimate(first, second, camera1, camera2, matcher, options, load_seconds)

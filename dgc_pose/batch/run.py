@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.batch.calibration import Calibration
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
 from dgc_pose.batch.options import BatchOptions
@@ -24,6 +23,7 @@ from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
 from dgc_pose.batch.source import Source, survey
 from dgc_pose.batch.store import MATCHES, SUMMARY, PartStore, read_result, read_summary, rows_path
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Job, Match, Matched
+from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import STATUSES

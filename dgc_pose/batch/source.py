@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dgc_pose.batch.calibration import Calibration
+from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
@@ -81,12 +81,12 @@ def survey(
             continue
         of_image = calibration
         listed = source.cameras.get(name)
-        if listed is not None and calibration.common is None and calibration.named(name) is None:
+        if listed is not None and calibration.says_nothing_of(name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
         elif calibration.common is not None:
             sizes.add(header.size)
-        camera = of_image.camera(source.root, name, header.size)
+        camera = of_image.camera(source.root, name, header)
         cameras[name] = replace(camera, size=header.size, warnings=(*camera.warnings, *notes))
     if len(sizes) > 1:
         listed_sizes = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])

@@ -5,9 +5,6 @@ Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) th
 
 from __future__ import annotations
 
-import io
-import os
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -16,19 +13,21 @@ import numpy as np
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.arrays import as_numpy, read_array
-from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.errors import InputError
+from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.pixels import rescale
 
 FocalSource = Literal["given", "exif", "size", "matches"]
 _USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
-_MAX_FILE_BYTES = 4096  # of a file with nine numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A calibrated camera. Raises InputError if K is not an intrinsic matrix, see `as_camera`."""
+    """A calibrated camera.
+
+    Raises InputError unless K is finite, invertible and upper triangular with positive focal
+    lengths and a last row of 0 0 1.
+    """
 
     K: np.ndarray  # (3, 3) float64, pixels
     size: tuple[int, int] | None = None  # (width, height) of the image K refers to; None if unknown
@@ -86,40 +85,9 @@ class Camera:
         return replace(self, K=K, size=(int(size[0]), int(size[1])))
 
 
-def as_camera(value: Camera | Any, name: str = "K") -> Camera:
-    """A camera from a Camera, an array (3, 3), a path, or a text (see `parse_camera`).
-
-    Raises InputError, naming the argument `name`, unless the matrix is finite, invertible and upper
-    triangular with positive focal lengths and a last row of 0 0 1.
-    """
-    if isinstance(value, Camera):
-        return value
-    if isinstance(value, (str, Path)):
-        return parse_camera(str(value), name)
-    return Camera(_checked_matrix(value, name))
-
-
-def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
-    """A camera from a text, as on the command line.
-
-    The text is 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; or the path of a
-    text or .npy file with a 3x3 matrix; or a COLMAP camera 'MODEL,width,height,parameters...' with
-    COLMAP's principal point, half a pixel more than ours. files: whether the text may be a path;
-    False for a stranger's text. Raises InputError of one line, naming `name`.
-    """
-    if files and os.path.lexists(text):
-        return as_camera(_read_matrix(Path(text), name), f"{name}: {text}")
-    words = re.split(r"\s*,\s*", text.strip())
-    numbers = _floats(words)
-    if numbers is None and len(words) > 3 and re.fullmatch(r"[A-Za-z][A-Za-z_]*", words[0]):
-        return _parse_colmap(words, name)
-    if numbers is None or len(numbers) != 4:
-        raise InputError(
-            f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
-            f"nor a file"
-        )
-    fx, fy, cx, cy = numbers
-    return as_camera([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], name)
+def matrix_camera(K: Any, name: str = "K") -> Camera:
+    """The camera of an array (3, 3). Raises as `Camera` does, naming the argument `name`."""
+    return Camera(_checked_matrix(K, name))
 
 
 def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, ...]:
@@ -150,12 +118,8 @@ def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, .
     return ()
 
 
-def camera_for(value: Camera | Any, size: tuple[int, int], name: str) -> Camera:
-    """The camera of an image of `size`, by `as_camera`; its warnings include those of `check_size`.
-
-    Raises InputError, naming the argument `name`, if K is unusable or does not fit the image.
-    """
-    camera = as_camera(value, name)
+def checked_camera(camera: Camera, size: tuple[int, int], name: str) -> Camera:
+    """The camera with the warnings of `check_size`, which raises InputError."""
     return replace(camera, warnings=camera.warnings + check_size(camera, size, name))
 
 
@@ -196,40 +160,3 @@ def _checked_matrix(value: Any, name: str) -> np.ndarray:
 
 def _listed(numbers: np.ndarray) -> str:
     return " ".join(f"{number:g}" for number in numbers)
-
-
-def _read_matrix(path: Path, name: str) -> np.ndarray:
-    """The numbers of a file, (3, 3) if they are nine; commas and line breaks are as blanks."""
-    try:
-        with read_as("a 3x3 matrix", path):
-            if path.suffix.lower() == ".npy":
-                matrix = read_array(path)
-            else:
-                text = read_text(path, "a 3x3 matrix", _MAX_FILE_BYTES).replace(",", " ")
-                matrix = np.loadtxt(io.StringIO(text), ndmin=2)
-            if not matrix.size:
-                raise InputError(f"{path} is empty")
-            return matrix.reshape(3, 3) if matrix.size == 9 else matrix
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
-    except OSError as error:
-        raise InputError(f"{name}: {path}: {error.strerror or error}") from error
-
-
-def _parse_colmap(words: list[str], name: str) -> Camera:
-    size, parameters = _floats(words[1:3]), _floats(words[3:])
-    if size is None or parameters is None or any(not side.is_integer() for side in size):
-        text = shortened(",".join(words))
-        raise InputError(f"{name}: expected MODEL,width,height,parameters, not {text!r}")
-    try:
-        K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
-        return Camera(K, (int(size[0]), int(size[1])), distortion)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
-
-
-def _floats(words: list[str]) -> list[float] | None:
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        return None

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera, as_camera
+from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_text
 from dgc_pose.files.outputs import save_text
@@ -173,7 +173,7 @@ def _require_upright(words: list[str], where: str) -> None:
 def _cameras(words: list[str], where: str) -> list[Camera]:
     matrices = _numbers(words[4:22], where).reshape(2, 3, 3)
     try:
-        return [as_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=True)]
+        return [matrix_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=True)]
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 

@@ -10,7 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera, camera_for, guess_camera, parse_camera
+from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.camera import Camera, checked_camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.serve.store import StoredImage
 
@@ -52,7 +53,7 @@ class CameraRequest:
             return Camera(K, image.size)
         if not text.strip():
             raise InputError("give K: fx,fy,cx,cy in pixels, or a COLMAP camera")
-        return camera_for(parse_camera(text, name, files=False), image.size, name)
+        return checked_camera(parse_camera(text, name, files=False), image.size, name)
 
     def flags(self, cameras: tuple[Camera, Camera]) -> list[str]:
         """The same as words of the command."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.camera import as_camera
+from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files.inputs import read_text
 from dgc_pose.geometry.rotation import is_rotation
@@ -44,7 +44,7 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
     root = Path(root)
     images = _files(root / "images", (".jpg", ".jpeg", ".png"))
     depths = _files(root / "depth", (".png",))
-    K = as_camera(root / "K.txt").K
+    K = parse_camera(str(root / "K.txt")).K
     if abs(K[0, 1]) > 1e-6 * K[0, 0]:
         raise InputError(f"{root / 'K.txt'}: K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
     poses = _read_poses(root / "poses.txt")

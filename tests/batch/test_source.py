@@ -7,8 +7,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.source import open_source, survey
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.errors import InputError
 
 

@@ -154,7 +154,7 @@ def test_each_image_can_have_its_own_camera(folder, network):
 
 
 def test_a_focal_length_is_guessed_only_on_demand(folder, network):
-    assert_refused(estimate(k=()), "image 1 has no K", "--guess-focal")
+    assert_refused(estimate(k=()), "image 1 has no K", "--K auto")
     assert_refused(estimate(k=("--K1", dense_scene.K_TEXT)), "image 2 has no K")
     result = estimate("--json", "-", k=("--guess-focal",))
     assert result.exit_code in (0, 3)

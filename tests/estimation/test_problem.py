@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from dgc_pose.cameras.camera import Camera, parse_camera
+from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches

@@ -9,7 +9,8 @@ from ransac_oracles import ORACLES
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.cameras.camera import Camera, parse_camera
+from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.model import Model

@@ -14,7 +14,6 @@ import PIL.Image
 import pycolmap
 import torch
 
-from dgc_pose.batch.calibration import read_calibration
 from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.plan import Plan, write_plan
 from dgc_pose.batch.rows import BAD_INPUT, PairRow
@@ -30,7 +29,8 @@ from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
 from dgc_pose.benchmarks.samples import draw_sample, read_sample, write_sample
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
-from dgc_pose.cameras.camera import Camera, guess_camera, parse_camera
+from dgc_pose.cameras.calibration import parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera, guess_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs

@@ -2,7 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.cameras.camera import Camera, parse_camera
+from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.metrics.epipolar import epipolar_residuals_px, median_and_mean
 

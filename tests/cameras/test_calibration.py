@@ -2,27 +2,35 @@
 
 import json
 import math
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 
-from dgc_pose.batch.calibration import (
+from dgc_pose.cameras.calibration import (
     Calibration,
     camera_data,
+    pair_cameras,
     parse_camera_data,
     read_calibration,
 )
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
+from dgc_pose.images.header import Header
+from dgc_pose.images.image import Image
 
 SIZE = (640, 480)
 
 
+def _header(size: tuple[int, int]) -> Header:
+    return Header("JPEG", size)
+
+
 def _K(calibration: Calibration, name: str, size: tuple[int, int] = SIZE) -> list[float]:
-    K = calibration.camera(Path("photos"), name, size).K
+    K = calibration.camera(Path("photos"), name, _header(size)).K
     return [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
 
 
@@ -53,7 +61,7 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     calibration = read_calibration(str(source))
     assert _K(calibration, "d/1.jpg") == [500, 500, 320, 240]
     assert _K(calibration, "d/2.jpg") == [600, 600, 320, 240]
-    lens = calibration.camera(tmp_path, "d/1.jpg", SIZE).distortion
+    lens = calibration.camera(tmp_path, "d/1.jpg", _header(SIZE)).distortion
     assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
     with pytest.raises(InputError, match="no camera for e.jpg"):
         _K(calibration, "e.jpg")
@@ -92,7 +100,8 @@ def test_transforms_json(tmp_path: Path, frames: str) -> None:
         expected = [640, 640, 319.5, 239.5]
     calibration = read_calibration(_write(tmp_path / "transforms.json", json.dumps(data)))
     np.testing.assert_allclose(_K(calibration, "a.jpg"), expected)
-    assert (calibration.camera(tmp_path, "a.jpg", SIZE).distortion is None) == (frames == "angle")
+    camera = calibration.camera(tmp_path, "a.jpg", _header(SIZE))
+    assert (camera.distortion is None) == (frames == "angle")
 
 
 def test_kitti(tmp_path: Path) -> None:
@@ -124,7 +133,7 @@ def test_a_broken_file_is_named(tmp_path: Path, name: str, text: str, reason: st
 
 
 def test_without_a_camera() -> None:
-    with pytest.raises(InputError, match=r"^no camera for a\.jpg: give --K, or --guess-focal$"):
+    with pytest.raises(InputError, match=r"^no camera for a\.jpg: give --K, or --K auto$"):
         _K(read_calibration(None), "a.jpg")
 
 
@@ -176,8 +185,60 @@ def test_cameras_survive_json() -> None:
         np.array([[500, 0.5, 320], [0, 510, 240.25], [0, 0, 1]]),
         SIZE,
         Distortion("SIMPLE_RADIAL", (0.1,)),
-        ("a guess",),
+        ("a warning",),
+        focal_std=0.02,
+        centre_std=3.0,
+        focal_source="exif",
+        identity="a",
     )
-    again = parse_camera_data(json.loads(json.dumps(camera_data(camera))))
+    data = json.loads(json.dumps(camera_data(camera)))
+    again = parse_camera_data(data)
     np.testing.assert_array_equal(again.K, camera.K)
-    assert (again.size, again.distortion, again.warnings) == (SIZE, camera.distortion, ("a guess",))
+    for of in fields(Camera):
+        if of.name != "K":
+            assert getattr(again, of.name) == getattr(camera, of.name)
+    with pytest.raises(ValueError, match="focal_source"):
+        parse_camera_data({**data, "focal_source": "a guess"})
+
+
+# --- no K -----------------------------------------------------------------------------------------
+
+
+def _images(*sizes: tuple[int, int]) -> list[Image]:
+    return [Image(np.zeros((height, width, 3), np.uint8)) for width, height in sizes]
+
+
+@pytest.mark.parametrize(
+    ("word", "identities"),
+    [("auto", (True, False)), ("auto:shared", (True, True)), ("auto:two", (False, False))],
+)
+def test_which_images_of_a_folder_share_a_camera_without_K(
+    word: str, identities: tuple[bool, bool]
+) -> None:
+    calibration = read_calibration(word)
+    first, alike, other = (
+        calibration.camera(Path("photos"), f"{i}.jpg", _header(size))
+        for i, size in enumerate((SIZE, SIZE, (320, 200)))
+    )
+    assert first.focal_std > 0 and first.focal_source == "size"
+    same = [a.identity is not None and a.identity == first.identity for a in (alike, other)]
+    assert tuple(same) == identities
+
+
+def test_the_cameras_of_a_pair_without_K() -> None:
+    first, second = _images(SIZE, (320, 200))
+    for values, equal in (
+        ((None, None), False),
+        (("auto", "auto"), False),
+        (("auto:shared", "auto:shared"), True),
+        (("auto:two", "auto:two"), False),
+    ):
+        camera1, camera2 = pair_cameras(*values, first, second)
+        assert (camera1.identity == camera2.identity) == equal
+        assert camera1.focal_std > 0 and camera2.focal_std > 0
+    camera1, camera2 = pair_cameras("auto", "500,500,160,100", first, second)
+    assert (camera1.focal_std > 0, camera2.focal_std) == (True, 0)
+    with pytest.raises(InputError, match="^K1 is auto:two, and K2 is auto$"):
+        pair_cameras("auto:two", None, first, second)
+    with pytest.raises(InputError, match="^K1 must be one of auto, auto:shared, auto:two, not"):
+        pair_cameras("auto:both", None, first, second)

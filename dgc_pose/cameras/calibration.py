@@ -1,6 +1,7 @@
-"""The cameras of many images: one K for all, or a file with one for each.
+"""The one door for K: what a user says of the cameras, as a text, a file or a value.
 
-- a K as of one image (`parse_camera`), for all of them;
+- `auto`, `auto:shared` or `auto:two`: no K, see `prior.py`;
+- `fx,fy,cx,cy`, a COLMAP camera `MODEL,width,height,parameters...`, or a file with a 3x3 matrix;
 - COLMAP's `cameras.txt` or `cameras.bin`, or the folder of a model: with `images.txt` or
   `images.bin` beside it a camera for each image, else a single camera for all;
 - `.csv` with the columns name, fx, fy, cx, cy, and optionally width, height;
@@ -16,14 +17,22 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Protocol, get_args
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera, camera_for, guess_camera, parse_camera
+from dgc_pose.cameras.camera import (
+    Camera,
+    FocalSource,
+    checked_camera,
+    guess_camera,
+    matrix_camera,
+)
+from dgc_pose.cameras.camera_text import parse_numbers, read_matrix
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import find_file, read_model_cameras
-from dgc_pose.errors import InputError, reason
+from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
+from dgc_pose.errors import InputError, reason, shortened
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.json_files import read_json
 
@@ -32,30 +41,52 @@ _KITTI_LINE = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")
 _KITTI_FOLDER = re.compile(r"image_0*(\d+)")
 
 
+_AUTO: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
+
+
+class NamedPhotograph(Photograph, Protocol):
+    """An `Image`, or what else has its name, size and EXIF block."""
+
+    @property
+    def name(self) -> str:
+        """The path, or the argument's name."""
+
+
 @dataclass(frozen=True)
 class Calibration:
-    """The cameras of the images of a folder."""
+    """The cameras of images."""
 
     where: str  # of errors: the option or file that the cameras come from
     by_name: Mapping[str, Camera] = field(default_factory=dict)
     by_folder: Mapping[int, Camera] = field(default_factory=dict)  # KITTI's, by number
     common: Camera | None = None  # of all other images
+    # The images have no K. Of "shared" one camera took all; of "two" each has a camera of its own.
+    auto: Sharing | None = None
     # Whether an image without a camera gets one guessed from EXIF data or its size.
     guess: bool = False
 
-    def camera(self, root: Path, name: str, size: tuple[int, int]) -> Camera:
-        """The camera of an image of `size`, checked against it.
+    def camera(self, root: Path, name: str, image: Photograph) -> Camera:
+        """The camera of an image or its header, checked against its size.
 
         Raises InputError if there is none, or if it is for another size.
         """
         camera = self.named(name) or self._of_folder(root, name) or self.common
         if camera is not None:
-            return camera_for(camera, size, f"{self.where}: {name}: K")
+            return checked_camera(camera, image.size, f"{self.where}: {name}: K")
+        if self.auto is not None:
+            camera = auto_camera(image)
+            if self.auto == "files":
+                return camera
+            return replace(camera, identity="shared" if self.auto == "shared" else None)
         if self.guess:
             return guess_camera(root / name)
         if self.by_name:
             raise InputError(f"{self.where} has no camera for {name}")
-        raise InputError(f"no camera for {name}: give --K, or --guess-focal")
+        raise InputError(f"no camera for {name}: give --K, or --K auto")
+
+    def says_nothing_of(self, name: str) -> bool:
+        """Whether an image may take a camera from elsewhere, such as a list of pairs."""
+        return self.common is None and self.auto is None and self.named(name) is None
 
     def named(self, name: str) -> Camera | None:
         """The camera that the file has for an image; transforms.json may leave out the ending."""
@@ -68,27 +99,92 @@ class Calibration:
         return None
 
 
-def read_calibration(text: str | None, guess: bool = False) -> Calibration:
-    """The calibration of the option --K: a K, or a path of one of the files of this module.
+def camera_for(value: Camera | Any | None, image: NamedPhotograph, name: str) -> Camera:
+    """The camera of an image, from a Camera, an array (3, 3), or a text or path as of --K.
 
-    Raises InputError, with the path, if the file is malformed.
+    None is "auto". Raises InputError, naming the argument `name`, if K is unusable or does not fit
+    the image.
+    """
+    if value is None or isinstance(value, (str, Path)):
+        camera = read_calibration(str(value or "auto"), name).camera(Path(), image.name, image)
+    else:
+        camera = value if isinstance(value, Camera) else matrix_camera(value, name)
+        camera = checked_camera(camera, image.size, name)
+    return camera
+
+
+def pair_cameras(
+    K1: Camera | Any | None,
+    K2: Camera | Any | None,
+    image1: NamedPhotograph,
+    image2: NamedPhotograph,
+    names: tuple[str, str] = ("K1", "K2"),
+) -> tuple[Camera, Camera]:
+    """The cameras of two images by `camera_for`; without K for both, by `auto_cameras`.
+
+    names: of the arguments. Raises as `camera_for` does.
+    """
+    sharing1, sharing2 = (
+        _sharing(str(value or "auto"), name) if value is None or isinstance(value, str) else None
+        for value, name in zip((K1, K2), names, strict=True)
+    )
+    if sharing1 is not None and sharing2 is not None:
+        if sharing1 != sharing2:
+            raise InputError(f"{names[0]} is {K1 or 'auto'}, and {names[1]} is {K2 or 'auto'}")
+        return auto_cameras(image1, image2, sharing1)
+    return camera_for(K1, image1, names[0]), camera_for(K2, image2, names[1])
+
+
+def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
+    """A camera from a text, as on the command line.
+
+    The text is 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; or the path of a
+    text or .npy file with a 3x3 matrix; or a COLMAP camera 'MODEL,width,height,parameters...' with
+    COLMAP's principal point, half a pixel more than ours. files: whether the text may be a path;
+    False for a stranger's text. Raises InputError of one line, naming `name`.
+    """
+    if not files:
+        return parse_numbers(text, name)
+    calibration = read_calibration(text, name)
+    if calibration.common is None:
+        raise InputError(f"{name}: {text} has no camera for all images")
+    return calibration.common
+
+
+def read_calibration(text: str | None, name: str = "--K", *, guess: bool = False) -> Calibration:
+    """The calibration of the option --K: a text or the path of a file, see this module.
+
+    None: no camera for any image. Raises InputError, with the option `name` or the path, if the
+    text is none of these or the file is malformed.
     """
     if text is None:
-        return Calibration("--K", guess=guess)
-    path = Path(text) if os.path.lexists(text) else None
+        return Calibration(name, guess=guess)
+    if (sharing := _sharing(text, name)) is not None:
+        return Calibration(name, auto=sharing)
+    if not os.path.lexists(text):
+        return Calibration(name, common=replace(parse_numbers(text, name), identity=name))
+    path = Path(text)
     try:
-        calibration = None if path is None else _read_file(path)
+        return _read_file(path, name) or Calibration(
+            name, common=replace(read_matrix(path, name), identity=name)
+        )
     except OSError as error:
-        raise InputError(f"--K: {error.filename or path}: {error.strerror or error}") from error
-    return replace(calibration or Calibration("--K", common=parse_camera(text, "--K")), guess=guess)
+        raise InputError(f"{name}: {error.filename or path}: {error.strerror or error}") from error
 
 
-def _read_file(path: Path) -> Calibration | None:
+def _sharing(text: str, name: str) -> Sharing | None:
+    """What a word says of a camera without K; None for another text."""
+    if text.startswith("auto:") and text not in _AUTO:
+        raise InputError(f"{name} must be one of {', '.join(_AUTO)}, not {shortened(text)!r}")
+    return _AUTO.get(text)
+
+
+def _read_file(path: Path, name: str) -> Calibration | None:
     """The cameras of a file or a folder; None for any other file, such as one of a matrix."""
     if path.is_dir():
         model = find_file(path, "cameras.bin") or find_file(path, "cameras.txt")
         if model is None:
-            raise InputError(f"--K: {path} holds no cameras.txt and no cameras.bin")
+            raise InputError(f"{name}: {path} holds no cameras.txt and no cameras.bin")
         return _colmap(model)
     if path.name.lower() in ("cameras.txt", "cameras.bin"):
         return _colmap(path)
@@ -204,6 +300,10 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "model": None if lens is None else lens.model,
         "coefficients": None if lens is None else lens.coefficients,
         "warnings": camera.warnings,
+        "focal_std": camera.focal_std,
+        "centre_std": camera.centre_std,
+        "focal_source": camera.focal_source,
+        "identity": camera.identity,
         "guessed_focal": camera.guessed_focal,
     }
 
@@ -213,6 +313,16 @@ def parse_camera_data(data: Mapping[str, Any]) -> Camera:
     lens = None
     if data["model"] is not None:
         lens = Distortion(data["model"], tuple(data["coefficients"]))
-    size = None if data["size"] is None else (int(data["size"][0]), int(data["size"][1]))
-    warnings, guessed = tuple(data["warnings"]), bool(data["guessed_focal"])
-    return Camera(np.array(data["K"]), size, lens, warnings, guessed)
+    if data["focal_source"] not in get_args(FocalSource):
+        raise ValueError("a focal_source that is none")
+    return Camera(
+        np.array(data["K"]),
+        None if data["size"] is None else (int(data["size"][0]), int(data["size"][1])),
+        lens,
+        tuple(data["warnings"]),
+        float(data["focal_std"]),
+        float(data["centre_std"]),
+        data["focal_source"],
+        data["identity"],
+        bool(data["guessed_focal"]),
+    )
