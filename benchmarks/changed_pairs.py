@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
+from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.images.image import Image, resize_by
@@ -42,8 +43,10 @@ class ImageChange:
 class ChangedPairs(ListedPairs):
     """The pairs of a list with image 2 changed; its name says how."""
 
-    def __init__(self, pairs: Sequence[Pair], change: ImageChange) -> None:
-        super().__init__(pairs)
+    def __init__(
+        self, pairs: Sequence[Pair], change: ImageChange, kind: type[PairScore] = PairScore
+    ) -> None:
+        super().__init__(pairs, kind)
         self.change = change
         self.angles = change.angles(len(pairs))
         self.ids = [

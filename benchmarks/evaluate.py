@@ -9,7 +9,7 @@ import hashlib
 import json
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
@@ -20,6 +20,10 @@ from dgc_pose.benchmarks.methods import MatchingPass, Method, Passes
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, score
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
 from dgc_pose.system.options import check_options, option
 from dgc_pose.system.processes import process_pools
@@ -68,7 +72,7 @@ class Evaluation(Generic[Score]):
         ids = json.dumps([dict(pair_ids) for pair_ids in self.pairs.ids])
         return {
             "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
-            "methods": [asdict(method) for method in self.methods],
+            "methods": [_settings(method) for method in self.methods],
             "weights": {
                 options.weights: matching.matcher.fingerprint
                 for options, matching in self.passes.items()
@@ -83,29 +87,38 @@ class Evaluation(Generic[Score]):
         keys = dict.fromkeys(method.matching_pass for method in self.methods)
         results = {key: _results(self.passes[key], batch) for key in keys}
         return [
-            [
-                self._selected(method, pair, results[method.matching_pass][number])
-                for method in self.methods
-            ]
+            list(self._of_pair(pair, {key: results[key][number] for key in keys}))
             for number, pair in enumerate(batch)
         ]
 
-    def _selected(self, method: Method, pair: PosedPair, result: _Result) -> MatchedPair[Score]:
+    def _of_pair(
+        self, pair: PosedPair, results: Mapping[MatcherOptions, _Result]
+    ) -> Iterator[MatchedPair[Score]]:
+        selected: dict[tuple[MatcherOptions, bool], tuple[Matches, float]] = {}
+        for method in self.methods:
+            result, key = results[method.matching_pass], (method.matcher, method.everywhere)
+            if key not in selected:
+                selected[key] = self._selected(method, pair, result)
+            matches, seconds = selected[key]
+            yield MatchedPair(
+                kind=self.pairs.kind,
+                method=method.name,
+                truth=pair.truth,
+                cameras=_told(method, pair),
+                matches=matches,
+                map_matches=None if method.everywhere else result.matched.map_matches,
+                image_warnings=(*pair.image1.warnings, *pair.image2.warnings),
+                everywhere_px=result.everywhere_px,
+                options=method.estimation,
+                match_seconds=result.seconds + seconds,
+            )
+
+    def _selected(self, method: Method, pair: PosedPair, result: _Result) -> tuple[Matches, float]:
+        """The matches of a method, and the seconds that it took to select them."""
         start = time.perf_counter()
         matching = self.passes[method.matching_pass]
         matches = matching.matches(method, pair.image1, pair.image2, result.matched)
-        selected = time.perf_counter() - start
-        return MatchedPair(
-            kind=self.pairs.kind,
-            method=method.name,
-            truth=pair.truth,
-            matches=matches,
-            map_matches=None if method.everywhere else result.matched.map_matches,
-            image_warnings=(*pair.image1.warnings, *pair.image2.warnings),
-            everywhere_px=result.everywhere_px,
-            options=method.estimation,
-            match_seconds=result.seconds + selected,
-        )
+        return matches, time.perf_counter() - start
 
 
 @dataclass(frozen=True)
@@ -115,6 +128,22 @@ class _Result:
     matched: MatchResult
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels, NaN without a map
     seconds: float  # the mean over the batch
+
+
+def _told(method: Method, pair: PosedPair) -> tuple[Camera, Camera] | str:
+    """The cameras that a method gets, or why it would be refused them."""
+    try:
+        return method.cameras.cameras(pair)
+    except InputError as error:
+        return str(error)
+
+
+def _settings(method: Method) -> dict[str, Any]:
+    """All that a method's records depend on; the list's own cameras go without saying."""
+    settings = asdict(method)
+    if not method.cameras.reports:
+        del settings["cameras"]
+    return settings
 
 
 def _results(matching: MatchingPass, batch: Sequence[PosedPair]) -> list[_Result]:

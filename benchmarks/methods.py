@@ -5,15 +5,17 @@ of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every p
 NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
 `MatchingOptions`, `RefinementOptions` or `EstimationOptions`, or of the options within them, and is
 set in each of them that has it; `refine` is the source of refinement, or none, and `refine_pose` is
-`EstimationOptions.refine`. Methods that differ in selection, refinement or estimation alone share
+`EstimationOptions.refine`. `K`, `K_scale` and the like are the fields of `CameraTrial`, as in
+`dgcm-lite0:K=auto:shared`. Methods that differ in selection, refinement or estimation alone share
 one matching pass.
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
+from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
@@ -29,8 +31,13 @@ from dgc_pose.system.options import field_types
 
 EVERYWHERE = "/all"
 _UNREFINED = RefinementOptions(source="none")
-_KEYS = {"source": "refine", "refine": "refine_pose"}  # of fields whose key is another word
-_SETTING = re.compile(r"[a-z]\w*=")
+# Of fields whose key is another word
+_KEYS = {"source": "refine", "refine": "refine_pose"} | {
+    field.name: field.name.capitalize() for field in fields(CameraTrial)
+}
+# A path may hold colons: the settings are what follows the last part that is none.
+_PARTS = re.compile(r"(.*?)((?::(?:K=auto:[a-z]+|[A-Za-z]\w*=[^:]*))*)", re.DOTALL)
+_SETTING = re.compile(r":(K=auto:[a-z]+|[^:]*)")
 
 Options = TypeVar("Options")
 
@@ -43,6 +50,7 @@ class Method:
     matcher: MatcherOptions
     estimation: EstimationOptions = field(default_factory=EstimationOptions)
     everywhere: bool = False  # whether every pixel counts, whatever the matchability
+    cameras: CameraTrial = field(default_factory=CameraTrial)
 
     @property
     def matching_pass(self) -> MatcherOptions:
@@ -86,6 +94,7 @@ def parse_methods(
     matcher: MatcherOptions | None = None,
     estimation: EstimationOptions | None = None,
     stored: Sequence[str] = (),
+    cameras: CameraTrial | None = None,
 ) -> list[Method]:
     """The methods that specifications stand for.
 
@@ -93,6 +102,7 @@ def parse_methods(
         specifications: as described at the top of this file.
         matcher, estimation: what a specification leaves open; only networks are refined then.
         stored: names of stored matches; those that no specification names become methods, last.
+        cameras: what a specification leaves open of what the method is told of the cameras.
 
     Raises InputError for none, for one that is given twice, that is malformed or has an option out
     of range, for `/all` of key points, and for a name of `stored` that is taken.
@@ -103,10 +113,15 @@ def parse_methods(
     for text in specifications:
         if specifications.count(text) > 1:
             raise InputError(f"the method {text!r} is named twice")
-    matcher, estimation = matcher or MatcherOptions(), estimation or EstimationOptions()
-    methods = [_parse(text, matcher, estimation, stored) for text in specifications]
+    defaults = Method(
+        "",
+        matcher or MatcherOptions(),
+        estimation or EstimationOptions(),
+        cameras=cameras or CameraTrial(),
+    )
+    methods = [_parse(text, defaults, stored) for text in specifications]
     named = {method.matcher.weights for method in methods}
-    methods += [_parse(name, matcher, estimation, stored) for name in stored if name not in named]
+    methods += [_parse(name, defaults, stored) for name in stored if name not in named]
     if not methods:
         raise InputError("no methods named")
     return methods
@@ -143,18 +158,15 @@ def load_passes(
     return passes
 
 
-def _parse(
-    text: str, matcher: MatcherOptions, estimation: EstimationOptions, stored: Sequence[str]
-) -> Method:
-    parts = text.split(":")
-    # A path may hold colons: the settings are what follows the last part that is none.
-    first = 1 + max(k for k, part in enumerate(parts) if not k or not _SETTING.match(part))
-    name = ":".join(parts[:first])
-    settings = dict(part.split("=", 1) for part in parts[first:])
+def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
+    parts = _PARTS.fullmatch(text)
+    assert parts is not None
+    name = parts[1]
+    settings = dict(setting.split("=", 1) for setting in _SETTING.findall(parts[2]))
     weights = name.removesuffix(EVERYWHERE)
     if not weights:
         raise InputError(f"the method {text!r} has no name")
-    matcher = replace(matcher, weights=weights)
+    matcher = replace(defaults.matcher, weights=weights)
     everywhere, network = name != weights, matcher.kind.network and weights not in stored
     if everywhere and not matcher.kind.dense_map and weights not in stored:
         raise InputError(f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing")
@@ -163,7 +175,8 @@ def _parse(
         matching = _changed(matcher.matching, settings, used)
         refinement = matcher.refinement if network else _UNREFINED
         refinement = _changed(refinement, settings, used)
-        estimation = _changed(estimation, settings, used)
+        estimation = _changed(defaults.estimation, settings, used)
+        cameras = _changed(defaults.cameras, settings, used)
     except InputError as error:
         raise InputError(f"{text}: {error}") from None
     for key in settings:
@@ -175,7 +188,7 @@ def _parse(
         matching = replace(matching, matchability=0.0, cycle_px=None, min_share=0.0)
         refinement = _UNREFINED
     matcher = replace(matcher, matching=matching, refinement=refinement)
-    return Method(text, matcher, estimation, everywhere)
+    return Method(text, matcher, estimation, everywhere, cameras)
 
 
 def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:

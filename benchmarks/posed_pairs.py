@@ -117,9 +117,9 @@ class FilePairs(PairSet[Score]):
 class ListedPairs(FilePairs[PairScore]):
     """The pairs of a list in SuperGlue's format."""
 
-    def __init__(self, pairs: Sequence[Pair]) -> None:
+    def __init__(self, pairs: Sequence[Pair], kind: type[PairScore] = PairScore) -> None:
         ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
-        super().__init__(PairScore, pairs, ids)
+        super().__init__(kind, pairs, ids)
 
 
 class RenderedPosedPairs(PairSet[MapScore]):

@@ -54,6 +54,13 @@ _EPIPOLAR = (
 )
 
 
+_CAMERA = (
+    *("rotation_90_deg", "translation_90_deg", "probability"),
+    *("focal1_error", "focal2_error", "focal1_std", "focal2_std"),
+    *("focal_ratio", "focal_ratio_std", "doubts_camera"),
+)
+
+
 @dataclass(frozen=True)
 class PairScore(PoseScore):
     """A row of bench-pairs."""
@@ -63,6 +70,24 @@ class PairScore(PoseScore):
 
     identity: ClassVar[tuple[str, ...]] = ("method", "image1", "image2")
     tables = {RESULTS: (*identity, "true_rotation_deg", *POSE_COLUMNS, *SECONDS)}
+
+
+@dataclass(frozen=True)
+class CameraScore(PairScore):
+    """A row of bench-pairs whose cameras are withheld or changed."""
+
+    rotation_90_deg: float  # what the pose expects of its error; NaN if it does not say
+    translation_90_deg: float
+    probability: float  # that R and t are both within 10 degrees
+    focal1_error: float  # ln of the focal length of the pose over the true one; NaN without a pose
+    focal2_error: float
+    focal1_std: float  # what the pose expects of it; 0 if it was told that K is exact
+    focal2_std: float
+    focal_ratio: float  # f that the matches suggest over that of K; NaN if they do not say
+    focal_ratio_std: float  # of its logarithm
+    doubts_camera: bool  # whether the pose says that a K may be wrong
+
+    tables = {RESULTS: (*PairScore.tables[RESULTS], *_CAMERA)}
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,12 @@ from typing import Generic
 
 import numpy as np
 
+from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import MatchSample, draw_sample
 from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
@@ -26,6 +28,7 @@ class MatchedPair(Generic[Score]):
     kind: type[Score]
     method: str
     truth: Truth
+    cameras: tuple[Camera, Camera] | str  # that the estimation gets, or why it gets none
     matches: Matches
     map_matches: Matches | None  # see `estimate_pose`
     image_warnings: tuple[str, ...]
@@ -48,14 +51,7 @@ def score(pair: MatchedPair[Score]) -> Scored[Score]:
     if truth.seed:
         options = replace(options, seed=pair_seed(options.seed, *truth.seed))
     start = time.process_time()
-    pose = pose_of_matches(
-        matches,
-        truth.camera1,
-        truth.camera2,
-        options,
-        map_matches=pair.map_matches,
-        image_warnings=pair.image_warnings,
-    )
+    pose = _pose(pair, options)
     seconds = time.process_time() - start
     rotation, translation = pose_errors(pose, truth.R, truth.t)
     confident = epipolar_errors(truth, matches.points1, matches.points2)
@@ -74,7 +70,11 @@ def score(pair: MatchedPair[Score]) -> Scored[Score]:
         "translation_folded_deg": folded(translation),
         "rotation_90_deg": _number(pose.rotation_error_90_deg),
         "translation_90_deg": _number(pose.translation_error_90_deg),
+        "probability": _number(pose.probability),
         "evidence_json": evidence_text(pose.evidence),
+        **_focal_lengths(pose, truth),
+        **dict(zip(("focal_ratio", "focal_ratio_std"), suggested_focal(pose), strict=True)),
+        "doubts_camera": doubts_camera(pose),
         "epipolar_all_px": pair.everywhere_px[0],
         "epipolar_confident_px": confident[0],
         "epipolar_all_mean_px": pair.everywhere_px[1],
@@ -84,6 +84,32 @@ def score(pair: MatchedPair[Score]) -> Scored[Score]:
     }
     sample = draw_sample(matches, pose.inliers, options.seed)
     return Scored(make_score(pair.kind, values), sample)
+
+
+def _pose(pair: MatchedPair[Score], options: EstimationOptions) -> RelativePose:
+    if isinstance(pair.cameras, str):
+        none = np.zeros(len(pair.matches), dtype=bool)
+        return RelativePose("no_model", pair.cameras, none, 0, warnings=(pair.cameras,))
+    return pose_of_matches(
+        pair.matches,
+        *pair.cameras,
+        options,
+        map_matches=pair.map_matches,
+        image_warnings=pair.image_warnings,
+    )
+
+
+def _focal_lengths(pose: RelativePose, truth: Truth) -> dict[str, float]:
+    """Of both cameras the error of ln f and its expected deviation, NaN without a pose."""
+    values = {}
+    of_pose = (pose.camera1, pose.camera2)
+    for n, (camera, true) in enumerate(
+        zip(of_pose, (truth.camera1, truth.camera2), strict=True), start=1
+    ):
+        error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
+        values[f"focal{n}_error"] = error
+        values[f"focal{n}_std"] = np.nan if camera is None else camera.focal_std
+    return values
 
 
 def map_errors(truth: Truth, dense: CorrespondenceMap | None) -> tuple[float, float]:

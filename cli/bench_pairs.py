@@ -1,5 +1,6 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -7,6 +8,8 @@ from typing import Any
 
 import click
 
+from dgc_pose.benchmarks.camera_summary import CAMERA_COLUMNS, CAMERA_HEADING, summarise_cameras
+from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
@@ -15,7 +18,9 @@ from dgc_pose.benchmarks.posed_pairs import (
     RenderedPosedPairs,
     require_images,
 )
+from dgc_pose.benchmarks.scores import CameraScore, PairScore
 from dgc_pose.benchmarks.summary import (
+    MethodSummary,
     by_method,
     columns,
     heading,
@@ -24,6 +29,7 @@ from dgc_pose.benchmarks.summary import (
     summary_data,
     summary_table,
 )
+from dgc_pose.benchmarks.table import table
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
@@ -67,15 +73,23 @@ class PairBenchOptions:
         None, "Write the summary as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
 
-    def pair_set(self, pair_list: str | None, change: ImageChange) -> PairSet[Any]:
-        """The data set. Raises InputError or ImageError if it cannot be made."""
+    def pair_set(self, pair_list: str | None, change: ImageChange, *, trial: bool) -> PairSet[Any]:
+        """The data set. trial: whether some method is told other cameras than the list's.
+
+        Raises InputError or ImageError if it cannot be made.
+        """
         changed = change != ImageChange()
         if pair_list is not None and self.rendered is None and self.photos is None:
             pairs = read_pairs(pair_list, self.root)[: self.limit]
             require_images(pairs)
-            return ChangedPairs(pairs, change) if changed else ListedPairs(pairs)
+            kind = CameraScore if trial else PairScore
+            return ChangedPairs(pairs, change, kind) if changed else ListedPairs(pairs, kind)
         if changed:
             raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
+        if trial:
+            raise InputError(
+                "--K, --K-scale, --K-shift, --K-noise and --K-std need a LIST of pairs"
+            )
         if pair_list is not None or self.rendered is None or self.photos is None:
             raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
         return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed)
@@ -85,6 +99,7 @@ class PairBenchOptions:
 @click.argument("pair_list", metavar="[LIST]", required=False)
 @dataclass_options(PairBenchOptions, "options")
 @dataclass_options(ImageChange, "change")
+@dataclass_options(CameraTrial, "cameras")
 @click.option(
     "--methods",
     default=lambda: ",".join([*shipped(), "sift"]),
@@ -100,6 +115,7 @@ def bench_pairs(
     pair_list: str | None,
     options: PairBenchOptions,
     change: ImageChange,
+    cameras: CameraTrial,
     methods: str,
     run: RunChoice,
     matcher: MatcherOptions,
@@ -110,17 +126,24 @@ def bench_pairs(
     Prints for each method the median errors, AUC@5/10/20 of the larger of rotation and folded
     translation error, the share of failures, and seconds a pair (matching and estimating). A pair
     without a pose counts as an infinite error.
+
+    With --K and its like the K of LIST are withheld or changed, for all methods or, by NAME:K=auto,
+    NAME:K=auto:shared or NAME:K_scale=0.8, for one of several that share their matches. Errors are
+    of the true cameras as before; a second table has the focal lengths and what the poses say.
     """
     if options.out is not None:
         import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
-    pairs = options.pair_set(pair_list, change)
-    chosen = parse_methods(split_names(methods), matcher, estimation)
+    chosen = parse_methods(split_names(methods), matcher, estimation, cameras=cameras)
+    trial = any(method.cameras.reports for method in chosen)
+    pairs = options.pair_set(pair_list, change, trial=trial)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
         passes = load_passes(chosen, device=run.device, runtime=run.runtime)
         evaluation = run.evaluation(pairs, chosen, passes)
         results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
-        summarised = summarise if options.rendered is None else summarise_epipolar
+        summarised: Callable[..., MethodSummary] = summarise_cameras if trial else summarise
+        if options.rendered is not None:
+            summarised = summarise_epipolar
         summaries = [summarised(rows) for rows in results.values()]
         data = json_text(summary_data(summaries))
         if options.json_path is not None:
@@ -137,3 +160,5 @@ def bench_pairs(
         with replaced(Path(options.out, "errors.png")) as file:
             save_figure(plot_errors(rotation, translation), file)
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
+    if trial:
+        click.echo(f"\n{CAMERA_HEADING}\n{table(CAMERA_COLUMNS, summaries)}")

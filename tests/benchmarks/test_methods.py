@@ -5,6 +5,7 @@ import dense_scene
 import numpy as np
 import pytest
 
+from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.methods import MatchingPass, load_passes, parse_methods
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -47,6 +48,8 @@ def test_names_stand_for_methods() -> None:
         (["dis:align=maybe"], [], "align cannot be 'maybe'|no option align"),
         (["net:refine=sift"], [], "refine cannot be 'sift'"),
         (["net:refine=map:align=maybe"], [], "align cannot be 'maybe'"),
+        (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
+        (["net:K_scale=0"], [], "k_scale must be above 0"),
         (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
     ],
 )
@@ -83,8 +86,20 @@ def test_a_path_may_hold_colons_and_equals_signs() -> None:
     assert method.estimation.runs == 2
 
 
+def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
+    names = ["a:K=auto:shared", "C:/net:K=auto:two:runs=2", "sift:K_scale=0.8:K=none", "dis"]
+    methods = parse_methods(names, cameras=CameraTrial(k="list"))
+    assert [(method.matcher.weights, method.cameras) for method in methods] == [
+        ("a", CameraTrial(k="auto:shared")),
+        ("C:/net", CameraTrial(k="auto:two")),
+        ("sift", CameraTrial(k_scale=0.8)),
+        ("dis", CameraTrial(k="list")),
+    ]
+    assert methods[1].estimation.runs == 2
+
+
 def test_methods_that_differ_after_the_map_share_its_pass() -> None:
-    names = ["n", "n/all", "n:matchability=0.2", "n:runs=2", "n:refine=map"]
+    names = ["n", "n/all", "n:matchability=0.2", "n:runs=2", "n:refine=map", "n:K=auto"]
     passes = {method.matching_pass for method in parse_methods(names)}
     assert len(passes) == 1
     others = ["n:finest=60", "n:cycle_px=2", "n:search_below=0"]

@@ -1,5 +1,6 @@
 import csv
 import json
+import math
 import os
 
 import cv2
@@ -108,6 +109,40 @@ def test_a_method_has_options_of_its_own(folder):
     assert all(float(row["rotation_error_deg"]) < 1 for row in rows)
 
 
+def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
+    methods = "true,true:K=auto:shared,true:K_scale=0.8,true:K_shift=0.6"
+    result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
+    assert result.exit_code == 0, result.stderr
+    table = [line.split() for line in result.stdout.splitlines()[-5:]]
+    assert table[0][:4] == ["method", "claimed", "wrong", "doubted"]
+    assert [line[0] for line in table[1:]] == methods.split(",")
+    with open("run/results.csv", newline="") as stream:
+        known, withheld, wrong, refused = csv.DictReader(stream)
+    assert float(known["rotation_error_deg"]) < 0.1 and float(known["focal1_error"]) == 0
+    assert known["doubts_camera"] == "False" and float(withheld["focal1_std"]) > 0
+    assert float(wrong["focal2_error"]) == pytest.approx(math.log(0.8))
+    assert float(wrong["rotation_error_deg"]) > 10 * float(known["rotation_error_deg"])
+    assert (refused["success"], refused["doubts_camera"]) == ("False", "True")
+    assert float(refused["rotation_error_deg"]) == math.inf
+    summary = json.loads((folder / "run/summary.json").read_text())["methods"]
+    assert [method["median_focal_error_percent"] is None for method in summary] == [False] * 3 + [
+        True
+    ]
+    again = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run", "--resume")
+    assert again.exit_code == 0 and "1 of 1 pairs are done already" in again.stdout
+
+
+def test_the_list_is_told_as_it_is_unless_asked_otherwise(folder):
+    assert bench("pairs.txt", "--methods", "true", "--limit", "1", "--out", "a").exit_code == 0
+    listed = bench("pairs.txt", "--methods", "true", "--limit", "1", "--out", "b", "--K", "list")
+    assert listed.exit_code == 0
+    plain, told = ((folder / name / "results.csv").read_text().splitlines() for name in "ab")
+    assert told[0].startswith(plain[0] + ",")
+    seconds = 2  # the last columns
+    assert told[1].split(",")[: plain[0].count(",") + 1 - seconds] == plain[1].split(",")[:-seconds]
+    assert "cameras" not in json.loads((folder / "a/run.json").read_text())["methods"][0]
+
+
 @pytest.mark.parametrize(
     "arguments, words",
     [
@@ -115,6 +150,8 @@ def test_a_method_has_options_of_its_own(folder):
         (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
         (("pairs.txt", "--rendered", "2"), "LIST"),
         (("--rendered", "2"), "--photos"),
+        (("--rendered", "2", "--photos", ".", "--K", "auto"), "--K"),
+        (("pairs.txt", "--methods", "true", "--K", "auto", "--K-scale", "2"), "cannot be changed"),
         ((), "LIST"),
     ],
 )

@@ -1,0 +1,120 @@
+"""What methods are told of the cameras of a list: its K, a wrong K, or none."""
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from dgc_pose.benchmarks.posed_pairs import PosedPair
+from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.camera import Camera, checked_camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
+from dgc_pose.images.image import Image
+from dgc_pose.system.options import check_options, option
+
+ToldCameras = Literal["list", "auto", "auto:shared", "auto:two"]
+# How a warning or a refusal begins that says that a K may be wrong.
+_DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
+
+
+@dataclass(frozen=True)
+class CameraTrial:
+    """What the methods are told of the cameras; errors are of the list's K, whatever they are told.
+
+    Raises InputError, naming the field, on a value out of range, and for a K that is withheld and
+    changed.
+    """
+
+    k: ToldCameras | None = option(
+        None,
+        "Report focal lengths and warnings too; auto withholds the K of LIST, auto:shared says "
+        "that one camera took both images, auto:two that two did.",
+        flag="--K",
+    )
+    k_scale: float = option(
+        1.0, "Multiply the focal lengths of K.", flag="--K-scale", metavar="F", above=0, max=1000
+    )
+    k_shift: float = option(
+        0.0,
+        "Move the principal point to the right by this share of the image's width.",
+        flag="--K-shift",
+        metavar="S",
+        min=-10,
+        max=10,
+    )
+    k_noise: float = option(
+        0.0,
+        "Multiply the focal lengths of each camera of each pair by a factor drawn at random, whose "
+        "logarithm has this standard deviation.",
+        flag="--K-noise",
+        metavar="STD",
+        min=0,
+        max=1,
+    )
+    k_std: float = option(
+        0.0,
+        "Tell the methods that the focal lengths have this relative standard deviation.",
+        flag="--K-std",
+        metavar="STD",
+        min=0,
+        max=1,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.withholds and replace(self, k=None) != CameraTrial():
+            raise InputError(f"K is {self.k}: it cannot be changed as well")
+
+    @property
+    def withholds(self) -> bool:
+        """Whether the methods get no K."""
+        return self.k not in (None, "list")
+
+    @property
+    def reports(self) -> bool:
+        """Whether it is a trial at all."""
+        return self != CameraTrial()
+
+    def cameras(self, pair: PosedPair) -> tuple[Camera, Camera]:
+        """What a method is told of a pair, with the warnings that a user would get.
+
+        Raises InputError if a user would be refused the cameras.
+        """
+        truth = pair.truth
+        if not self.reports:
+            return truth.camera1, truth.camera2
+        if self.withholds:
+            return pair_cameras(self.k, self.k, pair.image1, pair.image2)
+        # Images with equal K are of one camera: one factor is drawn.
+        shared = np.array_equal(truth.camera1.K, truth.camera2.K)
+        words = hashlib.sha256(json.dumps(dict(truth.ids)).encode()).digest()
+        noise = np.exp(self.k_noise * np.random.default_rng([*words]).standard_normal(2))
+        factors = self.k_scale * (noise[[0, 0]] if shared else noise)
+        return (
+            self._told("K1", truth.camera1, pair.image1, factors[0], shared),
+            self._told("K2", truth.camera2, pair.image2, factors[1], shared),
+        )
+
+    def _told(self, name: str, camera: Camera, image: Image, factor: float, shared: bool) -> Camera:
+        K = camera.K.copy()
+        K[:2, :2] *= factor
+        K[0, 2] += self.k_shift * image.size[0]
+        identity = "list" if shared and self.k_std else None
+        told = replace(camera, K=K, focal_std=self.k_std, identity=identity)
+        return checked_camera(told, image.size, name)
+
+
+def suggested_focal(pose: RelativePose) -> tuple[float, float]:
+    """The focal length that the matches suggest over that of K, and the deviation of its logarithm;
+    NaN if the pose does not say."""
+    ratio, std = (getattr(pose.evidence, name, None) for name in ("focal_ratio", "focal_ratio_std"))
+    return (math.nan, math.nan) if ratio is None or std is None else (ratio, std)
+
+
+def doubts_camera(pose: RelativePose) -> bool:
+    """Whether a pose says that a K may be wrong."""
+    return any(warning.startswith(_DOUBTS) for warning in pose.warnings)

@@ -1,0 +1,87 @@
+"""What methods are told of the cameras, and what a pose says of them."""
+
+from dataclasses import replace
+
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks.camera_trial import CameraTrial, doubts_camera
+from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import auto_cameras
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
+from dgc_pose.images.image import Image
+
+IMAGE = Image(np.zeros((240, 320, 3), np.uint8))
+CAMERA = Camera(dense_scene.K)
+
+
+def pair(number: int = 0, camera2: Camera = CAMERA) -> PosedPair:
+    truth = Truth({"image1": f"{number}"}, CAMERA, camera2, dense_scene.R, dense_scene.T)
+    return PosedPair(truth, IMAGE, IMAGE)
+
+
+def test_without_a_trial_the_methods_get_the_lists_cameras() -> None:
+    posed = pair()
+    cameras = CameraTrial().cameras(posed)
+    assert cameras[0] is posed.truth.camera1 and cameras[1] is posed.truth.camera2
+
+
+@pytest.mark.parametrize(
+    ("k", "sharing"), [("auto", "files"), ("auto:shared", "shared"), ("auto:two", "two")]
+)
+def test_a_K_that_is_withheld_is_that_of_the_images(k, sharing) -> None:
+    told = CameraTrial(k=k).cameras(pair())
+    for camera, expected in zip(told, auto_cameras(IMAGE, IMAGE, sharing), strict=True):
+        assert np.array_equal(camera.K, expected.K)
+        assert (camera.focal_std, camera.identity) == (expected.focal_std, expected.identity)
+    assert (told[0].identity == told[1].identity) == (k != "auto:two")
+
+
+def test_a_wrong_K_is_wrong_by_what_was_asked_for() -> None:
+    for camera in CameraTrial(k_scale=0.8, k_shift=-0.1, k_std=0.02).cameras(pair()):
+        assert camera.K == pytest.approx(np.array([[240, 0, 127.5], [0, 240, 119.5], [0, 0, 1]]))
+        assert camera.focal_std == 0.02
+    assert CAMERA.K[0, 0] == 300
+
+
+def test_noise_is_of_the_pair_and_of_the_camera() -> None:
+    trial = CameraTrial(k_noise=0.02)
+    logs = np.log([[c.focal / 300 for c in trial.cameras(pair(k))] for k in range(400)])
+    assert np.array_equal(logs[:, 0], logs[:, 1])  # equal K: one camera
+    assert logs.std() == pytest.approx(0.02, rel=0.15) and abs(logs.mean()) < 0.004
+    again = [camera.focal for camera in trial.cameras(pair(7))]
+    assert np.log(np.divide(again, 300)) == pytest.approx(logs[7])
+    other = Camera(dense_scene.K + np.diag([1e-6, 0, 0]))
+    first, second = trial.cameras(pair(7, other))
+    assert abs(np.log(first.focal / second.focal)) > 1e-4 and first.focal_std == 0
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_cameras_are_one_if_their_K_are_equal_and_uncertain(noise) -> None:
+    trial = CameraTrial(k_noise=noise, k_std=0.02)
+    first, second = trial.cameras(pair())
+    assert first.identity == second.identity is not None
+    other = Camera(dense_scene.K + np.diag([1.0, 1.0, 0]))
+    assert {camera.identity for camera in trial.cameras(pair(0, other))} == {None}
+
+
+def test_a_K_is_refused_or_warned_of_as_a_users() -> None:
+    with pytest.raises(InputError, match="K1 has its principal point"):
+        CameraTrial(k_shift=0.6).cameras(pair())
+    warned = CameraTrial(k_shift=0.25).cameras(pair())[1]
+    right = CameraTrial(k="list").cameras(pair())[0]
+    poses = [
+        RelativePose("ok", "", np.zeros(0, bool), 0, warnings=texts)
+        for texts in (warned.warnings, ("the matches suggest f = 10 px, K1 says 20",), ())
+    ]
+    assert [doubts_camera(pose) for pose in poses] == [True, True, False]
+    assert not doubts_camera(replace(poses[0], warnings=right.warnings))
+
+
+@pytest.mark.parametrize("k", ["auto", "auto:shared", "auto:two"])
+def test_a_K_that_is_withheld_cannot_be_changed(k) -> None:
+    with pytest.raises(InputError, match=f"K is {k}: it cannot be changed"):
+        CameraTrial(k=k, k_scale=2.0)
