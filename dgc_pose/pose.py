@@ -30,7 +30,7 @@ class Trace:
 
     image1: Image
     image2: Image
-    camera1: Camera
+    camera1: Camera  # those that the pose is of, as in `pose`; without a pose, those before it
     camera2: Camera
     correspondence_map: CorrespondenceMap | None  # None for a matcher that makes no dense map
     matches: Matches
@@ -40,8 +40,8 @@ class Trace:
 def estimate_relative_pose(
     image1: str | Path | np.ndarray | torch.Tensor | Image,
     image2: str | Path | np.ndarray | torch.Tensor | Image,
-    K1: ArrayLike | Camera,
-    K2: ArrayLike | Camera | None = None,
+    K1: ArrayLike | Camera | Path | None = None,
+    K2: ArrayLike | Camera | Path | None = None,
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
@@ -49,9 +49,14 @@ def estimate_relative_pose(
     """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
 
     image1, image2: paths, arrays (H, W[, 3]) in RGB order, or tensors. K1, K2: 3x3 matrices in
-    pixels of those images, (0, 0) the centre of the top-left pixel, or `Camera`s, which may have
-    lens distortion; without K2, K1 serves for both. matcher: by default `load_matcher()`, the
-    shipped network with refinement. Without a pose, `success` is False and `reason` says why.
+    pixels of those images, (0, 0) the centre of the top-left pixel; or `Camera`s, which may have
+    lens distortion; or texts and files as of --K. Without K2, K1 serves for both. matcher: by
+    default `load_matcher()`, the shipped network with refinement. Without a pose, `success` is
+    False and `reason` says why.
+
+    A K that is not known is None or "auto"; for K2 alone "auto". The matches tell the focal length
+    then: see `K1`, `K2`, `focal_std1` and `focal_std2` of the pose. One camera took both images if
+    their sizes and EXIF data agree; "auto:shared" and "auto:two" say it instead.
 
     Raises ImageError if an image cannot be read, InputError (a ValueError) if another argument is
     unusable, WeightsError if the network's weights cannot be loaded.
@@ -65,8 +70,8 @@ def estimate_relative_pose(
 def trace_relative_pose(
     image1: str | Path | np.ndarray | torch.Tensor | Image,
     image2: str | Path | np.ndarray | torch.Tensor | Image,
-    K1: ArrayLike | Camera,
-    K2: ArrayLike | Camera | None = None,
+    K1: ArrayLike | Camera | Path | None = None,
+    K2: ArrayLike | Camera | Path | None = None,
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
@@ -118,7 +123,8 @@ def match_and_estimate(
         "estimate": time.perf_counter() - start,
     }
     pose = replace(pose, seconds=seconds)
-    return Trace(image1, image2, camera1, camera2, result.correspondence_map, result.matches, pose)
+    cameras = pose.camera1 or camera1, pose.camera2 or camera2
+    return Trace(image1, image2, *cameras, result.correspondence_map, result.matches, pose)
 
 
 def pose_of_matches(

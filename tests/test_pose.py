@@ -1,7 +1,9 @@
 """The whole pipeline, from paths, arrays and tensors to a pose and its verdict."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,6 +16,8 @@ from dgc_pose import (
     EstimationOptions,
     ImageError,
     InputError,
+    RelativePose,
+    estimate_pose,
     estimate_relative_pose,
     load_matcher,
     trace_relative_pose,
@@ -58,6 +62,48 @@ def test_cameras_may_be_cameras_and_warnings_arrive(pair: RenderedPair) -> None:
     assert any("principal point" in warning for warning in trace.pose.warnings)
 
 
+def test_the_cameras_of_a_trace_are_those_of_its_pose(
+    pair: RenderedPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fitted = Camera(pair.K1, (640, 480), focal_std=0.01), Camera(pair.K2, (560, 520))
+
+    def estimate(*arguments: Any, **options: Any) -> RelativePose:
+        pose = estimate_pose(*arguments, **options)
+        return replace(pose, camera1=fitted[0], camera2=fitted[1])
+
+    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
+    trace = trace_relative_pose(pair.image1, pair.image2, matcher=SiftMatcher())
+    assert (trace.camera1, trace.camera2) == fitted
+    np.testing.assert_array_equal(trace.pose.K1, pair.K1)
+    np.testing.assert_array_equal(trace.pose.K2, pair.K2)
+    assert (trace.pose.focal_std1, trace.pose.focal_std2) == (0.01, 0)
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
+NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("values", "known", "shared"),
+    [
+        ((), (False, False), True),
+        (("auto:two",), (False, False), False),
+        ((NOISE_K,), (True, True), True),
+        ((NOISE_K, NOISE_K), (True, True), False),
+        ((NOISE_K, "auto"), (True, False), False),
+        (("auto", NOISE_K), (False, True), False),
+    ],
+)
+def test_what_is_known_of_the_cameras(
+    values: tuple[Any, ...], known: tuple[bool, bool], shared: bool
+) -> None:
+    trace = trace_relative_pose(*NOISE, *values, matcher=SiftMatcher())
+    assert trace.pose.K1 is None and trace.pose.focal_std2 is None  # there is no pose
+    cameras = trace.camera1, trace.camera2
+    assert tuple(camera.focal_std == 0 for camera in cameras) == known
+    assert (cameras[0].identity == cameras[1].identity) is shared
+
+
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])
 def test_verdicts_on_rendered_scenes(kind: str) -> None:
     scene = render_scene_pair(
@@ -96,10 +142,7 @@ def test_a_rotated_copy_is_a_rotation(pair: RenderedPair) -> None:
 
 
 def test_noise_gives_no_pose() -> None:
-    rng = np.random.default_rng(0)
-    one, two = rng.integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
-    K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
-    pose = estimate_relative_pose(one, two, K, matcher=SiftMatcher())
+    pose = estimate_relative_pose(*NOISE, NOISE_K, matcher=SiftMatcher())
     assert not pose.success and pose.R is None and pose.t is None and pose.reason
 
 

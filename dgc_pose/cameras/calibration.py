@@ -102,13 +102,15 @@ class Calibration:
 def camera_for(value: Camera | Any | None, image: NamedPhotograph, name: str) -> Camera:
     """The camera of an image, from a Camera, an array (3, 3), or a text or path as of --K.
 
-    None is "auto". Raises InputError, naming the argument `name`, if K is unusable or does not fit
-    the image.
+    None is "auto". A value without an identity gets that of its argument. Raises InputError, naming
+    the argument `name`, if K is unusable or does not fit the image.
     """
-    if value is None or isinstance(value, (str, Path)):
-        camera = read_calibration(str(value or "auto"), name).camera(Path(), image.name, image)
+    value = "auto" if value is None else value
+    if isinstance(value, (str, Path)):
+        camera = read_calibration(str(value), name).camera(Path(), image.name, image)
     else:
         camera = value if isinstance(value, Camera) else matrix_camera(value, name)
+        camera = replace(camera, identity=camera.identity or name)
         camera = checked_camera(camera, image.size, name)
     return camera
 
@@ -124,13 +126,14 @@ def pair_cameras(
 
     names: of the arguments. Raises as `camera_for` does.
     """
+    K1, K2 = ("auto" if value is None else value for value in (K1, K2))
     sharing1, sharing2 = (
-        _sharing(str(value or "auto"), name) if value is None or isinstance(value, str) else None
+        _sharing(value, name) if isinstance(value, str) else None
         for value, name in zip((K1, K2), names, strict=True)
     )
     if sharing1 is not None and sharing2 is not None:
         if sharing1 != sharing2:
-            raise InputError(f"{names[0]} is {K1 or 'auto'}, and {names[1]} is {K2 or 'auto'}")
+            raise InputError(f"{names[0]} is {K1}, and {names[1]} is {K2}")
         return auto_cameras(image1, image2, sharing1)
     return camera_for(K1, image1, names[0]), camera_for(K2, image2, names[1])
 

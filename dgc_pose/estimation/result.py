@@ -82,6 +82,26 @@ class RelativePose:
         return essential_from_pose(self.R, self.t)
 
     @property
+    def K1(self) -> np.ndarray | None:
+        """Intrinsic matrix (3, 3) of camera 1 that the pose is of, or None without a pose."""
+        return None if self.camera1 is None else self.camera1.K
+
+    @property
+    def K2(self) -> np.ndarray | None:
+        """Intrinsic matrix (3, 3) of camera 2 that the pose is of, or None without a pose."""
+        return None if self.camera2 is None else self.camera2.K
+
+    @property
+    def focal_std1(self) -> float | None:
+        """Standard deviation of camera 1's focal length as a share of it; 0 if it was known."""
+        return None if self.camera1 is None else self.camera1.focal_std
+
+    @property
+    def focal_std2(self) -> float | None:
+        """Standard deviation of camera 2's focal length as a share of it; 0 if it was known."""
+        return None if self.camera2 is None else self.camera2.focal_std
+
+    @property
     def num_inliers(self) -> int:
         """Number of inliers."""
         return int(self.inliers.sum())
