@@ -107,7 +107,6 @@ class Evaluation(Generic[Score]):
                 cameras=_told(method, pair),
                 matches=matches,
                 map_matches=None if method.everywhere else result.matched.map_matches,
-                image_warnings=(*pair.image1.warnings, *pair.image2.warnings),
                 everywhere_px=result.everywhere_px,
                 options=method.estimation,
                 match_seconds=result.seconds + seconds,

@@ -31,7 +31,6 @@ class MatchedPair(Generic[Score]):
     cameras: tuple[Camera, Camera] | str  # that the estimation gets, or why it gets none
     matches: Matches
     map_matches: Matches | None  # see `estimate_pose`
-    image_warnings: tuple[str, ...]
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
     options: EstimationOptions
     match_seconds: float
@@ -95,7 +94,6 @@ def _pose(pair: MatchedPair[Score], options: EstimationOptions) -> RelativePose:
         *pair.cameras,
         options,
         map_matches=pair.map_matches,
-        image_warnings=pair.image_warnings,
     )
 
 

@@ -38,6 +38,11 @@ def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
             raise InputError(f"--weights {matcher.weights} gives no dense map")
         arrays = {"map": dense.map, "grid": dense.grid, "matchability": dense.matchability}
         write_npz(stage(out), arrays | matches_arrays(result.matches))
-    for warning in first.warnings + second.warnings:
-        click.echo(f"warning: {warning}", err=True)
+    for image in (first, second):
+        if image.orientation != 1:
+            click.echo(
+                f"warning: {image.name}: EXIF orientation {image.orientation} is not applied: the "
+                f"points refer to the pixels as stored",
+                err=True,
+            )
     click.echo(f"{out}: {len(result.matches)} matches of {dense.matchability.size} cells")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
@@ -109,14 +110,9 @@ def match_and_estimate(
     match_seconds = time.perf_counter() - start
     matched(result.matches)
     start = time.perf_counter()
-    pose = pose_of_matches(
-        result.matches,
-        camera1,
-        camera2,
-        options,
-        map_matches=result.map_matches,
-        image_warnings=(*image1.warnings, *image2.warnings),
-    )
+    camera1, camera2 = with_orientation(camera1, image1), with_orientation(camera2, image2)
+    map_matches = result.map_matches
+    pose = pose_of_matches(result.matches, camera1, camera2, options, map_matches=map_matches)
     seconds = {
         "load": load_seconds,
         "match": match_seconds,
@@ -134,10 +130,9 @@ def pose_of_matches(
     options: EstimationOptions,
     *,
     map_matches: Matches | None,
-    image_warnings: Sequence[str],
 ) -> RelativePose:
-    """`estimate_pose` of what a matcher made of two images; the pose carries all warnings, those of
-    the images, of the cameras and its own."""
+    """`estimate_pose` of what a matcher made of two images; the pose carries the warnings of the
+    cameras too."""
     pose = estimate_pose(matches, camera1, camera2, options, map_matches=map_matches)
-    warnings = (*image_warnings, *camera1.warnings, *camera2.warnings, *pose.warnings)
+    warnings = (*camera1.warnings, *camera2.warnings, *pose.warnings)
     return replace(pose, warnings=tuple(dict.fromkeys(warnings)))

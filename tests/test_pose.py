@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 import torch
 
@@ -19,11 +20,14 @@ from dgc_pose import (
     RelativePose,
     estimate_pose,
     estimate_relative_pose,
+    load_image,
     load_matcher,
     trace_relative_pose,
 )
+from dgc_pose.cameras.prior import auto_camera, auto_cameras
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.pose import match_and_estimate
 from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 
@@ -102,6 +106,27 @@ def test_what_is_known_of_the_cameras(
     cameras = trace.camera1, trace.camera2
     assert tuple(camera.focal_std == 0 for camera in cameras) == known
     assert (cameras[0].identity == cameras[1].identity) is shared
+
+
+def test_an_orientation_that_is_not_applied_is_told_once_and_of_a_K_that_was_given(
+    tmp_path: Path,
+) -> None:
+    photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
+    exif[0x0112] = 6
+    paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
+    for path in paths:
+        photo.save(path, exif=exif)
+    first, second = map(load_image, paths)
+    known = Camera(np.array([[70.0, 0, 40], [0, 70, 30], [0, 0, 1]]))
+    cases = [
+        ((known, known), 1),
+        (auto_cameras(first, second), 0),
+        ((auto_camera(first), known), 1),
+    ]
+    for cameras, count in cases:
+        pose = match_and_estimate(first, second, *cameras, SiftMatcher()).pose
+        told = [text for text in pose.warnings if "EXIF orientation 6 is not applied" in text]
+        assert len(told) == count
 
 
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])

@@ -9,9 +9,10 @@ from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
+from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.folder import search_images
-from dgc_pose.images.image import image_header, orientation_notes
+from dgc_pose.images.image import image_header
 
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change
@@ -75,7 +76,6 @@ def survey(
             states[name] = status.st_size, status.st_mtime_ns
         try:
             header = image_header(path)
-            notes = orientation_notes(header, path)
         except ImageError as error:
             bad[name] = str(error)
             continue
@@ -87,7 +87,7 @@ def survey(
         elif calibration.common is not None:
             sizes.add(header.size)
         camera = of_image.camera(source.root, name, header)
-        cameras[name] = replace(camera, size=header.size, warnings=(*camera.warnings, *notes))
+        cameras[name] = with_orientation(replace(camera, size=header.size), header)
     if len(sizes) > 1:
         listed_sizes = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
         raise InputError(

@@ -27,6 +27,10 @@ class Photograph(Protocol):
     def exif(self) -> bytes:
         """The EXIF block, empty without one."""
 
+    @property
+    def orientation(self) -> int:
+        """By EXIF, 1 to 8, which is not applied; 1 is upright."""
+
 
 def auto_camera(image: Photograph) -> Camera:
     """The camera of an image without a K.
@@ -59,3 +63,14 @@ def auto_cameras(
         return camera1, camera2
     identities = ("shared", "shared") if sharing == "shared" else ("image1", "image2")
     return replace(camera1, identity=identities[0]), replace(camera2, identity=identities[1])
+
+
+def with_orientation(camera: Camera, image: Photograph) -> Camera:
+    """The camera with a warning if an EXIF orientation is not applied: a K that was given may be
+    for the upright image."""
+    if image.orientation == 1 or camera.focal_source != "given":
+        return camera
+    warning = (
+        f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
+    )
+    return replace(camera, warnings=(*camera.warnings, warning))

@@ -34,10 +34,10 @@ class Image:
 
     pixels: np.ndarray  # (H, W, 3) uint8, RGB, contiguous
     name: str = "image"  # the path, or the argument's name
-    warnings: tuple[str, ...] = ()  # about how it was read, for the user
     # (width, height) as stored, if `pixels` were resized after reading; None if they were not
     stored_size: tuple[int, int] | None = None
     exif: bytes = b""  # the file's EXIF block, if its format holds one apart from the pixels
+    orientation: int = 1  # by EXIF, 1 to 8, which is not applied to `pixels`; 1 is upright
 
     def __post_init__(self) -> None:
         pixels = self.pixels
@@ -65,8 +65,8 @@ def load_image(
     255, and all others (16 bit, 12 bit in 16, other floats) are rescaled from the minimum and
     maximum of the image, over all colours together, to 0 and 255.
 
-    Files give their pixels as stored, to which K refers: an EXIF orientation is not applied, with a
-    warning. HEIC has a rotation of its own, which is part of decoding: K refers to the result.
+    Files give their pixels as stored, to which K refers: an EXIF orientation is not applied. HEIC
+    has a rotation of its own, which is part of decoding: K refers to the result.
 
     Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt or
     too large; InputError, with `name`, if an array has the wrong shape, is empty or not finite.
@@ -88,7 +88,7 @@ def _read_file(path: Path) -> Image:
     with _image_errors(path):
         data = read_bytes(path, MAX_BYTES, ImageError)
         header = _checked_header(data, path)
-        notes = orientation_notes(header, path)
+        _check_orientation(header, path)
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array = _decoded(data, path, header, cv2.IMREAD_UNCHANGED)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
@@ -97,7 +97,7 @@ def _read_file(path: Path) -> Image:
             if array.ndim == 3 and array.shape[2] >= 3:
                 array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
             rgb = _to_rgb8(array, str(path))
-        return Image(rgb, str(path), notes, exif=header.exif)
+        return Image(rgb, str(path), exif=header.exif, orientation=header.orientation)
 
 
 def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
@@ -126,8 +126,9 @@ def image_header(path: Path) -> Header:
         except ImageError:
             raise
         except Exception:  # in a TIFF the pixels may lie before the header
-            return _checked_header(read_bytes(path, MAX_BYTES, ImageError), path)
+            header = _checked_header(read_bytes(path, MAX_BYTES, ImageError), path)
     _check_pixel_count(*header.size, path)
+    _check_orientation(header, path)
     return header
 
 
@@ -201,19 +202,12 @@ def _checked_header(data: bytes, path: Path) -> Header:
     return header
 
 
-def orientation_notes(header: Header, path: Path) -> tuple[str, ...]:
-    """The warning that an EXIF orientation is not applied. Raises ImageError for a TIFF's."""
-    if header.orientation == 1:
-        return ()
-    if header.format == "TIFF":
-        # OpenCV's TIFF reader rotates some of these and not others.
+def _check_orientation(header: Header, path: Path) -> None:
+    """Raise ImageError for a TIFF that is not upright: OpenCV rotates some and not others."""
+    if header.format == "TIFF" and header.orientation != 1:
         raise ImageError(
             f"{path} is a TIFF with orientation tag {header.orientation}: save it upright"
         )
-    return (
-        f"{path}: EXIF orientation {header.orientation} is not applied, "
-        f"so K must refer to the pixels as stored",
-    )
 
 
 def _to_rgb8(array: np.ndarray, name: str) -> np.ndarray:

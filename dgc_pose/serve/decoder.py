@@ -30,7 +30,7 @@ class ImageDecoder:
     max_pixels: int
 
     def preview(self, report: Report, path: Path) -> dict[str, Any]:
-        """The size (width, height) of an image, a picture of it for the browser, and warnings.
+        """Size (width, height) and EXIF orientation of an image, and a picture for the browser.
 
         Raises ImageError, without the path, if it cannot be read.
         """
@@ -42,7 +42,7 @@ class ImageDecoder:
         return {
             "size": list(image.size),
             "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
-            "warnings": [text.replace(str(path), THE_FILE) for text in image.warnings],
+            "orientation": image.orientation,
         }
 
 

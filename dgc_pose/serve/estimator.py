@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.matching.warp import warp_image
@@ -43,8 +43,7 @@ class Estimator:
         cameras = request.resolve(stored1, stored2)
         camera1, camera2 = map(_renamed, cameras, (stored1, stored2))
         image1, image2 = (
-            replace(_renamed(load_image(stored.path), stored), name=stored.name)
-            for stored in (stored1, stored2)
+            replace(load_image(stored.path), name=stored.name) for stored in (stored1, stored2)
         )
 
         def matched(matches: Matches) -> None:
@@ -71,13 +70,10 @@ class Estimator:
         }
 
 
-Warned = TypeVar("Warned", Camera, Image)
-
-
-def _renamed(value: Warned, stored: StoredImage) -> Warned:
+def _renamed(camera: Camera, stored: StoredImage) -> Camera:
     """With the client's name of the image in its warnings."""
-    texts = (text.replace(str(stored.path), stored.name) for text in value.warnings)
-    return replace(value, warnings=tuple(texts))
+    texts = (text.replace(str(stored.path), stored.name) for text in camera.warnings)
+    return replace(camera, warnings=tuple(texts))
 
 
 def _fundamental(trace: Trace) -> list[list[float]] | None:

@@ -1,5 +1,6 @@
 import dense_scene
 import numpy as np
+import PIL.Image
 import pytest
 import torch
 from command_line import run
@@ -92,3 +93,14 @@ def test_the_benchmark_refines_as_it_is_told(network):
         row = result.stdout.splitlines()[-1].split()
         errors.append(float(row[6]))
     assert errors[1] < errors[0]
+
+
+def test_an_orientation_that_is_not_applied_is_told(network):
+    network(TRUE)
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 8
+    with PIL.Image.open("two.png") as image:
+        image.save("two.png", exif=exif)
+    result = match("--refine", "none")
+    assert result.stderr.count("two.png: EXIF orientation 8 is not applied") == 1
+    assert "one.png" not in result.stderr

@@ -45,7 +45,7 @@ def test_a_file_gives_its_pixels_in_rgb(tmp_path: Path, rgb: np.ndarray, suffix:
     image = load_image(path)
     assert image.size == (70, 50)
     assert image.name == str(path)
-    assert image.warnings == ()
+    assert image.orientation == 1
     assert image.pixels.dtype == np.uint8 and image.pixels.flags.c_contiguous
     difference = np.abs(image.pixels.astype(int) - rgb)
     assert difference.max() == 0 if suffix != "jpg" else difference.mean() < 3
@@ -54,15 +54,13 @@ def test_a_file_gives_its_pixels_in_rgb(tmp_path: Path, rgb: np.ndarray, suffix:
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])
 @pytest.mark.parametrize("orientation", range(2, 9))
-def test_exif_orientation_is_not_applied_and_said(
+def test_exif_orientation_is_not_applied_and_kept(
     tmp_path: Path, rgb: np.ndarray, suffix: str, orientation: int
 ) -> None:
     upright = load_image(save(tmp_path / f"upright.{suffix}", rgb, 1))
     turned = load_image(save(tmp_path / f"turned.{suffix}", rgb, orientation))
     np.testing.assert_array_equal(turned.pixels, upright.pixels)
-    assert upright.warnings == ()
-    (warning,) = turned.warnings
-    assert f"orientation {orientation}" in warning and "turned" in warning
+    assert (upright.orientation, turned.orientation) == (1, orientation)
 
 
 def test_a_tiff_that_a_reader_may_turn_is_refused(tmp_path: Path, rgb: np.ndarray) -> None:
@@ -175,7 +173,7 @@ def test_the_rotation_of_heic_is_part_of_decoding(
     stored.getexif()[0x0112] = orientation
     expected = np.asarray(PIL.ImageOps.exif_transpose(stored))
     image = load_image(path)
-    assert image.warnings == ()
+    assert image.orientation == 1
     assert image_size(path) == image.size == expected.shape[1::-1]
     assert np.abs(image.pixels.astype(int) - expected).mean() < 3
     assert np.abs(read_pixels(path)[:, :, ::-1].astype(int) - expected).mean() < 3
@@ -330,7 +328,7 @@ def test_unusable_arrays_name_the_argument(array: object) -> None:
 
 
 def test_an_image_of_8_bit_rgb_is_returned_as_it_is(rgb: np.ndarray) -> None:
-    image = Image(rgb, "mine", ("a warning",))
+    image = Image(rgb, "mine")
     assert load_image(image, "image1") is image
     for pixels in (rgb[:, :, 0], rgb / 255, rgb[:0]):
         with pytest.raises(InputError, match="mine: pixels"):

@@ -34,8 +34,8 @@ function show(index, image) {
   at(`picture${index + 1}`).alt = image.name;
   at(`picture${index + 1}`).hidden = false;
   const [width, height] = image.size;
-  const notes = image.warnings.map((text) => ` — ${text}`).join("");
-  at(`caption${index + 1}`).textContent = `${image.name}, ${width} x ${height}${notes}`;
+  const note = image.orientation === 1 ? "" : `, EXIF orientation ${image.orientation} not applied`;
+  at(`caption${index + 1}`).textContent = `${image.name}, ${width} x ${height}${note}`;
   at("estimate").disabled = images.includes(null);
 }
 
