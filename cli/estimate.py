@@ -84,7 +84,7 @@ def estimate(
             write_npz(stage(outputs.matches), arrays)
         draw(trace, stage, outputs.plot)
     if outputs.json != STDOUT:
-        click.echo(pose_text(pose))
+        click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
     else:
         click.echo(data, nl=False)
         if not pose.success:

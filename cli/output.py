@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from dgc_pose.cameras.calibration import camera_data
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
@@ -25,6 +27,8 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
         "t": _list(pose.t),
         "quaternion_wxyz": _list(pose.quaternion_wxyz),
         "E": _list(pose.E),
+        "camera1": None if pose.camera1 is None else camera_data(pose.camera1),
+        "camera2": None if pose.camera2 is None else camera_data(pose.camera2),
         "num_matches": pose.num_matches,
         "num_inliers": pose.num_inliers,
         "inlier_ratio": finite_or_none(pose.inlier_ratio),
@@ -47,8 +51,8 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
     }
 
 
-def pose_text(pose: RelativePose) -> str:
-    """A pose for people."""
+def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -> str:
+    """A pose for people. priors: the cameras before the estimation."""
     lines = [f"no pose ({pose.status}): {pose.reason}"]
     if pose.success:
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
@@ -59,6 +63,7 @@ def pose_text(pose: RelativePose) -> str:
         lines.append(f"  t  {vector_line(pose.t)}  (translation up to scale)")
     elif pose.R is not None:
         lines.append("  t  undefined: the images show a rotation alone")
+    lines += _camera_lines(pose, priors)
     lines.append(
         f"{pose.num_inliers} of {pose.num_matches} matches are inliers "
         f"({100 * pose.inlier_ratio:.1f} %)"
@@ -94,6 +99,43 @@ def vector_line(vector: np.ndarray) -> str:
     """A vector in brackets, six digits behind the point."""
     # Rounded first, so that no zero shows a sign.
     return "[" + " ".join(f"{round(float(value), 6) + 0.0:9.6f}" for value in vector) + "]"
+
+
+_SOURCES = {
+    "given": "by the given K",
+    "exif": "by EXIF data",
+    "size": "by the size of the image",
+    "matches": "by the matches",
+}
+
+
+def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> list[str]:
+    """The cameras whose focal length is not known exactly; one line if one camera took both."""
+    if pose.camera1 is None or pose.camera2 is None:
+        return []
+    cameras = pose.camera1, pose.camera2
+    text1, text2 = map(_camera_text, cameras, priors or cameras)
+    if text1 == text2 and cameras[0].identity == cameras[1].identity is not None:
+        return [f"camera of both images: {text1}"] if text1 else []
+    return [f"camera {n}: {text}" for n, text in enumerate((text1, text2), start=1) if text]
+
+
+def _camera_text(camera: Camera, prior: Camera) -> str:
+    if camera.focal_std == 0:
+        return ""
+    text = f"f = {_focal_text(camera)}"
+    if camera.focal_source == "matches" and prior.focal_source != "matches":
+        text += f", {_focal_text(prior)}"
+    x, y = camera.K[:2, 2].tolist()
+    middle = camera.size is not None and np.allclose(
+        (x, y), (np.array(camera.size) - 1) / 2, rtol=0, atol=0.5
+    )
+    return f"{text}; principal point {'in the middle' if middle else f'({x:.1f}, {y:.1f})'}"
+
+
+def _focal_text(camera: Camera) -> str:
+    deviation = camera.focal * camera.focal_std
+    return f"{camera.focal:.1f} +- {deviation:.1f} px {_SOURCES[camera.focal_source]}"
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:

@@ -31,8 +31,10 @@ class Trace:
 
     image1: Image
     image2: Image
-    camera1: Camera  # those that the pose is of, as in `pose`; without a pose, those before it
+    camera1: Camera  # those that the pose is of, as in `pose`; without a pose, the priors
     camera2: Camera
+    prior1: Camera  # those before the estimation: of the K given, or of what the image says
+    prior2: Camera
     correspondence_map: CorrespondenceMap | None  # None for a matcher that makes no dense map
     matches: Matches
     pose: RelativePose
@@ -119,8 +121,17 @@ def match_and_estimate(
         "estimate": time.perf_counter() - start,
     }
     pose = replace(pose, seconds=seconds)
-    cameras = pose.camera1 or camera1, pose.camera2 or camera2
-    return Trace(image1, image2, *cameras, result.correspondence_map, result.matches, pose)
+    return Trace(
+        image1,
+        image2,
+        pose.camera1 or camera1,
+        pose.camera2 or camera2,
+        camera1,
+        camera2,
+        result.correspondence_map,
+        result.matches,
+        pose,
+    )
 
 
 def pose_of_matches(

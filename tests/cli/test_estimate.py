@@ -9,7 +9,7 @@ from command_line import assert_refused, run
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
-KEYS = """status success R t quaternion_wxyz E num_matches num_inliers inlier_ratio
+KEYS = """status success R t quaternion_wxyz E camera1 camera2 num_matches num_inliers inlier_ratio
     median_triangulation_angle_deg rotation_error_90_deg translation_error_90_deg covariance
     probability alternatives warnings seconds""".split()
 # Later ones override these.
@@ -60,6 +60,9 @@ def test_json_has_the_keys_and_the_pose(folder, network):
     t, E = data["t"], np.array(data["E"])
     skew = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ np.array(data["R"])
     assert abs(np.sum(E / np.linalg.norm(E) * skew / np.linalg.norm(skew))) == pytest.approx(1)
+    for camera in (data["camera1"], data["camera2"]):
+        assert np.allclose(camera["K"], dense_scene.K)
+        assert camera["focal_std"] == 0 and camera["focal_source"] == "given"
     assert 0 < data["num_inliers"] <= data["num_matches"]
     assert data["inlier_ratio"] == pytest.approx(data["num_inliers"] / data["num_matches"])
     assert data["inlier_ratio"] > 0.9
@@ -153,13 +156,30 @@ def test_each_image_can_have_its_own_camera(folder, network):
     assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.05
 
 
-def test_a_focal_length_is_guessed_only_on_demand(folder, network):
+def test_without_a_k_the_command_names_auto(folder, network):
     assert_refused(estimate(k=()), "image 1 has no K", "--K auto")
-    assert_refused(estimate(k=("--K1", dense_scene.K_TEXT)), "image 2 has no K")
-    result = estimate("--json", "-", k=("--guess-focal",))
-    assert result.exit_code in (0, 3)
-    warnings = json.loads(result.stdout)["warnings"]
-    assert any("guess" in warning for warning in warnings)
+    assert_refused(estimate(k=("--K1", dense_scene.K_TEXT)), "image 2 has no K", "--K2")
+
+
+@pytest.mark.parametrize(
+    ("k", "lines"),
+    [
+        (("--K", "auto"), ["camera of both images"]),
+        (("--K", "auto:two"), ["camera 1", "camera 2"]),
+        (("--K", dense_scene.K_TEXT, "--K2", "auto"), ["camera 2"]),
+    ],
+)
+def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
+    text = estimate("--json", "p.json", k=k).stdout.splitlines()
+    data = json.loads((folder / "p.json").read_text())
+    assert data["success"], data["warnings"]
+    told = [line for line in text if line.startswith("camera ")]
+    assert [line.split(":")[0] for line in told] == lines
+    camera = data["camera2"]
+    assert camera["size"] == [320, 240] and camera["focal_std"] > 0
+    focal = camera["K"][0][0]
+    assert f"f = {focal:.1f} +- {focal * camera['focal_std']:.1f} px" in told[-1]
+    assert "by the size of the image; principal point in the middle" in told[-1]
 
 
 @pytest.mark.parametrize(

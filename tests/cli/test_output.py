@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.output import pose_text
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from two_view import two_view_scene
@@ -18,3 +20,55 @@ def test_no_probability_is_printed_as_certain(probability, words) -> None:
     pose = estimate_pose(scene.matches, *scene.cameras, EstimationOptions(runs=1))
     lines = pose_text(replace(pose, probability=probability)).splitlines()
     assert f"probability {words} that R and t are within 10 deg" in lines
+
+
+K = np.array([[1210.0, 0, 639.5], [0, 1210, 479.5], [0, 0, 1]])
+FITTED = Camera(K, (1280, 960), focal_std=0.01, focal_source="matches", identity="a telephone")
+OFF_CENTRE = replace(FITTED, K=K + [[0, 0, 9], [0, 0, 0], [0, 0, 0]])
+EXIF = replace(FITTED, K=np.diag((0.9, 0.9, 1)) @ K, focal_std=0.05, focal_source="exif")
+EXACT = Camera(K)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "priors", "lines"),
+    [
+        ((EXACT, EXACT), None, []),
+        (
+            (FITTED, FITTED),
+            (EXIF, EXIF),
+            [
+                "camera of both images: f = 1210.0 +- 12.1 px by the matches, 1089.0 +- 54.5 px by "
+                "EXIF data; principal point in the middle"
+            ],
+        ),
+        (
+            (FITTED, OFF_CENTRE),
+            None,
+            [
+                "camera 1: f = 1210.0 +- 12.1 px by the matches; principal point in the middle",
+                "camera 2: f = 1210.0 +- 12.1 px by the matches; principal point (648.5, 479.5)",
+            ],
+        ),
+        (
+            (EXACT, replace(FITTED, focal_source="given")),
+            None,
+            ["camera 2: f = 1210.0 +- 12.1 px by the given K; principal point in the middle"],
+        ),
+        (
+            (replace(FITTED, identity=None), replace(FITTED, identity=None)),
+            None,
+            [
+                "camera 1: f = 1210.0 +- 12.1 px by the matches; principal point in the middle",
+                "camera 2: f = 1210.0 +- 12.1 px by the matches; principal point in the middle",
+            ],
+        ),
+    ],
+)
+def test_focal_lengths_are_told_with_their_deviations(cameras, priors, lines) -> None:
+    scene = two_view_scene("general", seed=0, count=200)
+    pose = estimate_pose(scene.matches, *scene.cameras, EstimationOptions(runs=1))
+    pose = replace(pose, camera1=cameras[0], camera2=cameras[1])
+    told = pose_text(pose, priors).splitlines()
+    assert [line for line in told if line.startswith("camera ")] == lines
+    none = replace(pose, camera1=None, camera2=None)
+    assert "camera " not in pose_text(none, priors).replace("camera 2 from camera 1", "")
