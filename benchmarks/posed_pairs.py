@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
+from dgc_pose.benchmarks.lenses import Lens
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.cameras.camera import Camera, check_size, guess_camera
 from dgc_pose.cameras.pair_list import Pair
@@ -126,14 +127,19 @@ class RenderedPosedPairs(PairSet[MapScore]):
     """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
     the photographs that training holds back: what defaults are chosen on."""
 
-    def __init__(self, photos: Path, count: int, seed: int) -> None:
-        """Raises ImageError if the folder holds no photographs."""
+    def __init__(self, photos: Path, count: int, seed: int, lens: Lens | None = None) -> None:
+        """lens: that the views are seen through, from the same places.
+
+        Raises ImageError if the folder holds no photographs.
+        """
         from dgc_pose.synthesis.photos import load_held_back
 
-        names = [f"rendered {seed} {k}" for k in range(count)]
+        seen = "rendered" if lens is None else f"rendered by {lens.model}"
+        names = [f"{seen} {seed} {k}" for k in range(count)]
         super().__init__(MapScore, [{"image1": f"{n} 1", "image2": f"{n} 2"} for n in names])
         self._textures = load_held_back(photos).textures
         self._seed = seed
+        self._lens = lens
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         import torch
@@ -146,20 +152,28 @@ class RenderedPosedPairs(PairSet[MapScore]):
             rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
         )
         for number, ids in enumerate(self.ids):
-            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids)
+            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids, self._lens)
             if number >= first:
                 yield pair
 
 
 def rendered_pair(
-    textures: TextureBank, side: int, generator: torch.Generator, scenes: SceneOptions, ids: Ids
+    textures: TextureBank,
+    side: int,
+    generator: torch.Generator,
+    scenes: SceneOptions,
+    ids: Ids,
+    lens: Lens | None = None,
 ) -> PosedPair:
     """Two views of a rendered scene, `side` pixels square."""
     from dgc_pose.synthesis.render.rendered_pairs import render_pairs
 
-    views = render_pairs(textures, 1, side, generator, scenes)
+    seen_by, distortion = (None, None) if lens is None else (lens.before, lens.distortion)
+    views = render_pairs(textures, 1, side, generator, scenes, seen_by)
     pose = views.cam2_from_cam1[0].double().numpy()
-    camera1, camera2 = (Camera(K[0].double().numpy(), (side, side)) for K in (views.K1, views.K2))
+    camera1, camera2 = (
+        Camera(K[0].double().numpy(), (side, side), distortion) for K in (views.K1, views.K2)
+    )
     image1, image2 = (
         Image((255 * planes[0].permute(1, 2, 0)).round().byte().contiguous().numpy())
         for planes in (views.image1, views.image2)

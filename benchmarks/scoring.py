@@ -17,7 +17,7 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg
-from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
+from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
 from dgc_pose.pose import pose_of_matches
 
 
@@ -122,7 +122,8 @@ def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> t
     if truth.R is None or truth.t is None:
         return np.nan, np.nan
     F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
-    return median_and_mean(points1, points2, F)
+    ideal1, ideal2 = ideal_pixels(points1, truth.camera1), ideal_pixels(points2, truth.camera2)
+    return median_and_mean(ideal1, ideal2, F)
 
 
 def pair_seed(seed: int, *words: int) -> int:

@@ -11,6 +11,7 @@ import click
 from dgc_pose.benchmarks.camera_summary import CAMERA_COLUMNS, CAMERA_HEADING, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
+from dgc_pose.benchmarks.lenses import LENSES
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
@@ -63,6 +64,11 @@ class PairBenchOptions:
         None, "Folder of photographs, as for training; those that training holds back are used."
     )
     scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
+    lens: str | None = option(
+        None,
+        "The rendered pairs seen through a lens of this model of COLMAP's, from the same places.",
+        metavar="MODEL",
+    )
     out: str | None = option(
         None,
         "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
@@ -79,6 +85,8 @@ class PairBenchOptions:
         Raises InputError or ImageError if it cannot be made.
         """
         changed = change != ImageChange()
+        if self.lens is not None and self.rendered is None:
+            raise InputError("--lens is of rendered pairs: it needs --rendered")
         if pair_list is not None and self.rendered is None and self.photos is None:
             pairs = read_pairs(pair_list, self.root)[: self.limit]
             require_images(pairs)
@@ -92,7 +100,10 @@ class PairBenchOptions:
             )
         if pair_list is not None or self.rendered is None or self.photos is None:
             raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
-        return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed)
+        lens = None if self.lens is None else LENSES.get(self.lens)
+        if self.lens is not None and lens is None:
+            raise InputError(f"--lens must be one of {', '.join(LENSES)}, not {self.lens!r}")
+        return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed, lens)
 
 
 @click.command()

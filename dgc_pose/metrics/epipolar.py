@@ -24,12 +24,18 @@ def epipolar_residuals_px(
     points1, points2: (N, 2) pixels of the cameras' images, as distorted as those are. NaN if that
     cannot be undone.
     """
-    ideal1, ideal2 = (
-        camera.normalise(points) @ camera.K[:2, :2].T + camera.K[:2, 2]
-        for camera, points in ((camera1, points1), (camera2, points2))
-    )
     F = fundamental_from_essential(E, camera1.K, camera2.K)
+    ideal1, ideal2 = ideal_pixels(points1, camera1), ideal_pixels(points2, camera2)
     return symmetric_epipolar_distance(ideal1, ideal2, F)
+
+
+def ideal_pixels(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Pixels (..., 2) of a camera, where they would be without the distortion of its lens; NaN if
+    that cannot be undone."""
+    if camera.distortion is None:
+        return points
+    normalised = camera.normalise(points.reshape(-1, 2)).reshape(points.shape)
+    return normalised @ camera.K[:2, :2].T + camera.K[:2, 2]
 
 
 def median_and_mean(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> tuple[float, float]:

@@ -152,6 +152,8 @@ def test_the_list_is_told_as_it_is_unless_asked_otherwise(folder):
         (("--rendered", "2"), "--photos"),
         (("--rendered", "2", "--photos", ".", "--K", "auto"), "--K"),
         (("pairs.txt", "--methods", "true", "--K", "auto", "--K-scale", "2"), "cannot be changed"),
+        (("pairs.txt", "--lens", "OPENCV"), "--rendered"),
+        (("--rendered", "2", "--photos", ".", "--lens", "OPENCVV"), "OPENCV,"),
         ((), "LIST"),
     ],
 )

@@ -105,6 +105,7 @@ def shade(
     texels_per_unit = (a * e - b * d).abs().sqrt()
     depth = hits.depth.reshape(-1).nan_to_num(posinf=1.0)
     footprint = texels_per_unit * depth / focal / cosine.clamp(min=0.05).sqrt()
+    footprint = footprint * cameras.stretch(hits.rays)
     colour = bank.sample(photo, a * u + b * v + c, d * u + e * v + f, footprint)
     colour = colour * _brightness(scene, hits, options)
     colour = colour.masked_fill(hits.depth.reshape(-1).isinf(), 0.0)
@@ -137,7 +138,7 @@ def correspond(scene: Scene, first: Cameras, second: Cameras, hits: Hits) -> tup
     depth = hits.depth.nan_to_num(posinf=1.0)[:, None]
     point = pose[..., :3] @ (hits.rays * depth) + pose[..., 3:]
     in_front = (point[:, 2] > 1e-6) & hits.depth.isfinite()
-    projected = first.project(point).masked_fill(~in_front[:, None], -1.0)
+    projected = first.project(point).nan_to_num(-1.0).masked_fill(~in_front[:, None], -1.0)
     width, height = first.size
     inside = in_front & (projected >= 0).all(1) & (projected[:, 0] <= width - 1)
     inside &= projected[:, 1] <= height - 1
