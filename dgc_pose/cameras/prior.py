@@ -1,6 +1,7 @@
 """The camera of an image without a K: a focal length with its deviation, from what the image says.
 
-The principal point is the middle of the image.
+The principal point is the middle of the image, whose pixels are as stored: an EXIF orientation
+changes nothing.
 """
 
 from dataclasses import replace
@@ -8,12 +9,20 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, FocalSource
+from dgc_pose.cameras.exif_focal import exif_focal, film_focal_mm
+from dgc_pose.images.exif import read_exif
 
 Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
 SIZE_STD = 0.4  # deviation of their logarithm
 CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
+_SOURCES = {
+    "given": "given",
+    "exif": "from the EXIF data",
+    "size": "from nothing but the image's size",
+    "matches": "from the matches",
+}
 
 
 class Photograph(Protocol):
@@ -33,21 +42,33 @@ class Photograph(Protocol):
 
 
 def auto_camera(image: Photograph) -> Camera:
-    """The camera of an image without a K.
+    """The camera of an image without a K: its focal length by its EXIF data, else by its size.
 
-    `identity` is equal for images that one camera may have taken: of the same size, and of the same
-    camera and focal length by their EXIF data.
+    `identity` is equal for images that one camera may have taken: of the same size, in either
+    orientation, whose EXIF data name the same camera, lens, focal length and zoom, or none. Of two
+    images of which one has lost its EXIF data nothing says that one camera took both.
     """
     width, height = image.size
-    focal = SIZE_FOCAL * max(width, height)
-    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    longer, shorter = max(width, height), min(width, height)
+    exif = read_exif(image.exif)
+    prior = exif_focal(exif, image.size)
+    names = (exif.make, exif.model, exif.lens, exif.focal_mm, exif.focal_35mm)
+    identity = f"auto {longer} x {shorter}"
+    if any(names):
+        identity += "".join(f", {name or '-'}" for name in (*names, exif.digital_zoom))
+    source: FocalSource = "size"
+    focal, std = SIZE_FOCAL * longer, SIZE_STD
+    if prior.focal is not None:
+        source, focal, std = "exif", prior.focal, prior.std
+        identity += f", {focal:.1f} px"  # parts of images of several sizes differ in nothing else
     return Camera(
-        K,
+        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]),
         image.size,
-        focal_std=SIZE_STD,
-        centre_std=CENTRE_STD * max(width, height),
-        focal_source="size",
-        identity=f"auto {max(width, height)} x {min(width, height)}",
+        warnings=prior.warnings,
+        focal_std=std,
+        centre_std=float(np.hypot(CENTRE_STD * longer, prior.centre_std)),
+        focal_source=source,
+        identity=identity,
     )
 
 
@@ -56,13 +77,27 @@ def auto_cameras(
 ) -> tuple[Camera, Camera]:
     """`auto_camera` of two images.
 
-    sharing: whether one camera took both: "files" decides by the `identity` of both.
+    sharing: whether one camera took both: "files" decides by the `identity` of both. Of a "shared"
+    camera the EXIF data of one image are those of the other, if that has none and is as large.
     """
     camera1, camera2 = auto_camera(image1), auto_camera(image2)
     if sharing == "files":
         return camera1, camera2
-    identities = ("shared", "shared") if sharing == "shared" else ("image1", "image2")
-    return replace(camera1, identity=identities[0]), replace(camera2, identity=identities[1])
+    if sharing == "two":
+        return replace(camera1, identity="image1"), replace(camera2, identity="image2")
+    if sorted(image1.size) == sorted(image2.size):
+        best = min(camera1, camera2, key=lambda camera: camera.focal_std)
+        camera1, camera2 = _with_focal(camera1, best), _with_focal(camera2, best)
+    return replace(camera1, identity="shared"), replace(camera2, identity="shared")
+
+
+def _with_focal(camera: Camera, other: Camera) -> Camera:
+    """The camera with the focal length of another, unless EXIF data say its own."""
+    if camera.focal_source == "exif":
+        return camera
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] = other.K[[0, 1], [0, 1]]
+    return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
 
 
 def with_orientation(camera: Camera, image: Photograph) -> Camera:
@@ -74,3 +109,17 @@ def with_orientation(camera: Camera, image: Photograph) -> Camera:
         f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
     )
     return replace(camera, warnings=(*camera.warnings, warning))
+
+
+def focal_text(camera: Camera) -> str:
+    """Where the focal length of a camera comes from, and how far it is to be believed.
+
+    >>> focal_text(auto_camera(Header("JPEG", (4000, 3000))))
+    "f 4400 px +- 40 %, 38 mm on 35 mm film, from nothing but the image's size"
+    """
+    text = f"f {camera.focal:.0f} px"
+    if camera.focal_std:
+        text += f" +- {100 * camera.focal_std:.2g} %"
+    if camera.size is not None:
+        text += f", {film_focal_mm(camera.focal, camera.size):.0f} mm on 35 mm film"
+    return f"{text}, {_SOURCES[camera.focal_source]}"

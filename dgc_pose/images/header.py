@@ -14,6 +14,8 @@ from typing import Any
 
 import PIL.Image
 
+from dgc_pose.images.exif import CAMERA_TAGS, EXIF_DIRECTORY, MAKE, MODEL
+
 START_BYTES = 4096  # of a file, by which its format is told
 _RAW = "RAW"
 # The formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
@@ -47,7 +49,7 @@ class Header:
     format: str  # a key of `_FORMATS`
     size: tuple[int, int]  # (width, height) as it is decoded
     orientation: int = 1  # by EXIF, 1 to 8; 1 is upright. HEIF's own rotation is part of decoding
-    exif: bytes = b""  # the EXIF block, if it lies apart from the image's own tags
+    exif: bytes = b""  # the EXIF block; of a TIFF, a block with its tags that are of the camera
 
 
 def image_format(start: bytes) -> str:
@@ -84,7 +86,8 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
         if name == "TIFF":
             tags = _tiff_tags(data)
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
-            return Header(name, size, _known(tags.get(_ORIENTATION, 1)))
+            exif = _tiff_exif(data, tags, complete) if EXIF_DIRECTORY in tags else b""
+            return Header(name, size, _known(tags.get(_ORIENTATION, 1)), exif)
         return _pillow_header(data, name, complete)
 
 
@@ -102,15 +105,35 @@ def _is_raw(start: bytes) -> bool:
         return False
 
 
-def _tiff_tags(data: bytes) -> Any:
-    """The tags of a TIFF's first image. Pillow's own reader refuses kinds that OpenCV decodes."""
+def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
+    """The tags of a TIFF's first image, or of the directory at an offset. Pillow's own reader
+    refuses kinds that OpenCV decodes."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     stream = io.BytesIO(data)
     directory = ImageFileDirectory_v2(stream.read(16 if b"+" in data[2:4] else 8))
-    stream.seek(directory.next)
+    stream.seek(directory.next if offset is None else offset)
     directory.load(stream)
     return directory
+
+
+def _tiff_exif(data: bytes, tags: Any, complete: bool) -> bytes:
+    """An EXIF block with what the tags of a TIFF say of the camera, empty if they are damaged.
+
+    Raises ValueError if there may be more of it behind `data`.
+    """
+    if not complete:
+        raise ValueError("the EXIF data may lie behind the start")
+    try:
+        of_camera = _tiff_tags(data, tags[EXIF_DIRECTORY])
+        exif = PIL.Image.Exif()
+        exif.update({tag: tags[tag] for tag in (MAKE, MODEL) if tag in tags})
+        exif.get_ifd(EXIF_DIRECTORY).update(
+            {tag: of_camera[tag] for tag in CAMERA_TAGS if tag in of_camera}
+        )
+        return bytes(exif.tobytes())
+    except Exception:  # the pixels may be intact
+        return b""
 
 
 def _pillow_header(data: bytes, name: str, complete: bool) -> Header:

@@ -36,7 +36,7 @@ class Image:
     name: str = "image"  # the path, or the argument's name
     # (width, height) as stored, if `pixels` were resized after reading; None if they were not
     stored_size: tuple[int, int] | None = None
-    exif: bytes = b""  # the file's EXIF block, if its format holds one apart from the pixels
+    exif: bytes = b""  # the file's EXIF block, see `Header`
     orientation: int = 1  # by EXIF, 1 to 8, which is not applied to `pixels`; 1 is upright
 
     def __post_init__(self) -> None:

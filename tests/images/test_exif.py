@@ -1,0 +1,130 @@
+"""What EXIF blocks say of the camera: written by Pillow in every format, damaged, and absurd."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import PIL.Image
+import pytest
+from exif_blocks import (
+    FILM,
+    FOCAL,
+    HEIGHT,
+    LENS,
+    PLANE_UNIT,
+    PLANE_X,
+    PLANE_Y,
+    WIDTH,
+    ZOOM,
+    exif_of,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL.TiffImagePlugin import IFDRational
+
+from dgc_pose.images.exif import Exif, read_exif
+from dgc_pose.images.image import image_header, load_image
+
+TAGS = {
+    FOCAL: IFDRational(51, 10),
+    FILM: 26,
+    ZOOM: IFDRational(3, 2),
+    LENS: "back camera 5.1mm f/1.6",
+    WIDTH: 4032,
+    HEIGHT: 3024,
+    PLANE_X: IFDRational(10000, 1),
+    PLANE_Y: IFDRational(10000, 1),
+    PLANE_UNIT: 3,
+}
+KNOWN = Exif(
+    make="Apple",
+    model="iPhone 13",
+    lens="back camera 5.1mm f/1.6",
+    focal_mm=5.1,
+    focal_35mm=26,
+    digital_zoom=1.5,
+    size=(4032, 3024),
+    pixels_per_mm=1000,  # 10000 a centimetre
+)
+
+
+@pytest.mark.parametrize("format", ["JPEG", "PNG", "WEBP", "TIFF", "HEIF"])
+@pytest.mark.parametrize("side", [16, 400])
+def test_every_format_gives_its_block_from_the_header_and_the_file(
+    tmp_path: Path, format: str, side: int
+) -> None:
+    """Of the larger images more than the first bytes must be read: WebP and TIFF have it last."""
+    if format == "HEIF":
+        pytest.importorskip("pillow_heif").register_heif_opener()
+    path = tmp_path / "photo"
+    noise = np.random.default_rng(0).integers(0, 256, (side, side, 3), np.uint8)
+    lossless = {"lossless": True} if format == "WEBP" else {"quality": 100}
+    PIL.Image.fromarray(noise).save(path, format, exif=exif_of(TAGS).tobytes(), **lossless)
+    assert side < 400 or path.stat().st_size > 2**17
+    assert read_exif(image_header(path).exif) == read_exif(load_image(path).exif) == KNOWN
+
+
+def test_nothing_is_said_without_a_block(tmp_path: Path) -> None:
+    PIL.Image.new("L", (8, 8)).save(tmp_path / "a.tiff")
+    assert read_exif(load_image(tmp_path / "a.tiff").exif) == read_exif(b"") == Exif()
+
+
+@pytest.mark.parametrize(
+    ("tag", "values", "field"),
+    [
+        (FOCAL, [0, IFDRational(0, 1), IFDRational(1, 0), IFDRational(0, 0), "5.1"], "focal_mm"),
+        (FOCAL, [IFDRational(-5, 1), float("nan"), float("inf"), (5.1, 5.1), b"5"], "focal_mm"),
+        (FILM, [0, -26, "26 mm", (26, 26)], "focal_35mm"),
+        (WIDTH, [0, -1, "4032", (1, 2), 0.5], "size"),
+        (PLANE_UNIT, [1, 0, 6, "cm"], "pixels_per_mm"),
+        (PLANE_X, [0, IFDRational(1, 0), "many", IFDRational(5000, 1)], "pixels_per_mm"),
+    ],
+)
+def test_what_is_no_positive_number_is_not_known(tag: int, values: list[Any], field: str) -> None:
+    """The last resolution along x is half of that along y: the pixels are not square."""
+    for value in values:
+        exif = read_exif(exif_of(TAGS | {tag: value}).tobytes())
+        assert getattr(exif, field) is None, value
+        assert exif.model == "iPhone 13"
+
+
+@pytest.mark.parametrize("zoom", [0, IFDRational(0, 1), IFDRational(1, 2), 1000, "2", (2, 2)])
+def test_a_digital_zoom_that_is_none(zoom: Any) -> None:
+    assert read_exif(exif_of(TAGS | {ZOOM: zoom}).tobytes()).digital_zoom == 1
+
+
+def test_units_of_the_resolution() -> None:
+    for unit, per_mm in ((2, 10000 / 25.4), (3, 1000), (4, 10000), (5, 1e7)):
+        exif = read_exif(exif_of(TAGS | {PLANE_UNIT: unit}).tobytes())
+        assert exif.pixels_per_mm == pytest.approx(per_mm)
+    without = {tag: value for tag, value in TAGS.items() if tag != PLANE_UNIT}
+    assert read_exif(exif_of(without).tobytes()).pixels_per_mm == pytest.approx(10000 / 25.4)
+
+
+def test_names_are_in_one_line_and_not_filled_up() -> None:
+    exif = read_exif(exif_of({}, "OLYMPUS\0\0  ", "a\nb" + "c" * 500).tobytes())
+    assert exif.make == "OLYMPUS"
+    assert exif.model.startswith("a bccc") and len(exif.model) == 80
+
+
+def test_a_block_that_is_cut_off_or_empty() -> None:
+    block = exif_of(TAGS).tobytes()
+    for end in range(0, len(block), 7):
+        read_exif(block[:end])
+    assert read_exif(b"Exif\0\0") == read_exif(b"Exif\0\0junk") == Exif()
+    loop = b"II*\0" + struct.pack(
+        "<IHHHIII", 8, 1, 0x8769, 4, 1, 8, 8
+    )  # of the directory to itself
+    assert read_exif(loop).focal_mm is None
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_no_block_raises(data: st.DataObject) -> None:
+    block = bytearray(exif_of(TAGS).tobytes())
+    for _ in range(data.draw(st.integers(1, 8))):
+        block[data.draw(st.integers(0, len(block) - 1))] = data.draw(st.integers(0, 255))
+    exif = read_exif(bytes(block))
+    numbers = (exif.focal_mm, exif.focal_35mm, exif.digital_zoom, exif.pixels_per_mm)
+    assert all(number is None or 0 < number < np.inf for number in numbers)
