@@ -17,6 +17,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.system.options import check_options, option
 
 ToldCameras = Literal["list", "auto", "auto:shared", "auto:two"]
+_ONE_CAMERA = 0.01  # relative difference of all numbers of K
 # How a warning or a refusal begins that says that a K may be wrong.
 _DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
 
@@ -89,8 +90,8 @@ class CameraTrial:
             return truth.camera1, truth.camera2
         if self.withholds:
             return pair_cameras(self.k, self.k, pair.image1, pair.image2)
-        # Images with equal K are of one camera: one factor is drawn.
-        shared = np.array_equal(truth.camera1.K, truth.camera2.K)
+        # Nearly equal K are of one camera, and wrong by the same factor.
+        shared = np.allclose(truth.camera1.K, truth.camera2.K, rtol=_ONE_CAMERA)
         words = hashlib.sha256(json.dumps(dict(truth.ids)).encode()).digest()
         noise = np.exp(self.k_noise * np.random.default_rng([*words]).standard_normal(2))
         factors = self.k_scale * (noise[[0, 0]] if shared else noise)

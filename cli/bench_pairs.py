@@ -53,6 +53,9 @@ class PairBenchOptions:
         None, "Folder of the image paths; by default the list's own.", type=NamedPath()
     )
     limit: int | None = option(None, "Only the first N pairs.", metavar="N", min=1, max=10**9)
+    every: int = option(
+        1, "Only the first of every N pairs of LIST.", metavar="N", min=1, max=10**9
+    )
     rendered: int | None = option(
         None,
         "Instead of LIST: N pairs of rendered scenes, textured with --photos.",
@@ -88,7 +91,7 @@ class PairBenchOptions:
         if self.lens is not None and self.rendered is None:
             raise InputError("--lens is of rendered pairs: it needs --rendered")
         if pair_list is not None and self.rendered is None and self.photos is None:
-            pairs = read_pairs(pair_list, self.root)[: self.limit]
+            pairs = read_pairs(pair_list, self.root)[:: self.every][: self.limit]
             require_images(pairs)
             kind = CameraScore if trial else PairScore
             return ChangedPairs(pairs, change, kind) if changed else ListedPairs(pairs, kind)

@@ -64,6 +64,24 @@ def test_all_shipped_weights_and_sift_by_default(folder, monkeypatch):
     ]
 
 
+def test_some_pairs_of_a_list_are_evenly_chosen(folder):
+    dense_scene.write_pair_list(folder, pairs=7)
+    lines = (folder / "pairs.txt").read_text().splitlines()
+    words = [line.split() for line in lines]
+    for number in (0, 3, 6):
+        (folder / f"{number}.png").write_bytes((folder / "two.png").read_bytes())
+        words[number][1] = f"{number}.png"
+    (folder / "pairs.txt").write_text("".join(" ".join(line) + "\n" for line in words))
+    for limit, expected in ((9, ["0.png", "3.png", "6.png"]), (2, ["0.png", "3.png"])):
+        out = f"run{limit}"
+        result = bench(
+            "pairs.txt", "--every", "3", "--limit", str(limit), "--methods", "true", "--out", out
+        )
+        assert result.exit_code == 0, result.stderr
+        with open(f"{out}/results.csv", newline="") as stream:
+            assert [row["image2"] for row in csv.DictReader(stream)] == expected
+
+
 def test_images_are_looked_for_under_root(folder):
     os.makedirs("elsewhere")
     os.rename("pairs.txt", "elsewhere/pairs.txt")
