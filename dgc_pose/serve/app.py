@@ -18,7 +18,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
-from dgc_pose.serve.cameras import CameraRequest
+from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest
 from dgc_pose.serve.decoder import ImageDecoder
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.options import ServeOptions
@@ -33,7 +33,7 @@ _FILES = {
     "view.js": "text/javascript",
     "icon.svg": "image/svg+xml",
 }
-_MAX_JSON = 10_000  # bytes of a request
+_MAX_JSON = 10_000 + 4 * MAX_FILE_BYTES // 3  # bytes of a request; a file is in base 64
 _MAX_NAME = 200  # characters of an image's name
 _DECODER_MEMORY = 2 * 2**30  # bytes
 
@@ -178,7 +178,7 @@ class Server:
         preview = await asyncio.to_thread(
             self._decoder.call, "preview", path, seconds=self.options.decode_seconds
         )
-        identifier = self._store.keep(StoredImage(path, name, tuple(preview["size"])))
+        identifier = self._store.keep(StoredImage(path, name))
         return {"id": identifier, "name": name, **preview}
 
 

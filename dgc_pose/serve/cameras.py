@@ -1,21 +1,26 @@
-"""The cameras that a client asks for, none of which is a file."""
+"""The cameras that a client asks for. No path that it names is opened."""
 
 from __future__ import annotations
 
+import base64
+import binascii
 import math
+import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
-from dgc_pose.cameras.calibration import parse_camera
-from dgc_pose.cameras.camera import Camera, checked_camera, guess_camera
+from dgc_pose.cameras.calibration import pair_cameras, parse_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.serve.store import StoredImage
+from dgc_pose.files.outputs import scratch_folder
+from dgc_pose.images.image import Image
 
-Kind = Literal["k", "fov", "auto"]
+Kind = Literal["auto", "fov", "k", "file"]
+MAX_FILE_BYTES = 1_000_000  # of a file of cameras
 _MAX_TEXT = 300  # characters of a K
 
 
@@ -24,81 +29,115 @@ class CameraRequest:
     """What the client said of both cameras. Raises InputError for anything else."""
 
     kind: Kind
-    k1: str = ""  # of image 1, or of both: fx,fy,cx,cy or MODEL,width,height,parameters
+    k1: str = ""  # of image 1, or of both: fx,fy,cx,cy or MODEL,width,height,parameters, or auto
     k2: str = ""  # of image 2; empty for k1
     fov_deg: float = 60.0  # horizontal field of view of both images
+    file_name: str = ""  # of a file of cameras, without its folder
+    content: bytes = b""  # of that file
 
     @classmethod
     def of(cls, data: object) -> CameraRequest:
         """The request in the JSON of a client."""
-        if not isinstance(data, Mapping) or data.get("kind") not in ("k", "fov", "auto"):
-            raise InputError("camera must have a kind: k, fov or auto")
-        k1, k2 = (_text(data.get(name, "")) for name in ("k1", "k2"))
+        kinds = get_args(Kind)
+        if not isinstance(data, Mapping) or data.get("kind") not in kinds:
+            raise InputError(f"camera must have a kind: {', '.join(kinds)}")
+        k1, k2, file_name = (_text(data.get(key, "")) for key in ("k1", "k2", "name"))
         fov = data.get("fov", cls.fov_deg)
         if isinstance(fov, bool) or not isinstance(fov, (int, float)) or not 1 <= fov <= 170:
             raise InputError("the field of view must lie between 1 and 170 degrees")
-        return cls(data["kind"], k1, k2, float(fov))
+        content = _decoded(data.get("content")) if data["kind"] == "file" else b""
+        return cls(data["kind"], k1.strip(), k2.strip(), float(fov), file_name, content)
 
-    def resolve(self, image1: StoredImage, image2: StoredImage) -> tuple[Camera, Camera]:
+    def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked. Raises InputError for the client."""
-        return self._camera(image1, self.k1, "K"), self._camera(image2, self.k2 or self.k1, "K2")
-
-    def _camera(self, image: StoredImage, text: str, name: str) -> Camera:
         if self.kind == "auto":
-            return guess_camera(image.path)
-        if self.kind == "fov":  # from edge to edge, the principal point the middle
-            width, height = image.size
-            focal = width / 2 / math.tan(math.radians(self.fov_deg) / 2)
-            K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-            return Camera(K, image.size)
-        if not text.strip():
-            raise InputError("give K: fx,fy,cx,cy in pixels, or a COLMAP camera")
-        return checked_camera(parse_camera(text, name, files=False), image.size, name)
+            return pair_cameras("auto", "auto", image1, image2)
+        if self.kind == "fov":
+            return self._of_view(image1), self._of_view(image2)
+        if self.kind == "file":
+            return self._of_file(image1, image2)
+        names = ("K1", "K2") if self.k2 not in ("", self.k1) else ("K", "K")
+        K1, K2 = _value(self.k1, names[0]), _value(self.k2 or self.k1, names[1])
+        return pair_cameras(K1, K2, image1, image2, names)
 
-    def flags(self, cameras: tuple[Camera, Camera]) -> list[str]:
-        """The same as words of the command."""
+    def texts(self, cameras: tuple[Camera, Camera]) -> tuple[str, str]:
+        """The same as the command and the library take it."""
         if self.kind == "auto":
-            return ["--guess-focal"]
-        k1, k2 = self._texts(cameras)
-        return ["--K", k1] if k1 == k2 else ["--K1", k1, "--K2", k2]
-
-    def python(self, cameras: tuple[Camera, Camera], names: tuple[str, str]) -> tuple[str, str]:
-        """The same as expressions in Python."""
-        function = "guess_camera" if self.kind == "auto" else "parse_camera"
-        texts = names if self.kind == "auto" else self._texts(cameras)
-        return f"{function}({texts[0]!r})", f"{function}({texts[1]!r})"
-
-    def _texts(self, cameras: tuple[Camera, Camera]) -> tuple[str, str]:
+            return "auto", "auto"
+        if self.kind == "file":
+            return self.file_name, self.file_name
         if self.kind == "k":
-            return self.k1.strip(), (self.k2 or self.k1).strip()
-        k1, k2 = (
-            ",".join(map(repr, camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())) for camera in cameras
+            return self.k1, self.k2 or self.k1
+        K1, K2 = (camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() for camera in cameras)
+        return ",".join(map(repr, K1)), ",".join(map(repr, K2))
+
+    def _of_view(self, image: Image) -> Camera:
+        """By the field of view from edge to edge; the principal point is the middle."""
+        width, height = image.size
+        focal = width / 2 / math.tan(math.radians(self.fov_deg) / 2)
+        K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+        return Camera(K, image.size)
+
+    def _of_file(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
+        with scratch_folder() as folder:
+            # A name without a folder, which keeps the ending: that may tell the format.
+            path = folder / (re.sub(r"[^\w.-]", "_", self.file_name)[-50:].lstrip(".") or "K")
+            path.write_bytes(self.content)
+            try:
+                cameras = pair_cameras(str(path), str(path), image1, image2, ("K", "K"))
+            except InputError as error:
+                raise InputError(str(error).replace(str(path), self.file_name)) from None
+        camera1, camera2 = (
+            replace(
+                camera,
+                warnings=tuple(text.replace(str(path), self.file_name) for text in camera.warnings),
+            )
+            for camera in cameras
         )
-        return k1, k2
+        return camera1, camera2
 
 
-def command(names: tuple[str, str], flags: list[str], weights: list[str]) -> str:
-    """The command that gives the same pose. A name is never an option of it."""
+def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:
+    """The command that gives the same pose. cameras: as --K takes them."""
     files = [f"./{name}" if name.startswith("-") else name for name in names]
+    k1, k2 = cameras
+    flags = ["--K", k1] if k1 == k2 else ["--K1", k1, "--K2", k2]
     return shlex.join(["dgc-pose", "estimate", *files, *flags, *weights])
 
 
 def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:
     """The Python that gives the same pose."""
-    imports = "from dgc_pose import load_matcher, parse_camera, trace_relative_pose"
-    if cameras[0].startswith("guess_camera"):
-        imports = imports.replace("parse_camera, ", "")
-        imports += "\nfrom dgc_pose.cameras.camera import guess_camera"
+    k1, k2 = cameras
+    ks = f"K1={k1!r}" if k1 == k2 else f"K1={k1!r},\n    K2={k2!r}"
     return (
-        f"{imports}\n\n"
+        "from dgc_pose import load_matcher, trace_relative_pose\n\n"
         f"trace = trace_relative_pose(\n"
-        f"    {names[0]!r},\n    {names[1]!r},\n    {cameras[0]},\n    {cameras[1]},\n"
+        f"    {names[0]!r},\n    {names[1]!r},\n    {ks},\n"
         f"    matcher=load_matcher({matcher}),\n)\n"
         f"print(trace.pose.status, trace.pose.R, trace.pose.t)\n"
     )
+
+
+def _value(text: str, name: str) -> Camera | str:
+    if not text:
+        raise InputError("give K: fx,fy,cx,cy in pixels, or a COLMAP camera")
+    return text if text == "auto" else parse_camera(text, name, files=False)
 
 
 def _text(value: object) -> str:
     if not isinstance(value, str) or len(value) > _MAX_TEXT:
         raise InputError(f"K must be a text of at most {_MAX_TEXT} characters")
     return value
+
+
+def _decoded(content: object) -> bytes:
+    """The bytes of a file, which come in base 64."""
+    if not isinstance(content, str) or not content:
+        raise InputError("choose a file of cameras")
+    try:
+        data = base64.b64decode(content, validate=True)
+    except (binascii.Error, ValueError):
+        raise InputError("the file's content must be in base 64") from None
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(f"a file of cameras has at most {MAX_FILE_BYTES / 1e6:g} MB")
+    return data

@@ -7,7 +7,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image
@@ -40,40 +39,31 @@ class Estimator:
     ) -> dict[str, Any]:
         """The pose and what the page shows of it, as values of JSON."""
         report("reading the images")
-        cameras = request.resolve(stored1, stored2)
-        camera1, camera2 = map(_renamed, cameras, (stored1, stored2))
         image1, image2 = (
             replace(load_image(stored.path), name=stored.name) for stored in (stored1, stored2)
         )
+        cameras = request.resolve(image1, image2)
 
         def matched(matches: Matches) -> None:
             report(f"estimating the pose from {len(matches)} matches")
 
         report("matching")
-        pair = (image1, image2, camera1, camera2)
-        trace = match_and_estimate(*pair, self.matcher, matched=matched)
+        trace = match_and_estimate(image1, image2, *cameras, self.matcher, matched=matched)
         report("drawing")
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
-        expressions = request.python(cameras, names)
+        texts = request.texts(cameras)
         return {
             "pose": self.describe(trace.pose),
             "reason": trace.pose.reason,
             "names": list(names),
             "sizes": [list(image1.size), list(image2.size)],
-            "K": [camera1.K.tolist(), camera2.K.tolist()],
             "F": _fundamental(trace),
             "matches": _matches(trace),
             "map": None if trace.correspondence_map is None else _map(trace),
-            "command": command(names, request.flags(cameras), weights),
-            "python": python_text(names, expressions, "".join(map(repr, weights[1:]))),
+            "command": command(names, texts, weights),
+            "python": python_text(names, texts, "".join(map(repr, weights[1:]))),
         }
-
-
-def _renamed(camera: Camera, stored: StoredImage) -> Camera:
-    """With the client's name of the image in its warnings."""
-    texts = (text.replace(str(stored.path), stored.name) for text in camera.warnings)
-    return replace(camera, warnings=tuple(texts))
 
 
 def _fundamental(trace: Trace) -> list[list[float]] | None:

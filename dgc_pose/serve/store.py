@@ -13,7 +13,6 @@ class StoredImage:
 
     path: Path
     name: str  # of the client; for texts alone, never opened
-    size: tuple[int, int]  # (width, height), pixels
 
 
 class ImageStore:

@@ -1,5 +1,6 @@
 """Every reader of the package, with good files that the tests make themselves."""
 
+import base64
 import json
 from collections.abc import Callable
 from contextlib import suppress
@@ -42,7 +43,6 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
-from dgc_pose.serve.store import StoredImage
 from dgc_pose.synthesis.photos import load_photos
 from dgc_pose.synthesis.posed_depth import read_rgbd
 from dgc_pose.synthesis.warp_lists import read_warps
@@ -328,7 +328,9 @@ def _read_collection(folder: Path, path: Path) -> None:
 def _make_requests(folder: Path) -> None:
     opencv = "OPENCV,10,8,9,9,5,4,0.1,0,0,0"
     requests = ({"kind": "k", "k1": "9,9,4,3", "k2": ""}, {"kind": "k", "k1": opencv, "k2": opencv})
-    for number, request in enumerate((*requests, {"kind": "fov", "fov": 60})):
+    content = base64.b64encode(b"9 0 4\n0 9 3\n0 0 1\n").decode()
+    others = {"kind": "fov", "fov": 60}, {"kind": "file", "name": "K.txt", "content": content}
+    for number, request in enumerate((*requests, *others, {"kind": "auto"})):
         (folder / f"{number}.json").write_text(json.dumps(request))
 
 
@@ -339,9 +341,9 @@ def _read_request(folder: Path, path: Path) -> None:
         return  # the server refuses it itself
     request = CameraRequest.of(data)
     names = ("one", "--two")
-    cameras = request.resolve(*(StoredImage(folder / n, n, (10, 8)) for n in names))
-    command(names, request.flags(cameras), [])
-    python_text(names, request.python(cameras, names), "")
+    cameras = request.resolve(*(Image(np.zeros((8, 10, 3), np.uint8), name) for name in names))
+    command(names, request.texts(cameras), [])
+    python_text(names, request.texts(cameras), "")
 
 
 READERS: dict[str, tuple[Make, Read]] = {

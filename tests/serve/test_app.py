@@ -2,6 +2,7 @@ import base64
 import io
 import json
 import shlex
+import tempfile
 from pathlib import Path
 
 import cv2
@@ -22,9 +23,14 @@ from dgc_pose.serve.app import Server
 from dgc_pose.serve.guard import TOKEN_HEADER, local_hosts
 from dgc_pose.serve.options import ServeOptions
 
+K_FILE = "\n".join(" ".join(map(str, row)) for row in dense_scene.K.tolist())
 TOKEN = "a-token"
 PORT = 8000
 OPTIONS = ServeOptions(max_megabytes=0.5, max_megapixels=1, decode_seconds=5, images=8)
+
+
+def in_base64(text):
+    return base64.b64encode(text.encode()).decode()
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +237,8 @@ def test_a_pair_gives_its_pose_and_what_the_page_draws(result):
     assert rotation_error_deg(np.array(result["pose"]["R"]), dense_scene.R) < 0.1
     assert translation_error_deg(np.array(result["pose"]["t"]), dense_scene.T) < 0.5
     assert result["sizes"] == [[320, 240], [320, 240]]
-    np.testing.assert_allclose(result["K"], [dense_scene.K] * 2)
+    for camera in ("camera1", "camera2"):
+        np.testing.assert_allclose(result["pose"][camera]["K"], dense_scene.K)
     matches, F = result["matches"], np.array(result["F"])
     points, inlier = np.array(matches["points"]), np.array(matches["inlier"])
     assert len(points) <= 3000 and inlier.sum() > 100
@@ -263,13 +270,20 @@ def test_the_warp_shows_image_2_where_it_is_opaque(result):
             {"kind": "k", "k1": dense_scene.K_TEXT, "k2": "PINHOLE,320,240,300,300,160,120"},
             ["--K1", dense_scene.K_TEXT, "--K2", "PINHOLE,320,240,300,300,160,120"],
         ),
+        (
+            {"kind": "k", "k1": dense_scene.K_TEXT, "k2": "auto"},
+            ["--K1", dense_scene.K_TEXT, "--K2", "auto"],
+        ),
         ({"kind": "fov", "fov": 56.1}, None),
-        ({"kind": "auto"}, ["--guess-focal"]),
+        ({"kind": "file", "name": "a K.txt", "content": in_base64(K_FILE)}, ["--K", "a K.txt"]),
+        ({"kind": "auto"}, ["--K", "auto"]),
     ],
 )
 def test_the_command_and_the_python_give_the_same(
-    client, pair, pictures, monkeypatch, camera, flags
+    client, pair, pictures, monkeypatch, tmp_path, camera, flags
 ):
+    (tmp_path / "a K.txt").write_text(K_FILE)
+    monkeypatch.chdir(tmp_path)
     result = poses(client, *pair, camera)["result"]
     words = shlex.split(result["command"])
     assert words[:4] == ["dgc-pose", "estimate", *pictures]
@@ -283,15 +297,24 @@ def test_the_command_and_the_python_give_the_same(
     monkeypatch.setattr(dgc_pose, "load_matcher", serve_parts.map_matcher, raising=False)
     names: dict = {}
     exec(result["python"], names)
-    R = names["trace"].pose.R
-    assert (None if R is None else R.tolist()) == result["pose"]["R"]
+    pose = names["trace"].pose
+    assert pose.success and pose.R.tolist() == result["pose"]["R"]
+    assert pose.K2.tolist() == result["pose"]["camera2"]["K"]
+    assert pose.focal_std1 == result["pose"]["camera1"]["focal_std"]
 
 
 @pytest.mark.parametrize(
     ("camera", "words"),
     [
         (None, "kind"),
-        ({"kind": "file"}, "kind"),
+        ({"kind": "guess"}, "kind"),
+        ({"kind": "file"}, "choose a file"),
+        ({"kind": "file", "content": 5}, "choose a file"),
+        ({"kind": "file", "content": "%"}, "base 64"),
+        ({"kind": "file", "content": in_base64(1_001_000 * "1")}, "at most 1 MB"),
+        ({"kind": "file", "name": "my K.txt", "content": in_base64("1 2 3")}, "my K.txt"),
+        ({"kind": "file", "name": "", "content": in_base64("300,300")}, "K"),
+        ({"kind": "file", "name": "../K.txt", "content": in_base64(K_FILE[3:])}, "../K.txt"),
         ({"kind": "k", "k1": ""}, "give K"),
         ({"kind": "k", "k1": "300,300"}, "fx,fy,cx,cy"),
         ({"kind": "k", "k1": 5}, "text"),
@@ -304,7 +327,13 @@ def test_the_command_and_the_python_give_the_same(
 )
 def test_a_bad_camera_is_told_in_one_line(client, pair, camera, words):
     error = poses(client, *pair, camera)["error"]
-    assert words in error and "\n" not in error
+    assert words in error and "\n" not in error and tempfile.gettempdir() not in error
+
+
+def test_the_name_of_a_file_is_text_alone(client, pair, tmp_path):
+    for name in ("../../K.txt", "/etc/passwd", "..", "", "a\0b", 300 * "ü", str(tmp_path)):
+        camera = {"kind": "file", "name": name, "content": in_base64(K_FILE)}
+        assert poses(client, *pair, camera)["result"]["pose"]["success"], name
 
 
 def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):
@@ -313,6 +342,8 @@ def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):
     np.savetxt(secret, dense_scene.K)
     error = poses(client, *pair, {"kind": "k", "k1": str(secret)})["error"]
     assert "fx,fy,cx,cy" in error
+    error = poses(client, *pair, {"kind": "file", "content": in_base64(str(secret))})["error"]
+    assert "3x3" in error
     for identifier in (pictures[0], "../a.png", None, 5, ["a"], {"a": 1}):
         assert "no longer there" in poses(client, identifier, pair[1], {"kind": "auto"})["error"]
 
@@ -324,7 +355,7 @@ def test_a_full_temporary_folder_is_told_as_one(client, server, monkeypatch, tmp
     assert answer.text == "the server's temporary folder: No such file or directory"
 
 
-@pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"null", 5000 * b"[", b"{" + 20_000 * b" "])
+@pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"null", 5000 * b"[", b"{" + 2_000_000 * b" "])
 def test_a_request_that_is_no_object_is_refused(client, body):
     answer = client.post("/poses", content=body)
     assert answer.status_code in (400, 413) and "request" in answer.text

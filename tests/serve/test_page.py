@@ -150,8 +150,19 @@ def test_photographs_that_are_chosen_are_estimated_at_once(page, tmp_path):
     page.choose("#file1", pair.path1, pair.path2)  # both at once
     page.wait(DONE)
     assert text(page, "#caption2").startswith("image2.jpg, 720 x 640")
-    assert "--guess-focal" in text(page, "#command")
-    assert "guess" in text(page, "#warnings")
+    assert "--K auto" in text(page, "#command")
+    numbers = text(page, "#numbers")
+    assert "K1\nf " in numbers and "K2\nf " in numbers and " ± " in numbers
+
+
+def test_a_file_of_cameras_is_sent_with_its_name(example, tmp_path):
+    (tmp_path / "my K.txt").write_text("800 0 390 0 800 310 0 0 1")
+    assert "K1\nf 820.0 px, cx 404.3, cy 296.8" in text(example, "#numbers")
+    example.choose("#kfile", tmp_path / "my K.txt")
+    assert example.evaluate("document.querySelector('input[name=kind]:checked').value") == "file"
+    example.click("#estimate")
+    example.wait("document.querySelector('#command').textContent.includes(\"--K 'my K.txt'\")")
+    assert "K1, K2\nf 800.0 px, cx 390.0, cy 310.0" in text(example, "#numbers")
 
 
 def test_what_is_wrong_is_told(page, tmp_path):

@@ -57,9 +57,20 @@ async function sendAll(index, files) {
   if (sent.length && sent.every(Boolean) && !images.includes(null)) estimate();
 }
 
-function camera() {
+async function camera() {
   const kind = document.querySelector("input[name=kind]:checked").value;
-  return { kind, fov: Number(at("fov").value), k1: at("k1").value, k2: at("k2").value };
+  if (kind !== "file") return { kind, fov: Number(at("fov").value), k1: at("k1").value, k2: at("k2").value };
+  const [file] = at("kfile").files;
+  return { kind, name: file?.name ?? "", content: file ? await base64(file) : "" };
+}
+
+function base64(file) {
+  return new Promise((done, failed) => {
+    const reader = new FileReader();
+    reader.onload = () => done(reader.result.split(",")[1] ?? "");
+    reader.onerror = () => failed(new Error(`${file.name}: ${reader.error.message}`));
+    reader.readAsDataURL(file);
+  });
 }
 
 async function estimate() {
@@ -67,7 +78,7 @@ async function estimate() {
   begin("loading the network");
   at("estimate").disabled = true;
   try {
-    const request = { image1: images[0].id, image2: images[1].id, camera: camera() };
+    const request = { image1: images[0].id, image2: images[1].id, camera: await camera() };
     const answer = await ask("/poses", JSON.stringify(request), "application/json");
     const shown = [images[0].picture, images[1].picture];
     for await (const line of lines(answer.body)) {
@@ -129,7 +140,7 @@ function verdict({ pose, reason }) {
     }
     return line;
   }));
-  const facts = numbers(pose).flatMap(([name, text]) => {
+  const facts = [...numbers(pose), ...cameraNumbers(pose)].flatMap(([name, text]) => {
     const [term, value] = ["dt", "dd"].map((kind) => document.createElement(kind));
     term.textContent = name;
     value.textContent = text;
@@ -190,6 +201,23 @@ function numbers(pose) {
   return facts;
 }
 
+function cameraNumbers({ camera1, camera2 }) {
+  if (camera1 === null) return [];
+  const [first, second] = [intrinsics(camera1), intrinsics(camera2)];
+  return first === second ? [["K1, K2", first]] : [["K1", first], ["K2", second]];
+}
+
+const SOURCES = { exif: " by EXIF data", size: " by the size of the image", matches: " by the matches" };
+
+/** The numbers of K, and what the focal length is known from. */
+function intrinsics({ K, focal_std, focal_source, model }) {
+  const [fx, fy, cx, cy] = [K[0][0], K[1][1], K[0][2], K[1][2]].map((value) => value.toFixed(1));
+  const deviation = focal_std > 0 ? ` ± ${(focal_std * (K[0][0] + K[1][1]) / 2).toFixed(1)}` : "";
+  const focal = fx === fy ? `f ${fx}${deviation}` : `fx ${fx}, fy ${fy}${deviation}`;
+  const lens = model === null ? "" : `, ${model}`;
+  return `${focal} px${SOURCES[focal_source] ?? ""}, cx ${cx}, cy ${cy}${lens}`;
+}
+
 function redraw() {
   if (result === null) return;
   const most = view.setLimit(Number(at("limit").value) / 100);
@@ -219,8 +247,8 @@ function save(name, blob) {
 }
 
 function saveJson() {
-  const { pose, names, sizes, K, matches, command } = result;
-  const text = JSON.stringify({ ...pose, images: names, sizes, K, matches, command }, null, 2);
+  const { pose, names, sizes, matches, command } = result;
+  const text = JSON.stringify({ ...pose, images: names, sizes, matches, command }, null, 2);
   save("pose.json", new Blob([text + "\n"], { type: "application/json" }));
 }
 
@@ -276,8 +304,7 @@ at("example").addEventListener("click", async () => {
     fail(error);
   }
 });
-for (const id of ["k1", "k2", "fov"]) {
-  const kind = id === "fov" ? "fov" : "k";
+for (const [id, kind] of [["k1", "k"], ["k2", "k"], ["fov", "fov"], ["kfile", "file"]]) {
   at(id).addEventListener("input", () => { document.querySelector(`input[value=${kind}]`).checked = true; });
   at(id).addEventListener("keydown", (event) => {
     if (event.key === "Enter" && !at("estimate").disabled) estimate();
