@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +20,9 @@ from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
     from dgc_pose.batch.run import Batch
+
+CAMERAS_SHOWN = 5
+_SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
 
 
 @dataclass(frozen=True)
@@ -42,10 +45,6 @@ class SourceChoice:
         "auto:shared says that one camera took all images, auto:two that each has its own.",
         flag="--K",
         metavar="K|FILE|auto",
-    )
-    guess_focal: bool = option(
-        False,
-        "Without a K, take the focal length from EXIF or guess it. Poses get much worse.",
     )
 
 
@@ -81,7 +80,7 @@ def work_through(
     with progress_bars() as progress:
         return run_batch(
             images,
-            read_calibration(inputs.k, guess=inputs.guess_focal),
+            read_calibration(inputs.k),
             choice,
             out,
             matcher=matcher,
@@ -105,21 +104,30 @@ def report(batch: Batch) -> None:
             "--resume matches them again",
             err=True,
         )
-    if summary["guessed_focal"]:
-        click.echo(
-            f"warning: the focal length of {summary['guessed_focal']} images is a guess; expect "
-            "poses to be much less accurate than with a calibration",
-            err=True,
-        )
-    known = (camera for camera in batch.plan.cameras.values() if not camera.guessed_focal)
-    if warnings := [text for camera in known for text in camera.warnings]:
+    if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         click.echo(f"warning: {warnings[0]}{more}", err=True)
+    echo_cameras(summary["cameras"])
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
     click.echo(
         f"{batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "
         f"{summary['images']} images, {summary['matched_now']} pairs in {summary['seconds']:.0f} s"
     )
+
+
+def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
+    """Print the pooled cameras of a summary: each of the first, and how many more there are."""
+    for number, camera in enumerate(cameras[:CAMERAS_SHOWN], start=1):
+        focal, std = camera["focal_px"], camera["focal_std"]
+        images = "1 image" if camera["images"] == 1 else f"{camera['images']} images"
+        what = f"camera {number} ({images}): f = {focal:.0f} +- {focal * std:.0f} px"
+        if camera["focal_source"] == "matches":
+            pairs = "1 pair" if camera["pairs"] == 1 else f"{camera['pairs']} pairs"
+            click.echo(f"{what} from {pairs}")
+        else:
+            click.echo(f"{what} from the {_SOURCES[camera['focal_source']]}: no pair tells it")
+    if len(cameras) > CAMERAS_SHOWN:
+        click.echo(f"{len(cameras) - CAMERAS_SHOWN} more cameras: see cameras.csv")
 
 
 @click.command()
@@ -143,7 +151,8 @@ def batch(
     .csv), or a COLMAP database (.db).
 
     Writes pairs.jsonl (or .parquet), a row for each pair: status, R, t, expected errors, counts;
-    matches.h5, the matches in hloc's layout; and summary.json. A bad image is reported and does
+    matches.h5, the matches in hloc's layout; and summary.json. With --K auto also cameras.csv, the
+    cameras that all pairs together tell, which --K reads. A bad image is reported and does
     not stop the batch. A batch that was stopped continues with --resume.
     """
     report(work_through(source, out, inputs, work, matcher, estimation))

@@ -1,14 +1,13 @@
 """`dgc-pose reconstruct`: from a folder of photographs to a COLMAP model."""
 
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import SourceChoice, report, work_through
+from dgc_pose.cli.batch import CAMERAS_SHOWN, SourceChoice, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
 from dgc_pose.cli.guard import OutputFolder
@@ -75,8 +74,6 @@ def reconstruct(
     )
     report(batch)
     matched = time.perf_counter()
-    if batch.plan.guessed:
-        options = replace(options, mapping=replace(options.mapping, refine_intrinsics=True))
     with progress_bars() as progress:
         show = partial(progress, "images")
         model, exported = reconstruction.reconstruct(batch, out, options, show)
@@ -91,5 +88,11 @@ def reconstruct(
         f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "
         f"reprojection error {data['reprojection_error_px']:.3f} px"
     )
+    if batch.plan.uncertain:
+        for number, camera in enumerate(model.cameras[:CAMERAS_SHOWN], start=1):
+            click.echo(
+                f"camera {number} ({camera.images} images): {camera.model}, "
+                f"f = {camera.focal_px:.1f} px after bundle adjustment"
+            )
     for name in data["not_registered"]:
         click.echo(f"not registered: {name}", err=True)

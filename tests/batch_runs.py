@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import h5py
@@ -19,9 +20,9 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
 
-def view_folder(folder: Path, count: int = 4) -> list[View]:
+def view_folder(folder: Path, number: int = 4) -> list[View]:
     """Rendered views in a folder."""
-    views = render_views(count)
+    views = render_views(number)
     write_views(folder, views)
     return views
 
@@ -39,11 +40,10 @@ def run_sift(
     resume: bool = False,
     start_workers: Workers = local_workers,
 ) -> Batch:
-    """A batch, by default with SIFT and the K of the rendered views; K None: focal lengths are
-    guessed."""
+    """A batch, by default with SIFT and the K of the rendered views."""
     return run_batch(
         open_source(source, root),
-        read_calibration(K, guess=K is None),
+        read_calibration(K),
         None if pairs is None else parse_pair_choice(pairs),
         out,
         matcher=matcher,
@@ -58,15 +58,16 @@ class Killed(Exception):
 
 
 def killed_after(tasks_done: int) -> Workers:
-    """Workers that end after so many tasks."""
+    """Workers that end after so many tasks, however often tasks are run."""
 
     @contextmanager
     def start(job: Job, workers: int) -> Iterator[RunTasks]:
+        numbers = count()
         with local_workers(job, workers) as run:
 
             def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
-                for number, outcome in enumerate(run(tasks)):
-                    if number == tasks_done:
+                for outcome in run(tasks):
+                    if next(numbers) == tasks_done:
                         raise Killed
                     yield outcome
 

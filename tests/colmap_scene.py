@@ -29,7 +29,7 @@ def true_row(
         R=R,
         t=None if status == "rotation_only" else t / np.linalg.norm(t),
     )
-    return row_of(names, pose, 0.5, False)
+    return row_of(names, pose, 0.5)
 
 
 def project(points: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.ndarray:

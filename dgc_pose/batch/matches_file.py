@@ -2,12 +2,15 @@
 
 A group `name1/name2` ("/" inside a name becomes "-") holds `keypoints0`, `keypoints1` (N, 2)
 float32, pixels of the images, (0, 0) the centre of the top-left pixel, `scores` (N,) float32, and
-`inliers` (N,) bool, which hloc passes over.
+`inliers` (N,) bool, which hloc passes over. Where the pose can be estimated again, with another
+camera, there is a group `again` with what that needs besides: the attributes `error_px` and
+`key_points`, and of a matcher with a map its even sample: `keypoints0`, `keypoints1`, `scores`, and
+the attribute `map_error_px`.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,17 @@ import numpy as np
 from dgc_pose.errors import InputError, reason
 from dgc_pose.files.arrays import ARRAY_BYTES
 from dgc_pose.files.outputs import writing
+from dgc_pose.matches import Matches
+from dgc_pose.matching.matcher import MatchResult
+
+
+@dataclass(frozen=True, eq=False)
+class Again:
+    """What a pose is estimated from beside its matches' points and scores."""
+
+    error_px: float  # expected error of a good match, pixels of the originals
+    key_points: bool  # whether the matches are independent detections
+    map_matches: Matches | None  # even sample of the map, float32; None without a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +41,44 @@ class PairMatches:
     points2: np.ndarray  # (N, 2) float32
     scores: np.ndarray  # (N,) float32, confidence in [0, 1]
     inliers: np.ndarray  # (N,) bool, of the pose
+    again: Again | None = None  # None if the pose is not to be estimated again
+
+    def estimable(self) -> tuple[Matches, Matches | None]:
+        """The matches and the sample of the map that a pose is estimated from; needs `again`."""
+        assert self.again is not None
+        facts = (self.again.error_px, self.again.key_points)
+        matches = Matches(self.points1, self.points2, self.scores, *facts)
+        return matches, self.again.map_matches
+
+
+def pair_matches(result: MatchResult, *, again: bool) -> PairMatches:
+    """The matches of a matcher as they are stored, without inliers yet.
+
+    again: whether the pose is to be estimated again from them.
+    """
+    matches, sample = result.matches, result.map_matches if again else None
+    if sample is not None:
+        sample = Matches(*_rounded(sample), sample.error_px)
+    return PairMatches(
+        *_rounded(matches),
+        np.zeros(len(matches), dtype=bool),
+        Again(matches.error_px, matches.key_points, sample) if again else None,
+    )
+
+
+def _rounded(matches: Matches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    points1, points2, scores = (
+        array.astype(np.float32) for array in (matches.points1, matches.points2, matches.confidence)
+    )
+    return points1, points2, scores
 
 
 _NO_POINTS = np.zeros((0, 2), np.float32)
 NO_MATCHES = PairMatches(_NO_POINTS, _NO_POINTS, _NO_POINTS[:, 0], np.zeros(0, bool))
-_FIELDS = [field.name for field in fields(PairMatches)]
-_DATASETS = dict(zip(("keypoints0", "keypoints1", "scores", "inliers"), _FIELDS, strict=True))
+_POINTS = {"keypoints0": "points1", "keypoints1": "points2"}
+_DATASETS = {**_POINTS, "scores": "scores", "inliers": "inliers"}
+_MAP = {**_POINTS, "scores": "confidence"}
+AGAIN = "again"
 
 
 def group_name(name1: str, name2: str) -> str:
@@ -44,6 +90,15 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
     """The matches of a pair, as datasets of its group."""
     for dataset, field in _DATASETS.items():
         group.create_dataset(dataset, data=getattr(matches, field))
+    if matches.again is None:
+        return
+    again, sample = group.create_group(AGAIN), matches.again.map_matches
+    again.attrs["error_px"] = matches.again.error_px
+    again.attrs["key_points"] = matches.again.key_points
+    if sample is not None:
+        again.attrs["map_error_px"] = sample.error_px
+        for dataset, field in _MAP.items():
+            again.create_dataset(dataset, data=getattr(sample, field).astype(np.float32))
 
 
 @contextmanager
@@ -83,6 +138,7 @@ def read_matches(file: Any, name: str) -> PairMatches:
         for part in name.split("/"):
             group = _member(group, part, h5py.Group)
         arrays = {field: _array(group, dataset) for dataset, field in _DATASETS.items()}
+        again = _read_again(_member(group, AGAIN, h5py.Group)) if AGAIN in group else None
     except Exception:  # of HDF5, for damaged files almost any
         raise InputError(f"{where}: no whole matches") from None
     count = len(arrays["scores"])
@@ -91,7 +147,21 @@ def read_matches(file: Any, name: str) -> PairMatches:
         raise InputError(f"{where}: datasets of different lengths")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"{where}: numbers that are not finite")
-    return PairMatches(**arrays)
+    return PairMatches(**arrays, again=again)
+
+
+def _read_again(group: Any) -> Again:
+    """Raises anything for a group that is not whole."""
+    sample = None
+    if "map_error_px" in group.attrs:
+        points1, points2, scores = (_array(group, dataset) for dataset in _MAP)
+        if not all(np.isfinite(array).all() for array in (points1, points2, scores)):
+            raise ValueError("numbers that are not finite")
+        sample = Matches(points1, points2, scores, float(group.attrs["map_error_px"]))
+    error_px = float(group.attrs["error_px"])
+    if not error_px > 0:
+        raise ValueError("no error of a match")
+    return Again(error_px, bool(group.attrs["key_points"]), sample)
 
 
 def _member(group: Any, name: str, kind: type) -> Any:

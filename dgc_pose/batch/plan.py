@@ -33,10 +33,19 @@ class Plan:
     pairs: np.ndarray  # (P, 2) int64, indices of `names`
     settings: Mapping[str, Any]  # all that the result depends on besides; JSON
 
+    # The cameras with the focal lengths that all pairs tell; None before the result is there, and
+    # where all focal lengths are exact.
+    pooled: Mapping[str, Camera] | None = None
+
     @property
-    def guessed(self) -> frozenset[str]:
-        """The images with a guessed focal length."""
-        return frozenset(name for name, camera in self.cameras.items() if camera.guessed_focal)
+    def uncertain(self) -> bool:
+        """Whether a focal length is to be told by the pairs."""
+        return any(camera.focal_std > 0 for camera in self.cameras.values())
+
+    @property
+    def final_cameras(self) -> Mapping[str, Camera]:
+        """The cameras that the poses of the result are of."""
+        return {**self.cameras, **(self.pooled or {})}
 
     def pair(self, index: int) -> tuple[str, str]:
         """The names of a pair."""
@@ -58,6 +67,7 @@ def write_plan(out: Path, plan: Plan) -> None:
         if other != pair:
             raise InputError(f"{' '.join(pair)} and {' '.join(other)} have one name in HDF5")
     out.mkdir(parents=True, exist_ok=True)
+    pooled = plan.pooled or {}
     data = {
         "version": _VERSION,
         "root": str(plan.root.resolve()),
@@ -66,6 +76,7 @@ def write_plan(out: Path, plan: Plan) -> None:
             {
                 "name": name,
                 "camera": camera_data(plan.cameras[name]) if name in plan.cameras else None,
+                "pooled": camera_data(pooled[name]) if name in pooled else None,
                 "bad": plan.bad.get(name),
                 "state": plan.states.get(name),
             }
@@ -87,9 +98,9 @@ def read_plan(out: Path) -> Plan:
             raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
         if data["settings"]["format"] not in get_args(RowFormat):
             raise ValueError("a format of rows that is none")
-        cameras, bad, states = (
+        cameras, pooled, bad, states = (
             {image["name"]: image[key] for image in data["images"] if image[key] is not None}
-            for key in ("camera", "bad", "state")
+            for key in ("camera", "pooled", "bad", "state")
         )
         plan = Plan(
             Path(data["root"]),
@@ -99,6 +110,7 @@ def read_plan(out: Path) -> Plan:
             tuple(image["name"] for image in data["images"]),
             np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
             data["settings"],
+            {name: parse_camera_data(values) for name, values in pooled.items()} or None,
         )
         if not all(isinstance(name, str) for name in (*plan.names, *plan.bad.values())):
             raise ValueError("names that are no texts")

@@ -45,14 +45,18 @@ class PairRow:
     inlier_ratio: float | None = None
     median_triangulation_angle_deg: float | None = None
     error_px: float | None = None  # expected error of a match, pixels of the originals
-    guessed_focal: bool = False  # whether a focal length is a guess: expect a bad pose
+    # Of the cameras that the pose is of: the focal length, pixels, and the standard deviation of
+    # its logarithm, 0 if it is exact.
+    focal1: float | None = None
+    focal2: float | None = None
+    focal_std1: float | None = None
+    focal_std2: float | None = None
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
 
-def row_of(
-    names: tuple[str, str], pose: RelativePose, error_px: float, guessed_focal: bool
-) -> PairRow:
+def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairRow:
     """The row of an estimated pose."""
+    camera1, camera2 = pose.camera1, pose.camera2
     return PairRow(
         *names,
         status=pose.status,
@@ -68,7 +72,10 @@ def row_of(
         inlier_ratio=finite_or_none(pose.inlier_ratio),
         median_triangulation_angle_deg=finite_or_none(pose.median_triangulation_angle_deg),
         error_px=error_px,
-        guessed_focal=guessed_focal,
+        focal1=None if camera1 is None else camera1.focal,
+        focal2=None if camera2 is None else camera2.focal,
+        focal_std1=None if camera1 is None else camera1.focal_std,
+        focal_std2=None if camera2 is None else camera2.focal_std,
         warnings=pose.warnings,
     )
 

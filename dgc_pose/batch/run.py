@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,23 @@ from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, r
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
 from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
+from dgc_pose.batch.pooling import PooledCamera, pool, write_cameras
 from dgc_pose.batch.ray_engine import ray_workers
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, require_pyarrow
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
 from dgc_pose.batch.source import Source, survey
-from dgc_pose.batch.store import MATCHES, SUMMARY, PartStore, read_result, read_summary, rows_path
-from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Job, Match, Matched
+from dgc_pose.batch.store import (
+    ESTIMATES,
+    MATCHES,
+    SUMMARY,
+    PartStore,
+    read_result,
+    read_summary,
+    rows_path,
+)
+from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Estimate, Job, Match, Matched
 from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import STATUSES
@@ -34,6 +45,7 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 
 _ENGINES: Mapping[str, Workers] = {"local": local_workers, "ray": ray_workers}
+_BLOCKS_HELD = 4  # of matches in memory, for each worker
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 
 
@@ -70,6 +82,9 @@ def run_batch(
     choice: how pairs are chosen; None for those of the source. start_workers: None for those of
     `options.engine`.
 
+    Where a focal length has a deviation, each pair fits its own. They are pooled over the pairs of
+    a camera, and the poses are estimated again with the pooled cameras, from the same matches.
+
     A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
     have changed since.
 
@@ -99,7 +114,8 @@ def run_batch(
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
             plan = continued(before, plan, out)
-        store = None
+        store: PartStore | None = None
+        cameras: list[PooledCamera] = []
         try:
             with ExitStack() as stack:
                 images = (plan.root, plan.cameras, plan.bad)
@@ -109,8 +125,17 @@ def run_batch(
                     if choice is not None and choice.way == "auto":
                         plan = _with_similar(plan, choice.number, run, progress)
                     write_plan(out, plan)
-                store = PartStore(out, plan, before)
-                worked = 0 if store.finished else _match(store, plan, run, options, progress)
+                store = whole = PartStore(out, plan, before)
+                worked = 0
+                if not store.finished:
+                    if plan.uncertain and (store.left or store.result_alone):
+                        PartStore(out, plan, folder=ESTIMATES).close()  # by other cameras
+                    worked = _match(store, plan, run, options, progress)
+                    if plan.uncertain:
+                        whole = PartStore(out, plan, folder=ESTIMATES)
+                        plan, cameras = _estimate(
+                            store, whole, plan, before, run, options, progress
+                        )
         except DgcPoseError:
             # If no pair was matched, as with bad weights, the folder is left as it was.
             if before is None and store is not None and len(store.left) == len(plan.pairs) > 0:
@@ -118,10 +143,14 @@ def run_batch(
                 (out / PLAN).unlink()
             raise
         if not store.finished:
-            store.assemble()
-            if before is not None:
-                write_plan(out, plan)  # with the photographs as they are now
-            _summarise(out, plan, store.bad, worked, time.perf_counter() - start)
+            whole.assemble()
+            if plan.uncertain:
+                write_cameras(out, plan.final_cameras)
+            if before is not None or plan.uncertain:
+                write_plan(out, plan)  # with photographs and focal lengths as they are now
+            seconds = time.perf_counter() - start
+            _summarise(out, plan, store.bad, cameras, worked, seconds)
+        whole.close()
         store.close()
         return read_batch(out)
 
@@ -225,6 +254,49 @@ def _match(
     return len(left)
 
 
+def _estimate(
+    store: PartStore,
+    whole: PartStore,
+    plan: Plan,
+    before: Plan | None,
+    run: RunTasks,
+    options: BatchOptions,
+    progress: Progress,
+) -> tuple[Plan, list[PooledCamera]]:
+    """Pool the focal lengths of all pairs, and estimate the poses that `whole` lacks again.
+
+    store: of the pairs as they are matched, each with its own focal lengths. before: the plan of an
+    earlier result. Returns the plan with the pooled cameras, and those one by one.
+    """
+    total = len(plan.pairs)
+
+    def estimate(
+        blocks: Iterator[Matched], cameras: Mapping[str, Camera], into: PartStore, done: int
+    ) -> None:
+        while chunk := list(islice(blocks, _BLOCKS_HELD * options.worker_count)):
+            tasks = []
+            for block in chunk:
+                names = {name for row in block.rows for name in (row.name1, row.name2)}
+                of_block = {name: cameras[name] for name in names & cameras.keys()}
+                rows, matches = tuple(block.rows), tuple(block.matches)
+                tasks.append(Estimate(block.indices, rows, matches, of_block))
+            for outcome in run(tasks):
+                assert isinstance(outcome, Matched)
+                into.add(outcome)
+                done += len(outcome.indices)
+                progress("poses", done, total)
+
+    if before is not None:
+        # The focal lengths of each pair alone, which the result does not have.
+        alone = store.result_blocks(before, BLOCK)
+        estimate(alone, plan.cameras, store, total - len(store.result_alone))
+    cameras, pooled = pool(plan.cameras, store.rows())
+    left = set(whole.left)
+    blocks = (block for block in store.blocks() if not left.isdisjoint(block.indices))
+    estimate(blocks, cameras, whole, total - len(left))
+    return replace(plan, pooled=cameras), pooled
+
+
 def _capacity(plan: Plan, options: BatchOptions) -> int:
     """Images that fit into the memory of one worker."""
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
@@ -232,13 +304,30 @@ def _capacity(plan: Plan, options: BatchOptions) -> int:
     return max(2, options.worker_bytes // (largest + FEATURE_BYTES))
 
 
-def _summarise(out: Path, plan: Plan, bad: Mapping[str, str], worked: int, seconds: float) -> None:
+def _summarise(
+    out: Path,
+    plan: Plan,
+    bad: Mapping[str, str],
+    cameras: Sequence[PooledCamera],
+    worked: int,
+    seconds: float,
+) -> None:
     """summary.json; its `seconds` and `matched_now` are those of the last run."""
     by_status = Counter(row.status for row in read_rows(rows_path(out, plan)))
     data = {
         "images": len(plan.names),
         "bad_images": dict(sorted(bad.items())),
-        "guessed_focal": len(plan.guessed),
+        "cameras": [
+            {
+                "images": len(pooled.names),
+                "first_image": pooled.names[0],
+                "focal_px": pooled.camera.focal,
+                "focal_std": pooled.camera.focal_std,
+                "focal_source": pooled.camera.focal_source,
+                "pairs": pooled.pairs,
+            }
+            for pooled in cameras
+        ],
         "pairs": len(plan.pairs),
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
         "bad_pairs": by_status[BAD_INPUT],

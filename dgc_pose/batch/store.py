@@ -2,6 +2,8 @@
 
 - `plan.json`: see `plan`.
 - `parts/`: a file for each finished block, which appears whole or not at all.
+- `estimates/`: the same of pairs whose poses are estimated again, with pooled cameras.
+- `cameras.csv`: the pooled cameras, see `pooling`.
 - `pairs.jsonl` or `pairs.parquet`, `matches.h5`, `summary.json`: the result, in the order of the
   pairs whatever the order in which they were done; the parts are removed then.
 """
@@ -13,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from itertools import repeat
+from itertools import islice, repeat
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +46,13 @@ from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import replaced, require_room
 
-SUMMARY, MATCHES, PARTS = "summary.json", "matches.h5", "parts"
+SUMMARY, MATCHES, PARTS, ESTIMATES = "summary.json", "matches.h5", "parts", "estimates"
 _PART = re.compile(r"\d{9,}\.h5")
 _PARTS_HELD = 16  # in memory, while the result is put together
 _SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
-    **dict.fromkeys(("images", "guessed_focal", "pairs", "poses", "matched_now"), int),
+    **dict.fromkeys(("images", "pairs", "poses", "matched_now"), int),
     **dict.fromkeys(("bad_images", "by_status"), dict),
+    "cameras": list,
     "seconds": (int, float),
 }
 
@@ -86,13 +89,15 @@ def read_summary(out: Path) -> Mapping[str, Any]:
 class PartStore:
     """The finished blocks of a batch, and the result of an earlier run of it."""
 
-    def __init__(self, out: Path, plan: Plan, before: Plan | None = None) -> None:
+    def __init__(
+        self, out: Path, plan: Plan, before: Plan | None = None, folder: str = PARTS
+    ) -> None:
         """Reads which pairs are done: in a part, or in the result of the plan `before`, by
         photographs that have not changed since, and without a failure. A part that cannot be read
         is removed."""
         self.out = out
         self.plan = plan
-        self.folder = out / PARTS
+        self.folder = out / folder
         self.bad = dict(plan.bad)  # of all pairs that are done, the reason by image
         self._part_of: dict[int, Path] = {}  # by pair, the last part that has it
         self._in_result: set[int] = set()  # pairs that are done in the result
@@ -121,6 +126,40 @@ class PartStore:
         """The pairs that are not done."""
         done = self._in_result | self._part_of.keys()
         return [i for i in range(len(self.plan.pairs)) if i not in done]
+
+    @property
+    def result_alone(self) -> set[int]:
+        """The pairs that are done in the result, and in no part."""
+        return self._in_result - self._part_of.keys()
+
+    def rows(self) -> Iterator[PairRow]:
+        """The rows in the parts."""
+        for path, pairs in self._pairs_of_parts():
+            part = read_part(path)
+            yield from (part.rows[pair] for pair in pairs)
+
+    def blocks(self) -> Iterator[Matched]:
+        """The pairs in the parts, a block for each part."""
+        for path, pairs in self._pairs_of_parts():
+            part = read_part(path, matches=True)
+            rows = [part.rows[pair] for pair in pairs]
+            yield Matched(tuple(pairs), rows, [part.matches[pair] for pair in pairs], {})
+
+    def result_blocks(self, before: Plan, size: int) -> Iterator[Matched]:
+        """The pairs of `result_alone` in blocks. before: the plan of the result."""
+        alone = self.result_alone
+        with ExitStack() as stack:
+            if alone:
+                result = stack.enter_context(open_matches(self.out / MATCHES))
+            rows = enumerate(read_result(self.out, before)) if alone else iter(())
+            chosen = ((pair, row) for pair, row in rows if pair in alone)
+            while block := list(islice(chosen, size)):
+                matches = [
+                    read_matches(result, group_name(row.name1, row.name2)) for _, row in block
+                ]
+                yield Matched(
+                    tuple(pair for pair, _ in block), [row for _, row in block], matches, {}
+                )
 
     def add(self, done: Matched) -> None:
         """Put a finished block on disk."""
@@ -171,6 +210,13 @@ class PartStore:
         self._part_of.update(dict.fromkeys(pairs, path))
         names = {name for index in pairs for name in self.plan.pair(index)}
         self.bad.update({name: bad[name] for name in names & bad.keys()})
+
+    def _pairs_of_parts(self) -> list[tuple[Path, list[int]]]:
+        """The parts with the pairs that each is the last to have."""
+        pairs: dict[Path, list[int]] = {}
+        for pair, path in sorted(self._part_of.items()):
+            pairs.setdefault(path, []).append(pair)
+        return sorted(pairs.items())
 
     def _parts(self) -> list[Path]:
         """The parts in the folder; files of other names are none of ours."""

@@ -1,20 +1,22 @@
 """What a worker does: it holds a matcher and images, and matches blocks of pairs."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches
+from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, pair_matches
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.pose import match_and_estimate
+from dgc_pose.pose import pose_of_matches
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
@@ -49,6 +51,16 @@ class Match:
 
 
 @dataclass(frozen=True, eq=False)
+class Estimate:
+    """A task: the poses of pairs that are matched, with other cameras than the job's."""
+
+    indices: tuple[int, ...]  # of the pairs in the batch
+    rows: tuple[PairRow, ...]  # as they are; a pair that cannot be estimated again keeps its own
+    matches: tuple[PairMatches, ...]
+    cameras: Mapping[str, Camera]  # of their images, by name
+
+
+@dataclass(frozen=True, eq=False)
 class Described:
     """The coarsest features of images."""
 
@@ -66,7 +78,7 @@ class Matched:
     bad: dict[str, str]  # of images that could not be read: the reason by name
 
 
-Task = Describe | Match
+Task = Describe | Match | Estimate
 Outcome = Described | Matched
 
 
@@ -89,7 +101,9 @@ class Worker:
 
     def do(self, task: Task) -> Outcome:
         """The outcome of a task. A bad image makes its pairs bad, and stops nothing."""
-        return self._describe(task) if isinstance(task, Describe) else self._match(task)
+        if isinstance(task, Describe):
+            return self._describe(task)
+        return self._match(task) if isinstance(task, Match) else self._estimate(task)
 
     def _describe(self, task: Describe) -> Described:
         features: dict[str, np.ndarray] = {}
@@ -114,26 +128,48 @@ class Worker:
         bad.update(reasons)
         if isinstance(image1, str) or isinstance(image2, str):
             return PairRow(*names, BAD_INPUT, False, "; ".join(reasons.values())), NO_MATCHES
-        camera1, camera2 = (self.job.cameras[name] for name in names)
-        try:
-            trace = match_and_estimate(
-                image1, image2, camera1, camera2, self.matcher, self.job.estimation
-            )
-        except DgcPoseError as error:
-            return PairRow(*names, BAD_INPUT, False, str(error)), NO_MATCHES
-        except MemoryError:  # every further pair would meet it too
-            raise
-        except Exception as error:  # one pair of a million must not end the batch
-            reason = f"{type(error).__name__}: {error}"
-            return PairRow(*names, FAILED, False, reason), NO_MATCHES
-        guessed = camera1.guessed_focal or camera2.guessed_focal
-        matches = PairMatches(
-            trace.matches.points1.astype(np.float32),
-            trace.matches.points2.astype(np.float32),
-            trace.matches.confidence.astype(np.float32),
-            trace.pose.inliers,
+
+        def posed() -> tuple[PairRow, PairMatches]:
+            result = self.matcher.match(image1, image2)
+            uncertain = any(self.job.cameras[name].focal_std > 0 for name in names)
+            stored = pair_matches(result, again=uncertain)
+            # As they will be when the pose is estimated again.
+            matches = stored.estimable() if uncertain else (result.matches, result.map_matches)
+            return self._posed(names, stored, matches, self.job.cameras)
+
+        return _attempt(names, posed)
+
+    def _estimate(self, task: Estimate) -> Matched:
+        def again(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
+            if stored.again is None:
+                return row, stored
+            names = (row.name1, row.name2)
+            return self._posed(names, stored, stored.estimable(), task.cameras)
+
+        pairs = list(zip(task.rows, task.matches, strict=True))
+        done = [_attempt((row.name1, row.name2), partial(again, row, m)) for row, m in pairs]
+        rows, matches = zip(*done, strict=True)
+        return Matched(task.indices, list(rows), list(matches), {})
+
+    def _posed(
+        self,
+        names: tuple[str, str],
+        stored: PairMatches,
+        matches: tuple[Matches, Matches | None],
+        cameras: Mapping[str, Camera],
+    ) -> tuple[PairRow, PairMatches]:
+        """The row, and the matches with the inliers of the pose.
+
+        matches: those that the pose is estimated from, and the sample of the map.
+        """
+        pose = pose_of_matches(
+            matches[0],
+            cameras[names[0]],
+            cameras[names[1]],
+            self.job.estimation,
+            map_matches=matches[1],
         )
-        return row_of(names, trace.pose, trace.matches.error_px, guessed), matches
+        return row_of(names, pose, matches[0].error_px), replace(stored, inliers=pose.inliers)
 
     def _image(self, name: str) -> Image | str:
         """An image, or the reason why it cannot be used."""
@@ -159,3 +195,17 @@ class Worker:
 
 def _bytes(name: str, image: Image | str) -> int:
     return 0 if isinstance(image, str) else image.pixels.nbytes + FEATURE_BYTES
+
+
+def _attempt(
+    names: tuple[str, str], work: Callable[[], tuple[PairRow, PairMatches]]
+) -> tuple[PairRow, PairMatches]:
+    """What `work` returns, or the row of a pair whose input is unusable or that failed."""
+    try:
+        return work()
+    except DgcPoseError as error:
+        return PairRow(*names, BAD_INPUT, False, str(error)), NO_MATCHES
+    except MemoryError:  # every further pair would meet it too
+        raise
+    except Exception as error:  # one pair of a million must not end the batch
+        return PairRow(*names, FAILED, False, f"{type(error).__name__}: {error}"), NO_MATCHES

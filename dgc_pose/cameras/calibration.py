@@ -4,7 +4,8 @@
 - `fx,fy,cx,cy`, a COLMAP camera `MODEL,width,height,parameters...`, or a file with a 3x3 matrix;
 - COLMAP's `cameras.txt` or `cameras.bin`, or the folder of a model: with `images.txt` or
   `images.bin` beside it a camera for each image, else a single camera for all;
-- `.csv` with the columns name, fx, fy, cx, cy, and optionally width, height;
+- `.csv` with the columns name, fx, fy, cx, cy, and optionally width, height, focal_std, and camera,
+  equal for images of one camera;
 - NeRF's `transforms.json`: intrinsics for all or for each frame, with OpenCV's distortion;
 - KITTI's `calib.txt`: `P2:` is the camera of images below a folder `image_2` or `image_02`; of
   other images, the first.
@@ -222,7 +223,8 @@ def _csv_cameras(path: Path) -> dict[str, Camera]:
         try:
             size = (int(row["width"]), int(row["height"])) if row.get("width") else None
             K = _matrix(*(float(row[key]) for key in ("fx", "fy", "cx", "cy")))
-            cameras[row["name"]] = Camera(K, size)
+            std, identity = float(row.get("focal_std") or 0), row.get("camera") or None
+            cameras[row["name"]] = Camera(K, size, focal_std=std, identity=identity)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{path}:{number}: expected the columns name,fx,fy,cx,cy[,width,height] "

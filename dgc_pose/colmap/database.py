@@ -21,6 +21,8 @@ from dgc_pose.system.stderr import quiet
 HALF_PIXEL = 0.5
 # Over the focal length: rounding in a calibration, below 0.01 pixels in the image.
 _MOST_SKEW = 1e-5
+# Of the logarithm of a focal length; below, COLMAP is told that it is known.
+_KNOWN_STD = 0.05
 
 
 def write_database(
@@ -109,14 +111,17 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
 def _write_images(
     database: pycolmap.Database, names: Sequence[str], cameras: Mapping[str, Camera]
 ) -> dict[str, int]:
-    """The id of each image. Images of the same K, size and distortion share a camera."""
+    """The id of each image. Images of the same K, size and distortion share a camera, unless each
+    has a focal length of its own that is not known."""
     camera_ids: dict[tuple[object, ...], int] = {}
     ids = {}
     for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
-        camera.has_prior_focal_length = not cameras[name].guessed_focal
+        std, identity = cameras[name].focal_std, cameras[name].identity
+        camera.has_prior_focal_length = std < _KNOWN_STD
+        alone = name if std > 0 and identity is None else None
         size = (camera.width, camera.height)
-        key = (camera.model.name, camera.has_prior_focal_length, *size, *camera.params.tolist())
+        key = (alone, camera.model.name, *size, *camera.params.tolist())
         if key not in camera_ids:
             camera_ids[key] = camera.camera_id = database.write_camera(camera)
             rig = pycolmap.Rig(rig_id=camera_ids[key])

@@ -53,7 +53,7 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: load_image(batch.plan.root / name))
 
-    return track_corners(pairs, batch.plan.cameras, load, options.per_image, progress), pairs
+    return track_corners(pairs, batch.plan.final_cameras, load, options.per_image, progress), pairs
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
@@ -73,7 +73,7 @@ def write_shared(
     """Write the database of shared key points, over what is there."""
     plan = batch.plan
     rows = {pair.names: pair.row for pair in pairs}
-    write_database(database, plan.names, plan.cameras, shared, rows)
+    write_database(database, plan.names, plan.final_cameras, shared, rows)
     return Exported(
         images=sum(len(points) > 0 for points in shared.key_points.values()),
         key_points=sum(map(len, shared.key_points.values())),

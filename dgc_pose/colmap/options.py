@@ -43,7 +43,7 @@ class MappingOptions:
     mapper: MapperName = option("incremental", "Of pycolmap.")
     refine_intrinsics: bool = option(
         False,
-        "Let bundle adjustment change focal lengths and distortion; always with --guess-focal.",
+        "Let bundle adjustment change focal lengths and distortion; always with --K auto.",
     )
     mapper_threads: int = option(
         1,

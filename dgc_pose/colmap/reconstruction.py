@@ -1,7 +1,7 @@
 """From a finished batch to a model, its points and a summary in one folder."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,19 @@ _POINT_BYTES = 15  # of points.ply: three floats and three colours
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 
 
+@dataclass(frozen=True)
+class ModelCamera:
+    """A camera of a model, as COLMAP has it: (0, 0) is the corner of the top-left pixel."""
+
+    model: str  # COLMAP's name
+    width: int
+    height: int
+    params: tuple[float, ...]
+    focal_px: float
+    images: int  # that it took
+    first_image: str
+
+
 @dataclass(frozen=True, eq=False)
 class SparseModel:
     """Cameras and points, in the model's unit and axes. Pixels have (0, 0) at the first pixel's
@@ -32,6 +45,7 @@ class SparseModel:
     colours: np.ndarray  # (N, 3) uint8, RGB
     mean_track_length: float
     reprojection_error_px: float  # mean over the observations
+    cameras: tuple[ModelCamera, ...]
 
     def centre(self, name: str) -> np.ndarray:
         """Position (3,) of a camera."""
@@ -47,17 +61,21 @@ def reconstruct(
 ) -> tuple[SparseModel, Exported]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
 
+    Bundle adjustment refines the cameras of a batch that had no focal length for one of them.
+
     Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
     model's, another process writes into `out`, or no pair has a pose; ImageError if an image cannot
     be read any more; DgcPoseError if what was written is not whole.
     """
     options = options or ReconstructionOptions()
+    refines = options.mapping.refine_intrinsics or batch.plan.uncertain
+    mapping = replace(options.mapping, refine_intrinsics=refines)
     require_model_folder(out / MODEL)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
         shared, pairs = share(batch, options.sharing, progress)
         exported = write_shared(batch, shared, pairs, out / DATABASE)
-        reconstruction = map_database(out / DATABASE, batch.plan.root, options.mapping)
+        reconstruction = map_database(out / DATABASE, batch.plan.root, mapping)
         with replaced_folder(out / MODEL) as folder:
             reconstruction.write_binary(folder)
             _require_model(reconstruction, folder, out / MODEL)
@@ -102,6 +120,28 @@ def sparse_model(reconstruction: pycolmap.Reconstruction) -> SparseModel:
         colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
         mean_track_length=float(reconstruction.compute_mean_track_length()),
         reprojection_error_px=float(reconstruction.compute_mean_reprojection_error()),
+        cameras=_cameras(reconstruction),
+    )
+
+
+def _cameras(reconstruction: pycolmap.Reconstruction) -> tuple[ModelCamera, ...]:
+    """The cameras that took an image of the model."""
+    names: dict[int, list[str]] = {}
+    for image in reconstruction.images.values():
+        if image.has_pose:
+            names.setdefault(image.camera_id, []).append(image.name)
+    return tuple(
+        ModelCamera(
+            camera.model.name,
+            int(camera.width),
+            int(camera.height),
+            tuple(camera.params.tolist()),
+            float(camera.mean_focal_length()),
+            len(names[number]),
+            min(names[number]),
+        )
+        for number, camera in sorted(reconstruction.cameras.items())
+        if number in names
     )
 
 
@@ -123,7 +163,7 @@ def write_summary(
         "matches": exported.matches,
         "tracks_by_length": exported.tracks_by_length,
         "bad_images": batch.summary["bad_images"],
-        "guessed_focal": batch.summary["guessed_focal"],
+        "cameras": [asdict(camera) for camera in model.cameras],
         "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
     }
     write_json(out / SUMMARY, data)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from dgc_pose.batch.pooling import with_focal
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
@@ -67,10 +68,14 @@ def epipolar_error_px(
     row: PairRow, cameras: Mapping[str, Camera], points1: np.ndarray, points2: np.ndarray
 ) -> np.ndarray:
     """Sampson distances (N,) of matches to the pose of a row, pixels of the originals; infinite
-    where distortion cannot be undone, and 0 for a row without a translation."""
+    where distortion cannot be undone, and 0 for a row without a translation. The focal lengths are
+    those of the row, if it has any."""
     if row.R is None or row.t is None:
         return np.zeros(len(points1))
-    camera1, camera2 = cameras[row.name1], cameras[row.name2]
+    camera1, camera2 = (
+        cameras[name] if focal is None else with_focal(cameras[name], focal)
+        for name, focal in ((row.name1, row.focal1), (row.name2, row.focal2))
+    )
     E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
     focal = (camera1.focal + camera2.focal) / 2
     distance = sampson_distance(camera1.normalise(points1), camera2.normalise(points2), E) * focal

@@ -14,7 +14,6 @@ from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.source import open_source
-from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
@@ -67,7 +66,7 @@ def _move(photos: Path) -> Path:
 
 CHANGES = {
     "K": (None, {"K": OTHER_K}, "had of view0.png the K [["),
-    "guessed": (None, {"K": None}, "had of view0.png the K [["),
+    "auto": (None, {"K": "auto"}, "had of view0.png the K [["),
     "folder": (_move, {}, "had the folder "),
     "added": (_add, {}, "lacked added.png"),
     "removed": (_remove, {}, "had view0.png"),
@@ -171,21 +170,6 @@ def test_a_lack_of_memory_ends_the_batch_which_resumes(
         read_batch(out)
     run_sift(photos, out, resume=True)
     assert_same_result(out, whole)
-
-
-def test_warnings_of_images_and_cameras_are_in_the_rows(photos: Path, tmp_path: Path) -> None:
-    """As `estimate` gives them: of a guessed focal length, whatever the names hold."""
-    source = photos.rename(tmp_path / "guess")
-    calibrated = run_sift(source, tmp_path / "calibrated")
-    assert calibrated.plan.guessed == frozenset()
-    assert not any(row.guessed_focal for row in calibrated.rows)
-    batch = run_sift(source, tmp_path / "out", K=None)
-    assert batch.plan.guessed == {f"view{i}.png" for i in range(COUNT)}
-    for row in batch.rows:
-        assert row.guessed_focal
-        for name in (row.name1, row.name2):
-            (warning,) = guess_camera(source / name).warnings
-            assert warning in row.warnings
 
 
 def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(tmp_path: Path)
     for k, names in enumerate(PAIRS):
         paths = (tmp_path / name for name in names)
         alone = trace_relative_pose(*paths, Camera(K, SIZE), matcher=matcher, options=ESTIMATION)
-        assert matched.rows[k] == row_of(names, alone.pose, alone.matches.error_px, False)
+        assert matched.rows[k] == row_of(names, alone.pose, alone.matches.error_px)
         for stored in (matched.matches[k], again.matches[k]):
             expected = alone.matches.points1.astype(np.float32)
             np.testing.assert_array_equal(stored.points1, expected)

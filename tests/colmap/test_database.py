@@ -27,7 +27,7 @@ def _write(path: Path) -> tuple[np.ndarray, np.ndarray]:
     shared = SharedMatches(dict(zip(NAMES, points, strict=True)), {NAMES: INDEX})
     row = true_row(NAMES, R, t)
     cameras = {name: camera() for name in NAMES}
-    cameras["c.png"] = replace(camera(), guessed_focal=True)
+    cameras["c.png"] = replace(camera(), focal_std=0.4)
     names = ("a.png", "b.png", "c.png", "bad.png")
     write_database(path, names, cameras, shared, {NAMES: row})
     return R, t

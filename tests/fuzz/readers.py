@@ -260,7 +260,7 @@ def make_batch(folder: Path) -> None:
     store = _store(folder)
     store.assemble()
     store.close()
-    summary = {"images": 3, "bad_images": store.bad, "guessed_focal": 1, "pairs": 2, "poses": 1}
+    summary = {"images": 3, "bad_images": store.bad, "cameras": [], "pairs": 2, "poses": 1}
     summary |= {"by_status": {"ok": 1, "bad_input": 1}, "matched_now": 2, "seconds": 0.5}
     (folder / "summary.json").write_text(json.dumps(summary))
 
@@ -274,7 +274,7 @@ def _store(folder: Path) -> PartStore:
     names = ("a.png", "b.png", "c.png")
     K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
     cameras = {
-        "a.png": Camera(K, (10, 8), guessed_focal=True),
+        "a.png": Camera(K, (10, 8), focal_std=0.4, focal_source="size"),
         "b.png": Camera(K, (10, 8), Distortion("OPENCV", (0.1, 0.0, 0.0, 0.0))),
     }
     states = {name: (100, 10**18) for name in names}

@@ -1,0 +1,170 @@
+"""Batches of cameras whose focal length is not known: pooled, estimated again, and resumed."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+from multi_view import K, K_text
+
+from dgc_pose.batch import work
+from dgc_pose.batch.pooling import with_focal
+from dgc_pose.batch.run import read_batch
+from dgc_pose.cameras.calibration import read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
+
+COUNT = 4
+PAIRS = COUNT * (COUNT - 1) // 2
+FOCAL = float(K[0, 0] + K[1, 1]) / 2
+LAST = f"view{COUNT - 1}.png"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fit() -> Iterator[None]:
+    """A fit of the focal length: near the true one, by a share that depends on the matches."""
+    estimate = work.pose_of_matches
+
+    def fitted(matches: Any, camera1: Camera, camera2: Camera, *args: Any, **kw: Any) -> Any:
+        pose: RelativePose = estimate(matches, camera1, camera2, *args, **kw)
+        if camera1.focal_std == 0 or pose.camera1 is None:
+            return pose
+        prior = camera1.focal_std**-2
+        share = 1e4 / (1e4 + prior)  # of the matches, whose deviation is 0.01
+        noise = 0.01 * np.sin(matches.points1.sum())
+        cameras = [
+            replace(
+                with_focal(camera, camera.focal * (FOCAL * np.exp(noise) / camera.focal) ** share),
+                focal_std=(1e4 + prior) ** -0.5,
+            )
+            for camera in (camera1, camera2)
+        ]
+        return replace(pose, camera1=cameras[0], camera2=cameras[1])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work, "pose_of_matches", fitted)
+        yield
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("views")
+    view_folder(folder, COUNT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(views: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An uninterrupted batch."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    run_sift(views, out, K="auto")
+    return out
+
+
+def _assert_same(out: Path, whole: Path) -> None:
+    assert_same_result(out, whole)
+    assert (out / "cameras.csv").read_text() == (whole / "cameras.csv").read_text()
+    assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
+
+
+def test_a_folder_has_one_camera(whole: Path) -> None:
+    batch = read_batch(whole)
+    (camera,) = batch.summary["cameras"]
+    assert (camera["images"], camera["pairs"]) == (COUNT, PAIRS)
+    assert camera["focal_px"] == pytest.approx(FOCAL, rel=0.01)
+    assert 0.004 < camera["focal_std"] < 0.012 and camera["focal_source"] == "matches"
+    for name, final in batch.plan.final_cameras.items():
+        assert final.focal == camera["focal_px"] and final.focal_std == camera["focal_std"]
+        assert batch.plan.cameras[name].focal == pytest.approx(1.1 * 240)
+    for row in batch.rows:
+        assert row.focal1 == row.focal2 == pytest.approx(FOCAL, rel=0.02)
+        assert row.focal_std1 is not None and row.focal_std1 < camera["focal_std"]
+    assert {path.name for path in whole.iterdir()} >= {"cameras.csv", "summary.json"}
+
+
+def test_each_image_has_a_camera(views: Path, tmp_path: Path) -> None:
+    cameras = run_sift(views, tmp_path / "out", K="auto:two").summary["cameras"]
+    assert [camera["first_image"] for camera in cameras] == [f"view{i}.png" for i in range(COUNT)]
+    assert all(camera["pairs"] == COUNT - 1 for camera in cameras)
+
+
+def test_the_cameras_serve_as_K(views: Path, whole: Path, tmp_path: Path) -> None:
+    cameras = read_batch(whole).plan.final_cameras
+    again = read_calibration(str(whole / "cameras.csv"))
+    for name, camera in cameras.items():
+        np.testing.assert_array_equal(again.by_name[name].K, camera.K)
+        assert again.by_name[name].focal_std == camera.focal_std
+    batch = run_sift(views, tmp_path / "out", K=str(whole / "cameras.csv"))
+    assert batch.summary["cameras"][0]["focal_px"] == pytest.approx(FOCAL, rel=0.01)
+
+
+def test_known_cameras_are_not_pooled(views: Path, tmp_path: Path) -> None:
+    batch = run_sift(views, tmp_path / "out", K=K_text())
+    assert batch.summary["cameras"] == [] and not batch.plan.uncertain
+    assert not (tmp_path / "out" / "cameras.csv").exists()
+    assert {(row.focal1, row.focal_std1) for row in batch.rows} == {(FOCAL, 0.0)}
+
+
+def test_killed_and_resumed_gives_the_same(views: Path, whole: Path, tmp_path: Path) -> None:
+    """While the pairs are matched, between, and while they are estimated again."""
+    out = tmp_path / "out"
+    for after in (2, PAIRS - 2, 2):
+        with pytest.raises(Killed):
+            run_sift(views, out, K="auto", start_workers=killed_after(after), resume=out.exists())
+        with pytest.raises(InputError, match="not finished"):
+            read_batch(out)
+    parts = sorted((out / "estimates").iterdir())
+    assert parts
+    parts[0].write_bytes(parts[0].read_bytes()[:100])
+    run_sift(views, out, K="auto", resume=True)
+    _assert_same(out, whole)
+    again = run_sift(views, out, K="auto", resume=True, start_workers=killed_after(0))
+    assert again.plan.pooled is not None
+
+
+@pytest.mark.parametrize("kill", [None, 1, PAIRS])
+def test_a_photograph_that_changes_changes_the_camera(
+    views: Path, whole: Path, tmp_path: Path, kill: int | None
+) -> None:
+    """Its pairs are matched again, and the focal lengths of all pairs are pooled again; also if
+    the batch was not finished, and if the run that does it is killed."""
+    photos, out = tmp_path / "photos", tmp_path / "out"
+    shutil.copytree(views, photos)
+    content = (photos / LAST).read_bytes()
+    shutil.copy(photos / "view0.png", photos / LAST)
+    if kill is None:
+        with pytest.raises(Killed):
+            run_sift(photos, out, K="auto", start_workers=killed_after(PAIRS + 2))
+    else:
+        run_sift(photos, out, K="auto")
+    (photos / LAST).write_bytes(content)
+    os.utime(photos / LAST, (10**9, 10**9))
+    if kill is not None:
+        with pytest.raises(Killed):
+            run_sift(photos, out, K="auto", resume=True, start_workers=killed_after(kill))
+    batch = run_sift(photos, out, K="auto", resume=True)
+    assert batch.summary["matched_now"] <= COUNT - 1
+    _assert_same(out, whole)
+
+
+def test_what_no_pair_tells(tmp_path: Path, views: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The camera stays as its images say."""
+    posed = work.pose_of_matches
+
+    def unfitted(matches: Any, camera1: Camera, camera2: Camera, *args: Any, **kw: Any) -> Any:
+        pose = posed(matches, camera1, camera2, *args, **kw)
+        return replace(pose, camera1=camera1, camera2=camera2)
+
+    monkeypatch.setattr(work, "pose_of_matches", unfitted)
+    batch = run_sift(views, tmp_path / "out", K="auto")
+    (camera,) = batch.summary["cameras"]
+    assert (camera["focal_px"], camera["focal_std"]) == (pytest.approx(264), 0.4)
+    assert (camera["focal_source"], camera["pairs"]) == ("size", 0)
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["cameras"] == [camera]

@@ -1,0 +1,116 @@
+"""Focal lengths of many pairs as one number: against Gaussian arithmetic, and drawn errors."""
+
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dgc_pose.batch.pooling import Told, pool, pooled_focal, write_cameras
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.cameras.calibration import read_calibration
+from dgc_pose.cameras.camera import Camera
+
+PRIOR = 0.4
+SIZE = (100, 80)
+K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
+
+
+def test_without_a_pair_the_prior_stays() -> None:
+    assert pooled_focal([], PRIOR, 3) == (0.0, PRIOR)
+
+
+def test_one_pair_says_what_it_says() -> None:
+    """Its prior is taken out and put in again."""
+    value, std = pooled_focal([Told(0.1, 0.01)], PRIOR, 2)
+    assert value == pytest.approx(0.1, abs=1e-6) and std == pytest.approx(0.01, rel=1e-3)
+
+
+def test_the_prior_enters_once() -> None:
+    """Four pairs of a precision of 25, of which 6.25 is the prior's: 4 * 18.75 + 6.25 together."""
+    value, std = pooled_focal([Told(0.1, 0.2)] * 4, PRIOR, 8)
+    assert value == pytest.approx(4 * 0.1 * 25 / 81.25, rel=1e-3)
+    assert std == pytest.approx(81.25**-0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("outlier", [0.5, -1.2])
+def test_outliers_do_not_move_it(outlier: float) -> None:
+    right = [Told(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
+    wrong = [Told(outlier, 0.005), Told(outlier, 0.005), Told(outlier - 0.2, 0.001, weight=0.01)]
+    value, std = pooled_focal(right + wrong, PRIOR, 24)
+    assert abs(value - 0.1) < 0.004 and std < 0.02
+
+
+def test_errors_of_an_image_are_shared_by_its_pairs() -> None:
+    """Ten pairs of five images count as two and a half."""
+    told = [Told(0.0, 0.01)] * 10
+    assert pooled_focal(told, PRIOR, 20)[1] == pytest.approx(0.01 / 10**0.5, rel=1e-3)
+    assert pooled_focal(told, PRIOR, 5)[1] == pytest.approx(0.01 / 2.5**0.5, rel=1e-3)
+    assert pooled_focal(told, PRIOR, 1)[1] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_scatter_widens() -> None:
+    """Eight fits two deviations away: each of the weight w = 1 / (1 + 4 / 2.385^2), and 4 times
+    the variance that they state."""
+    told = [Told(0.02 * sign, 0.01) for sign in (-1, 1) * 4]
+    value, std = pooled_focal(told, PRIOR, 16)
+    weight = 1 / (1 + 4 / 2.385**2)
+    assert abs(value) < 1e-4
+    assert std == pytest.approx(0.02 / (8 * weight) ** 0.5, rel=0.01)
+
+
+def test_the_deviation_holds_where_images_err() -> None:
+    """Errors of a pair: those of its two images, added."""
+    rng = np.random.default_rng(0)
+    count, ratios = 8, []
+    for _ in range(200):
+        of_image = rng.normal(0, 0.01 / 2**0.5, count)
+        told = [Told(float(of_image[i] + of_image[j]), 0.01) for i, j in combinations(range(8), 2)]
+        value, std = pooled_focal(told, PRIOR, count)
+        ratios.append(value / std)
+    assert 0.85 < np.std(ratios) < 1.2
+
+
+def _camera(identity: str | None) -> Camera:
+    return Camera(K, SIZE, focal_std=PRIOR, focal_source="size", identity=identity)
+
+
+def _row(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> PairRow:
+    focals = {"focal1": focal1, "focal2": focal2, "focal_std1": std, "focal_std2": std}
+    return PairRow(name1, name2, "ok", True, "a pose", probability=1.0, **focals)
+
+
+def test_each_camera_has_its_pairs() -> None:
+    """One of two images, one of an image alone, one that no pair tells, and one that is exact."""
+    cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
+    cameras["e"] = replace(_camera("y"), focal_std=0.0, focal_source="given")
+    rows = [
+        _row("a", "b", 121, 121),
+        _row("a", "c", 121, 99),
+        _row("c", "b", 99, 121),
+        _row("a", "d", 121, 300, std=0.39),
+        replace(_row("a", "c", 500, 500), success=False),
+        PairRow("a", "e", "bad_input", False, "too small"),
+    ]
+    pooled, listed = pool(cameras, rows)
+    assert [one.names for one in listed] == [("a", "b"), ("c",), ("d",)]
+    assert [one.pairs for one in listed] == [3, 2, 0]
+    assert pooled["a"].focal == pooled["b"].focal == pytest.approx(121, rel=1e-3)
+    assert pooled["c"].focal == pytest.approx(99, rel=1e-3)
+    assert pooled["a"].focal_std < 0.011 and pooled["a"].focal_source == "matches"
+    assert (pooled["d"].focal, pooled["d"].focal_std) == (110, PRIOR)
+    assert pooled["d"].focal_source == "size"
+    assert pooled["e"] is cameras["e"]
+    np.testing.assert_array_equal(pooled["a"].K[:2, 2], K[:2, 2])
+
+
+def test_the_cameras_are_read_back(tmp_path: Path) -> None:
+    cameras = {'a "1", 2.png': _camera("x"), "b/c.png": replace(_camera(None), focal_std=1 / 3)}
+    write_cameras(tmp_path, cameras)
+    again = read_calibration(str(tmp_path / "cameras.csv")).by_name
+    assert list(again) == list(cameras)
+    for name, camera in cameras.items():
+        np.testing.assert_array_equal(again[name].K, camera.K)
+        assert again[name].size == SIZE and again[name].identity == camera.identity
+        assert again[name].focal_std == camera.focal_std
