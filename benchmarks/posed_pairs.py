@@ -12,8 +12,9 @@ import numpy as np
 
 from dgc_pose.benchmarks.lenses import Lens
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
-from dgc_pose.cameras.camera import Camera, check_size, guess_camera
+from dgc_pose.cameras.camera import Camera, check_size
 from dgc_pose.cameras.pair_list import Pair
+from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
@@ -182,9 +183,14 @@ def rendered_pair(
 
 
 def unrelated_pair(path1: Path, path2: Path) -> PosedPair:
-    """Photographs of different places, with guessed cameras. Raises ImageError."""
-    truth = Truth({}, guess_camera(path1), guess_camera(path2), None, None)
-    return PosedPair(truth, load_image(path1), load_image(path2))
+    """Photographs of different places, with cameras that count as known: those that the images
+    suggest (see `auto_camera`). Raises ImageError."""
+    image1, image2 = load_image(path1), load_image(path2)
+    camera1, camera2 = (
+        replace(camera, focal_std=0.0, centre_std=0.0, focal_source="given", warnings=())
+        for camera in (auto_camera(image1), auto_camera(image2))
+    )
+    return PosedPair(Truth({}, camera1, camera2, None, None), image1, image2)
 
 
 def require_images(pairs: Sequence[Pair]) -> None:

@@ -67,7 +67,8 @@ class VerdictPairs(PairSet[VerdictScore]):
 
 
 def unrelated_photos(photos: Path, count: int, seed: int) -> Group:
-    """Pairs of different photographs, of those that training holds back, with guessed cameras.
+    """Pairs of different photographs, of those that training holds back, with the cameras that they
+    suggest.
 
     Raises InputError if there are not two.
     """
