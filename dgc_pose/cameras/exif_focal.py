@@ -54,11 +54,6 @@ class _Whole:
     std: float = 0.0  # of the logarithm of the scale
 
 
-def film_focal_mm(focal: float, size: tuple[int, int]) -> float:
-    """The focal length on 35 mm film with the same diagonal field of view, millimetres."""
-    return focal * _FILM_DIAGONAL_MM / math.hypot(*size)
-
-
 def exif_focal(exif: Exif, size: tuple[int, int]) -> ExifFocal:
     """The focal length of an image of `size` (width, height) by its EXIF data.
 

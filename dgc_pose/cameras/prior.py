@@ -10,19 +10,13 @@ from typing import Literal, Protocol
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera, FocalSource
-from dgc_pose.cameras.exif_focal import exif_focal, film_focal_mm
+from dgc_pose.cameras.exif_focal import exif_focal
 from dgc_pose.images.exif import read_exif
 
 Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
 SIZE_STD = 0.4  # deviation of their logarithm
 CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
-_SOURCES = {
-    "given": "given",
-    "exif": "from the EXIF data",
-    "size": "from nothing but the image's size",
-    "matches": "from the matches",
-}
 
 
 class Photograph(Protocol):
@@ -109,17 +103,3 @@ def with_orientation(camera: Camera, image: Photograph) -> Camera:
         f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
     )
     return replace(camera, warnings=(*camera.warnings, warning))
-
-
-def focal_text(camera: Camera) -> str:
-    """Where the focal length of a camera comes from, and how far it is to be believed.
-
-    >>> focal_text(auto_camera(Header("JPEG", (4000, 3000))))
-    "f 4400 px +- 40 %, 38 mm on 35 mm film, from nothing but the image's size"
-    """
-    text = f"f {camera.focal:.0f} px"
-    if camera.focal_std:
-        text += f" +- {100 * camera.focal_std:.2g} %"
-    if camera.size is not None:
-        text += f", {film_focal_mm(camera.focal, camera.size):.0f} mm on 35 mm film"
-    return f"{text}, {_SOURCES[camera.focal_source]}"

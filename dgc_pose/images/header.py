@@ -86,7 +86,8 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
         if name == "TIFF":
             tags = _tiff_tags(data)
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
-            exif = _tiff_exif(data, tags, complete) if EXIF_DIRECTORY in tags else b""
+            says = any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL))
+            exif = _tiff_exif(data, tags, complete) if says else b""
             return Header(name, size, _known(tags.get(_ORIENTATION, 1)), exif)
         return _pillow_header(data, name, complete)
 
@@ -125,12 +126,11 @@ def _tiff_exif(data: bytes, tags: Any, complete: bool) -> bytes:
     if not complete:
         raise ValueError("the EXIF data may lie behind the start")
     try:
-        of_camera = _tiff_tags(data, tags[EXIF_DIRECTORY])
         exif = PIL.Image.Exif()
         exif.update({tag: tags[tag] for tag in (MAKE, MODEL) if tag in tags})
-        exif.get_ifd(EXIF_DIRECTORY).update(
-            {tag: of_camera[tag] for tag in CAMERA_TAGS if tag in of_camera}
-        )
+        if EXIF_DIRECTORY in tags:
+            more = _tiff_tags(data, tags[EXIF_DIRECTORY])
+            exif.get_ifd(EXIF_DIRECTORY).update({t: more[t] for t in CAMERA_TAGS if t in more})
         return bytes(exif.tobytes())
     except Exception:  # the pixels may be intact
         return b""

@@ -22,7 +22,7 @@ from exif_blocks import (
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import auto_camera, auto_cameras, focal_text, with_orientation
+from dgc_pose.cameras.prior import auto_camera, auto_cameras, with_orientation
 from dgc_pose.cameras.sensors import sensor_width_mm
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import load_image
@@ -289,19 +289,6 @@ def test_a_shared_camera_has_the_exif_data_of_either_image(turned: bool) -> None
         assert camera2.K[0, 2] == (images[1].size[0] - 1) / 2
     camera1, camera2 = auto_cameras(photo(TAGS), photo(size=(800, 600)), "shared")
     assert (camera1.focal_source, camera2.focal_source) == ("exif", "size")
-
-
-# --- words ----------------------------------------------------------------------------------------
-
-
-def test_where_a_focal_length_comes_from_in_words() -> None:
-    assert focal_text(auto_camera(photo())) == (
-        "f 4400 px +- 40 %, 38 mm on 35 mm film, from nothing but the image's size"
-    )
-    assert focal_text(auto_camera(photo({FILM: 26}))) == (
-        "f 3004 px +- 6.1 %, 26 mm on 35 mm film, from the EXIF data"
-    )
-    assert focal_text(Camera(np.diag([500.0, 500, 1]))) == "f 500 px, given"
 
 
 def test_an_orientation_is_told_of_a_K_alone() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import torch
+from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.plan import Plan, write_plan
@@ -31,12 +32,13 @@ from dgc_pose.benchmarks.samples import draw_sample, read_sample, write_sample
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
-from dgc_pose.cameras.camera import Camera, guess_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
+from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
-from dgc_pose.images.image import Image, image_size, load_image, read_pixels
+from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.config import preset
@@ -67,8 +69,10 @@ def _make_images(folder: Path) -> None:
         pillow_heif.from_pillow(picture).save(folder / "plain.heic")
     exif = picture.getexif()
     exif[0x0112], exif[0x010F], exif[0x0110] = 6, "Canon", "EOS"
-    exif.get_ifd(0x8769).update({0x920A: 35.0, 0xA405: 35})
+    exif.get_ifd(0x8769).update({0x920A: IFDRational(35, 1), 0xA405: 35, 0xA002: 80, 0xA003: 60})
     picture.save(folder / "turned.jpeg", exif=exif)
+    exif[0x0112] = 1
+    picture.save(folder / "camera.tiff", exif=exif.tobytes())
     picture.convert("P").save(folder / "palette.png")
     picture.save(folder / "packed.tiff", compression="tiff_lzw")
     deep = _pixels().astype(np.uint16) * 200
@@ -348,7 +352,7 @@ def _read_request(folder: Path, path: Path) -> None:
 
 READERS: dict[str, tuple[Make, Read]] = {
     "images": (_make_images, _read_image),
-    "guessed cameras": (_make_images, lambda _, path: guess_camera(path)),
+    "cameras of images": (_make_images, lambda _, path: auto_camera(image_header(path))),
     "cameras": (_make_cameras, _read_camera),
     "calibrations": (_make_calibrations, _read_calibration),
     "databases": (_make_database, lambda _, path: read_database(path)),

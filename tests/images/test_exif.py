@@ -65,6 +65,11 @@ def test_every_format_gives_its_block_from_the_header_and_the_file(
     assert read_exif(image_header(path).exif) == read_exif(load_image(path).exif) == KNOWN
 
 
+def test_a_tiff_without_a_directory_of_exif_may_name_its_camera(tmp_path: Path) -> None:
+    PIL.Image.new("L", (8, 8)).save(tmp_path / "a.tiff", tiffinfo={271: "Canon", 272: "EOS"})
+    assert read_exif(load_image(tmp_path / "a.tiff").exif) == Exif(make="Canon", model="EOS")
+
+
 def test_nothing_is_said_without_a_block(tmp_path: Path) -> None:
     PIL.Image.new("L", (8, 8)).save(tmp_path / "a.tiff")
     assert read_exif(load_image(tmp_path / "a.tiff").exif) == read_exif(b"") == Exif()
