@@ -10,7 +10,8 @@ import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.cameras.calibration import pair_cameras
-from dgc_pose.cameras.camera import Camera, checked_camera
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.images.image import Image

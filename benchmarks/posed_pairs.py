@@ -12,7 +12,8 @@ import numpy as np
 
 from dgc_pose.benchmarks.lenses import Lens
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
-from dgc_pose.cameras.camera import Camera, check_size
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import check_size
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError

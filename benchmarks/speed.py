@@ -20,7 +20,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.cameras.calibration import parse_camera
-from dgc_pose.cameras.camera import Camera, check_size
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import check_size
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose

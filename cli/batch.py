@@ -12,6 +12,7 @@ import click
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import KChoice
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -26,7 +27,7 @@ _SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
 
 
 @dataclass(frozen=True)
-class SourceChoice:
+class SourceChoice(KChoice):
     """The images, their pairs and cameras."""
 
     root: Path | None = option(
@@ -37,14 +38,6 @@ class SourceChoice:
         "How pairs are chosen: exhaustive; sequential:W, images at most W apart in the order of "
         "their names; auto:K, the K most similar images of each image.",
         metavar="exhaustive|sequential:W|auto:K",
-    )
-    k: str | None = option(
-        None,
-        "Cameras: one K for all images, as for estimate; or COLMAP's cameras.txt or .bin, a .csv "
-        "(name,fx,fy,cx,cy), NeRF's transforms.json, KITTI's calib.txt; or auto: not known. "
-        "auto:shared says that one camera took all images, auto:two that each has its own.",
-        flag="--K",
-        metavar="K|FILE|auto",
     )
 
 
@@ -80,7 +73,7 @@ def work_through(
     with progress_bars() as progress:
         return run_batch(
             images,
-            read_calibration(inputs.k),
+            read_calibration(inputs.k, details=inputs.details),
             choice,
             out,
             matcher=matcher,

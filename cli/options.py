@@ -1,9 +1,10 @@
 """Options that several commands share: dataclasses that `dataclass_options` makes options of."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.calibration import KDetails, pair_cameras
 from dgc_pose.cameras.camera import Camera, guess_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
@@ -15,20 +16,68 @@ def split_names(text: str) -> list[str]:
     return [name for name in (part.strip() for part in text.split(",")) if name]
 
 
+def parse_size(text: str) -> tuple[int, int]:
+    """A text WxH. Raises InputError for another one."""
+    match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", text.strip())
+    if match is None or not (int(match[1]) and int(match[2])):
+        raise InputError(f"--K-size must be WxH in pixels, such as 1600x1200, not {text!r}")
+    return int(match[1]), int(match[2])
+
+
+def parse_deviations(text: str) -> tuple[float, float]:
+    """A text F[,C]; C is 0 without one. Raises InputError for another one."""
+    numbers = re.split(r"\s*,\s*", text.strip())
+    try:
+        values = [float(number) for number in numbers]
+    except ValueError:
+        values = []
+    if not (len(values) in (1, 2) and 0 <= min(values) and values[0] <= 1 and values[-1] < 1e6):
+        raise InputError(
+            f"--K-std must be F or F,C, the relative deviation of the focal length, at most 1, and "
+            f"the pixels of the principal point, not {text!r}"
+        )
+    return values[0], values[1] if len(values) == 2 else 0.0
+
+
 @dataclass(frozen=True)
-class CameraChoice:
-    """What the user said about the cameras. --K1 and --K2 override --K."""
+class KChoice:
+    """What the user said of K, for all images."""
 
     k: str | None = option(
         None,
-        "Camera of both images: fx,fy,cx,cy, a COLMAP camera MODEL,w,h,params, a file (a 3x3 text "
-        "or .npy, COLMAP's, .csv, transforms.json, KITTI's), or auto: it is not known. auto:shared "
-        "says that one camera took both images, auto:two that two did.",
+        "Camera of all images: fx,fy,cx,cy; a COLMAP camera MODEL,w,h,params; a file of COLMAP, "
+        "OpenCV, ROS, Kalibr, KITTI or NeRF, a .csv, JSON, or a 3x3 matrix; or auto: not known. "
+        "auto:shared says that one camera took all images, auto:two that each has its own.",
         flag="--K",
         metavar="K|FILE|auto",
     )
-    k1: str | None = option(None, "Camera of image 1 alone.", flag="--K1", metavar="K")
-    k2: str | None = option(None, "Camera of image 2 alone.", flag="--K2", metavar="K")
+    k_size: tuple[int, int] | None = option(
+        None,
+        "Size of the images that K is for: K is scaled from it to each image.",
+        flag="--K-size",
+        metavar="WxH",
+        parse=parse_size,
+    )
+    k_std: tuple[float, float] | None = option(
+        None,
+        "Standard deviation of K: relative of the focal length, and pixels of the principal point.",
+        flag="--K-std",
+        metavar="F[,C]",
+        parse=parse_deviations,
+    )
+
+    @property
+    def details(self) -> KDetails:
+        """What is said of K besides its numbers."""
+        return KDetails(self.k_size, *(self.k_std or ()))
+
+
+@dataclass(frozen=True)
+class CameraChoice(KChoice):
+    """What the user said about the cameras of two images. --K1 and --K2 override --K."""
+
+    k1: str | None = option(None, "Camera of image 1 alone.", flag="--K1", metavar="K|FILE|auto")
+    k2: str | None = option(None, "Camera of image 2 alone.", flag="--K2", metavar="K|FILE|auto")
     guess_focal: bool = option(
         False,
         "Without a K, take the focal length from EXIF or guess it. Poses get much worse.",
@@ -47,4 +96,4 @@ class CameraChoice:
         if text1 is None or text2 is None:
             number = 1 if text1 is None else 2
             raise InputError(f"image {number} has no K: give --K or --K{number}, or --K auto")
-        return pair_cameras(text1, text2, image1, image2, (name1, name2))
+        return pair_cameras(text1, text2, image1, image2, (name1, name2), self.details)

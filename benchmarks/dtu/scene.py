@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
-from dgc_pose.cameras.camera import Camera, check_size
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import check_size
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import image_size
 

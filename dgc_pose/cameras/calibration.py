@@ -1,48 +1,34 @@
 """The one door for K: what a user says of the cameras, as a text, a file or a value.
 
 - `auto`, `auto:shared` or `auto:two`: no K, see `prior.py`;
-- `fx,fy,cx,cy`, a COLMAP camera `MODEL,width,height,parameters...`, or a file with a 3x3 matrix;
-- COLMAP's `cameras.txt` or `cameras.bin`, or the folder of a model: with `images.txt` or
-  `images.bin` beside it a camera for each image, else a single camera for all;
-- `.csv` with the columns name, fx, fy, cx, cy, and optionally width, height, focal_std, and camera,
-  equal for images of one camera;
-- NeRF's `transforms.json`: intrinsics for all or for each frame, with OpenCV's distortion;
-- KITTI's `calib.txt`: `P2:` is the camera of images below a folder `image_2` or `image_02`; of
-  other images, the first.
+- `fx,fy,cx,cy` or nine numbers, split by commas or blanks, (0, 0) the centre of the top-left pixel;
+- a COLMAP camera `MODEL,width,height,parameters...`, (0.5, 0.5) there;
+- a file of one of the formats of `formats/recognise.py`, or the folder of a COLMAP model;
+- `FILE:PART`, a camera of a rig, such as `camchain.yaml:cam1`.
 """
 
-import csv
-import math
 import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from functools import cached_property
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Protocol, get_args
 
 import numpy as np
 
-from dgc_pose.cameras.camera import (
-    Camera,
-    FocalSource,
-    checked_camera,
-    guess_camera,
-    matrix_camera,
-)
-from dgc_pose.cameras.camera_text import parse_numbers, read_matrix
+from dgc_pose.cameras.camera import Camera, FocalSource, guess_camera, matrix_camera
+from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.colmap_files import find_file, read_model_cameras
+from dgc_pose.cameras.formats import colmap, plain
+from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
-from dgc_pose.errors import InputError, reason, shortened
-from dgc_pose.files.inputs import read_as, read_text
-from dgc_pose.files.json_files import read_json
-
-_OPENCV = ("k1", "k2", "p1", "p2")  # of transforms.json, in COLMAP's order
-_KITTI_LINE = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")
-_KITTI_FOLDER = re.compile(r"image_0*(\d+)")
-
+from dgc_pose.errors import InputError, shortened
 
 _AUTO: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
+_PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
+_PATH = re.compile(r".*([/\\]|\.[A-Za-z]\w*$)")  # what has a folder or an ending
+_MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 
 
 class NamedPhotograph(Photograph, Protocol):
@@ -54,26 +40,38 @@ class NamedPhotograph(Photograph, Protocol):
 
 
 @dataclass(frozen=True)
+class KDetails:
+    """What is said of a K that is given besides its numbers."""
+
+    size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
+    focal_std: float = 0.0  # relative, of the focal lengths
+    centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
+
+
+@dataclass(frozen=True)
 class Calibration:
     """The cameras of images."""
 
     where: str  # of errors: the option or file that the cameras come from
     by_name: Mapping[str, Camera] = field(default_factory=dict)
-    by_folder: Mapping[int, Camera] = field(default_factory=dict)  # KITTI's, by number
+    parts: Mapping[str, Camera] = field(default_factory=dict)  # of a rig or a pair, by name
     common: Camera | None = None  # of all other images
     # The images have no K. Of "shared" one camera took all; of "two" each has a camera of its own.
     auto: Sharing | None = None
+    details: KDetails = KDetails()
     # Whether an image without a camera gets one guessed from EXIF data or its size.
     guess: bool = False
 
-    def camera(self, root: Path, name: str, image: Photograph) -> Camera:
+    def camera(self, root: Path, name: str, image: Photograph, part: str | None = None) -> Camera:
         """The camera of an image or its header, checked against its size.
+
+        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
 
         Raises InputError if there is none, or if it is for another size.
         """
-        camera = self.named(name) or self._of_folder(root, name) or self.common
+        camera = self.named(str(root / name)) or self._of_part(root / name, part) or self.common
         if camera is not None:
-            return checked_camera(camera, image.size, f"{self.where}: {name}: K")
+            return self._checked(camera, image.size, f"{self.where}: {name}: K")
         if self.auto is not None:
             camera = auto_camera(image)
             if self.auto == "files":
@@ -81,6 +79,11 @@ class Calibration:
             return replace(camera, identity="shared" if self.auto == "shared" else None)
         if self.guess:
             return guess_camera(root / name)
+        if self.parts:
+            *_, last = self.parts
+            raise InputError(
+                f"{self.where} has {' and '.join(self.parts)}: say which, as {self.where}:{last}"
+            )
         if self.by_name:
             raise InputError(f"{self.where} has no camera for {name}")
         raise InputError(f"no camera for {name}: give --K, or --K auto")
@@ -90,30 +93,94 @@ class Calibration:
         return self.common is None and self.auto is None and self.named(name) is None
 
     def named(self, name: str) -> Camera | None:
-        """The camera that the file has for an image; transforms.json may leave out the ending."""
-        return self.by_name.get(name) or self.by_name.get(str(PurePosixPath(name).with_suffix("")))
+        """The camera that the file has for an image: of all of its file name, that with the most
+        folders in common. A name in the file may lack its ending.
 
-    def _of_folder(self, root: Path, name: str) -> Camera | None:
-        for part in reversed((root.resolve() / name).parts):
-            if match := _KITTI_FOLDER.fullmatch(part):
-                return self.by_folder.get(int(match[1]))
-        return None
+        Raises InputError if that leaves several cameras.
+        """
+        path = PurePath(name)
+        alike = {**self._by_file_name.get(path.stem, {}), **self._by_file_name.get(path.name, {})}
+        if not alike:
+            return None
+        parts = (*path.parts[:-1], path.stem)
+        shared = {other: _common_tail(_parts(other), parts) for other in alike}
+        most = max(shared.values())
+        nearest = {id(alike[other]): other for other, count in shared.items() if count == most}
+        if len(nearest) > 1:
+            first, second, *_ = nearest.values()
+            raise InputError(f"{self.where} has {first} and {second}, and {name} may be either")
+        return alike[next(iter(nearest.values()))]
+
+    @cached_property
+    def _by_file_name(self) -> dict[str, dict[str, Camera]]:
+        names: dict[str, dict[str, Camera]] = {}
+        for name, camera in self.by_name.items():
+            names.setdefault(PurePosixPath(name).name, {})[name] = camera
+        return names
+
+    def _of_part(self, path: Path, part: str | None) -> Camera | None:
+        if not self.parts:
+            return None
+        if part is not None and part in self.parts:
+            return self.parts[part]
+        for folder in reversed(path.absolute().parts):
+            if match := _PART_FOLDER.fullmatch(folder):
+                return self.parts.get(f"{match[1]}{int(match[2])}")
+        if self.common is None or len({_numbers(camera) for camera in self.parts.values()}) == 1:
+            return self.common
+        first, *_, last = self.parts
+        warning = (
+            f"{self.where} has {len(self.parts)} cameras, and {path} lies in no folder of their "
+            f"names ({first} to {last}): {first} is taken; {self.where}:{last} is another"
+        )
+        return replace(self.common, warnings=(*self.common.warnings, warning))
+
+    def _checked(self, camera: Camera, size: tuple[int, int], name: str) -> Camera:
+        return checked_camera(with_details(camera, self.details, size, name), size, name)
 
 
-def camera_for(value: Camera | Any | None, image: NamedPhotograph, name: str) -> Camera:
+def with_details(camera: Camera, details: KDetails, size: tuple[int, int], name: str) -> Camera:
+    """A camera with deviations, and scaled from the size of `details` to that of the image.
+
+    Raises InputError if K states another size, or if the image is a crop.
+    """
+    of_K = details.size
+    if of_K is not None:
+        if camera.size is not None and camera.size != of_K:
+            raise InputError(f"{name} states {_times(camera.size)}, and --K-size {_times(of_K)}")
+        if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
+            raise InputError(
+                f"{name} is for {_times(of_K)} pixels and the image has {_times(size)}, of another "
+                "aspect ratio: it is no resized image, and K cannot be scaled to it"
+            )
+        camera = checked_camera(replace(camera, size=of_K), of_K, name).resized(size)
+    return replace(
+        camera,
+        focal_std=details.focal_std or camera.focal_std,
+        centre_std=details.centre_std or camera.centre_std,
+    )
+
+
+def camera_for(
+    value: Camera | Any | None,
+    image: NamedPhotograph,
+    name: str,
+    details: KDetails = KDetails(),
+    part: str | None = None,
+) -> Camera:
     """The camera of an image, from a Camera, an array (3, 3), or a text or path as of --K.
 
-    None is "auto". A value without an identity gets that of its argument. Raises InputError, naming
-    the argument `name`, if K is unusable or does not fit the image.
+    None is "auto". A value without an identity gets that of its argument. part: "K1" or "K2", of a
+    file with both. Raises InputError, naming the argument `name`, if K is unusable or does not fit
+    the image.
     """
     value = "auto" if value is None else value
     if isinstance(value, (str, Path)):
-        camera = read_calibration(str(value), name).camera(Path(), image.name, image)
-    else:
-        camera = value if isinstance(value, Camera) else matrix_camera(value, name)
-        camera = replace(camera, identity=camera.identity or name)
-        camera = checked_camera(camera, image.size, name)
-    return camera
+        calibration = read_calibration(str(value), name, details)
+        return calibration.camera(Path(), image.name, image, part)
+    camera = value if isinstance(value, Camera) else matrix_camera(value, name)
+    camera = replace(camera, identity=camera.identity or name)
+    return checked_camera(with_details(camera, details, image.size, name), image.size, name)
 
 
 def pair_cameras(
@@ -122,6 +189,7 @@ def pair_cameras(
     image1: NamedPhotograph,
     image2: NamedPhotograph,
     names: tuple[str, str] = ("K1", "K2"),
+    details: KDetails = KDetails(),
 ) -> tuple[Camera, Camera]:
     """The cameras of two images by `camera_for`; without K for both, by `auto_cameras`.
 
@@ -135,45 +203,84 @@ def pair_cameras(
     if sharing1 is not None and sharing2 is not None:
         if sharing1 != sharing2:
             raise InputError(f"{names[0]} is {K1}, and {names[1]} is {K2}")
+        _require_K(details, names[0])
         return auto_cameras(image1, image2, sharing1)
-    return camera_for(K1, image1, names[0]), camera_for(K2, image2, names[1])
+    details1, details2 = (
+        KDetails() if sharing is not None else details for sharing in (sharing1, sharing2)
+    )
+    return (
+        camera_for(K1, image1, names[0], details1, "K1"),
+        camera_for(K2, image2, names[1], details2, "K2"),
+    )
 
 
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
-    """A camera from a text, as on the command line.
+    """A camera from a text, as on the command line: any of this module's forms of a single camera.
 
-    The text is 'fx,fy,cx,cy' in pixels, (0, 0) the centre of the top-left pixel; or the path of a
-    text or .npy file with a 3x3 matrix; or a COLMAP camera 'MODEL,width,height,parameters...' with
-    COLMAP's principal point, half a pixel more than ours. files: whether the text may be a path;
-    False for a stranger's text. Raises InputError of one line, naming `name`.
+    files: whether the text may be a path; False for a stranger's text. Raises InputError of one
+    line, naming `name`.
     """
     if not files:
-        return parse_numbers(text, name)
+        return _parse_text(text, name)
     calibration = read_calibration(text, name)
     if calibration.common is None:
-        raise InputError(f"{name}: {text} has no camera for all images")
+        raise InputError(f"{name}: {text} is no camera for all images")
     return calibration.common
 
 
-def read_calibration(text: str | None, name: str = "--K", *, guess: bool = False) -> Calibration:
+def read_calibration(
+    text: str | None, name: str = "--K", details: KDetails = KDetails(), *, guess: bool = False
+) -> Calibration:
     """The calibration of the option --K: a text or the path of a file, see this module.
 
     None: no camera for any image. Raises InputError, with the option `name` or the path, if the
     text is none of these or the file is malformed.
     """
     if text is None:
+        _require_K(details, name)
         return Calibration(name, guess=guess)
     if (sharing := _sharing(text, name)) is not None:
+        _require_K(details, name)
         return Calibration(name, auto=sharing)
-    if not os.path.lexists(text):
-        return Calibration(name, common=replace(parse_numbers(text, name), identity=name))
-    path = Path(text)
+    head, _, part = text.rpartition(":")
+    if os.path.lexists(text):
+        head, part = text, ""
+    elif not (head and os.path.lexists(head)):
+        if _PATH.fullmatch(text) and not colmap.is_line(text) and plain.numbers_of(text) is None:
+            raise InputError(f"{name}: {shortened(text)} does not exist")
+        camera = replace(_parse_text(text, name), identity=name)
+        return Calibration(name, common=camera, details=details)
     try:
-        return _read_file(path, name) or Calibration(
-            name, common=replace(read_matrix(path, name), identity=name)
-        )
+        cameras = read_file(Path(head), name)
+    except InputError as error:
+        raise error if str(error).startswith(name) else InputError(f"{name}: {error}") from error
     except OSError as error:
-        raise InputError(f"{name}: {error.filename or path}: {error.strerror or error}") from error
+        raise InputError(f"{name}: {error.filename or head}: {error.strerror or error}") from error
+    common = cameras.common
+    if part:
+        common = cameras.parts.get(part)
+        if common is None:
+            parts = ", ".join(cameras.parts) or "a single camera"
+            raise InputError(f"{name}: {head} has {parts}, and no {shortened(part)}")
+        return Calibration(text, common=common, details=details)
+    if common is not None and common.identity is None:
+        common = replace(common, identity=head)
+    return Calibration(head, cameras.by_name, cameras.parts, common, details=details)
+
+
+def _parse_text(text: str, name: str) -> Camera:
+    """The camera of numbers or of a line of COLMAP's. Raises InputError, naming `name`."""
+    if (numbers := plain.numbers_of(text)) is not None and len(numbers) in (4, 9):
+        return plain.numbers_camera(numbers, name)
+    if not colmap.is_line(text):
+        raise InputError(
+            f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
+            "nor a file"
+        )
+    try:
+        return colmap.parse_line(text)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
 
 
 def _sharing(text: str, name: str) -> Sharing | None:
@@ -183,117 +290,30 @@ def _sharing(text: str, name: str) -> Sharing | None:
     return _AUTO.get(text)
 
 
-def _read_file(path: Path, name: str) -> Calibration | None:
-    """The cameras of a file or a folder; None for any other file, such as one of a matrix."""
-    if path.is_dir():
-        model = find_file(path, "cameras.bin") or find_file(path, "cameras.txt")
-        if model is None:
-            raise InputError(f"{name}: {path} holds no cameras.txt and no cameras.bin")
-        return _colmap(model)
-    if path.name.lower() in ("cameras.txt", "cameras.bin"):
-        return _colmap(path)
-    if path.suffix.lower() == ".csv":
-        return Calibration(str(path), _csv_cameras(path))
-    if path.suffix.lower() == ".json":
-        return _transforms(path)
-    if by_folder := _kitti_cameras(path):
-        return Calibration(str(path), by_folder=by_folder, common=next(iter(by_folder.values())))
-    return None
+def _require_K(details: KDetails, name: str) -> None:
+    """Raise InputError if something is said of a K that is not given."""
+    for option, value in (("size", details.size), ("std", details.focal_std or details.centre_std)):
+        if value:
+            raise InputError(f"--K-{option} is of a K, and {name} gives none")
 
 
-def _colmap(path: Path) -> Calibration:
-    cameras, by_image = read_model_cameras(path)
-    if by_image:
-        by_name = {name: cameras[key] for name, key in by_image.items() if key in cameras}
-        return Calibration(str(path), by_name)
-    if len(cameras) != 1:
-        raise InputError(
-            f"{path}: {len(cameras)} cameras, and no images.txt or images.bin beside it to say "
-            "which is whose"
-        )
-    return Calibration(str(path), common=next(iter(cameras.values())))
+def _parts(name: str) -> tuple[str, ...]:
+    path = PurePosixPath(name)
+    return *path.parts[:-1], path.stem
 
 
-def _csv_cameras(path: Path) -> dict[str, Camera]:
-    lines = read_text(path, "a table of cameras").splitlines()
-    with read_as("a table of cameras", path):
-        rows = list(csv.DictReader(lines))
-    cameras = {}
-    for number, row in enumerate(rows, start=2):
-        try:
-            size = (int(row["width"]), int(row["height"])) if row.get("width") else None
-            K = _matrix(*(float(row[key]) for key in ("fx", "fy", "cx", "cy")))
-            std, identity = float(row.get("focal_std") or 0), row.get("camera") or None
-            cameras[row["name"]] = Camera(K, size, focal_std=std, identity=identity)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(
-                f"{path}:{number}: expected the columns name,fx,fy,cx,cy[,width,height] "
-                f"({reason(error)})"
-            ) from None
-    if not cameras:
-        raise InputError(f"{path}: no cameras in this table")
-    return cameras
+def _common_tail(first: tuple[str, ...], second: tuple[str, ...]) -> int:
+    """How many of the last parts of two paths are the same."""
+    same = [a == b for a, b in zip(reversed(first), reversed(second), strict=False)]
+    return [*same, False].index(False)
 
 
-def _transforms(path: Path) -> Calibration:
-    data = read_json(path, "a transforms.json")
-    try:
-        common = _nerf_camera(data)
-        by_name = {}
-        for frame in data["frames"]:
-            if (camera := _nerf_camera({**data, **frame})) is not None:
-                by_name.update(dict.fromkeys(_nerf_names(frame["file_path"]), camera))
-    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: not a transforms.json ({reason(error)})") from None
-    if common is None and not by_name:
-        raise InputError(f"{path}: no focal length in this transforms.json")
-    return Calibration(str(path), by_name, common=common)
+def _numbers(camera: Camera) -> tuple[object, ...]:
+    return *camera.K.ravel().tolist(), camera.distortion
 
 
-def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
-    """Intrinsics of a file or frame; the principal point has (0, 0) at the pixel's corner."""
-    width, height = data.get("w"), data.get("h")
-    size = None if width is None or height is None else (int(width), int(height))
-    fx = data.get("fl_x")
-    if fx is None and size is not None and "camera_angle_x" in data:
-        fx = size[0] / 2 / math.tan(float(data["camera_angle_x"]) / 2)
-    if fx is None:
-        return None
-    if size is None and not ("cx" in data and "cy" in data):
-        raise ValueError("neither cx and cy nor w and h")
-    middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
-    cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
-    lens = tuple(float(data.get(key, 0)) for key in _OPENCV)
-    distortion = Distortion("OPENCV", lens) if any(lens) else None
-    return Camera(_matrix(float(fx), float(data.get("fl_y", fx)), cx, cy), size, distortion)
-
-
-def _nerf_names(file_path: str) -> set[str]:
-    """The names that an image of transforms.json may have in a folder: relative to the file, or
-    without its folder."""
-    path = PurePosixPath(file_path)
-    return {path.as_posix(), path.name, PurePosixPath(*path.parts[1:]).as_posix()}
-
-
-def _kitti_cameras(path: Path) -> dict[int, Camera]:
-    """The cameras of a KITTI file by number; none if it is another file."""
-    try:
-        lines = read_text(path).splitlines()
-    except (InputError, OSError):
-        return {}
-    cameras = {}
-    for number, line in enumerate(lines, start=1):
-        if match := _KITTI_LINE.fullmatch(line.strip()):
-            try:
-                P = np.array(match[2].split(), dtype=np.float64).reshape(3, 4)
-                cameras[int(match[1])] = Camera(P[:, :3])
-            except ValueError as error:
-                raise InputError(f"{path}:{number}: not a 3x4 projection ({error})") from None
-    return cameras
-
-
-def _matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+def _times(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.pixels import rescale
 
 FocalSource = Literal["given", "exif", "size", "matches"]
-_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,39 +89,6 @@ def matrix_camera(K: Any, name: str = "K") -> Camera:
     return Camera(_checked_matrix(K, name))
 
 
-def check_size(camera: Camera, size: tuple[int, int], name: str) -> tuple[str, ...]:
-    """Check that a camera belongs to an image of `size` (width, height).
-
-    Raises InputError, naming the argument `name`, if the camera's size differs, or if its principal
-    point lies outside the image. Returns a warning if the principal point lies so far from the
-    middle that K may belong to an image of another size.
-    """
-    width, height = size
-    if camera.size is not None and tuple(camera.size) != (width, height):
-        raise InputError(
-            f"{name} is for an image of {camera.size[0]} x {camera.size[1]} pixels, "
-            f"the image has {width} x {height}"
-        )
-    x, y = float(camera.K[0, 2]), float(camera.K[1, 2])
-    where = f"{name} has its principal point at ({x:g}, {y:g})"
-    if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
-        raise InputError(
-            f"{where}, outside the image of {width} x {height}: it is for another image size"
-        )
-    offset = max(abs((x + 0.5) / width - 0.5), abs((y + 0.5) / height - 0.5))
-    if offset > _USUAL_OFFSET:
-        return (
-            f"{where}, far from the middle of the image of {width} x {height}: "
-            f"is it for another image size?",
-        )
-    return ()
-
-
-def checked_camera(camera: Camera, size: tuple[int, int], name: str) -> Camera:
-    """The camera with the warnings of `check_size`, which raises InputError."""
-    return replace(camera, warnings=camera.warnings + check_size(camera, size, name))
-
-
 def guess_camera(path: str | Path) -> Camera:
     """A camera guessed from an image file, with a warning that poses will be inaccurate.
 
@@ -145,6 +111,8 @@ def _checked_matrix(value: Any, name: str) -> np.ndarray:
         raise InputError(f"{name} must have shape (3, 3), not {K.shape}")
     if not np.isfinite(K).all():
         raise InputError(f"{name} has values that are not finite")
+    if np.abs(K[2] - (0, 0, 1)).max() > 1e-9 >= np.abs(K[:, 2] - (0, 0, 1)).max():
+        raise InputError(f"{name} is transposed: its last column, not its last row, is 0 0 1")
     if np.abs(K[2] - (0, 0, 1)).max() > 1e-9:
         raise InputError(f"{name} must have the last row 0 0 1, not {_listed(K[2])}")
     if not (K[0, 0] > 0 and K[1, 1] > 0):

@@ -21,6 +21,19 @@ if TYPE_CHECKING:
 
 # Of a point that is undistorted and distorted again, in focal lengths: 0.01 px at a focal of 1000.
 _MAX_ROUND_TRIP_ERROR = 1e-5
+# Over the focal length: rounding in a calibration, below 0.01 pixels in the image.
+_MOST_SKEW, _MOST_FOCAL_DIFFERENCE = 1e-5, 1e-6
+# The models without a lens, by their ids.
+_PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", "cy"]}
+# A model of one focal length as one of two, and the number of its coefficients.
+_TWO_FOCALS = {
+    "SIMPLE_RADIAL": ("OPENCV", 4),
+    "RADIAL": ("OPENCV", 4),
+    "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", 4),
+    "RADIAL_FISHEYE": ("OPENCV_FISHEYE", 4),
+    "SIMPLE_DIVISION": ("DIVISION", 1),
+    "SIMPLE_FISHEYE": ("FISHEYE", 0),
+}
 _READ = ("JPEG", "PNG", "TIFF", "BMP", "PPM")  # formats that pycolmap reads
 _EXIF = b"Exif\0\0"  # the start of an EXIF block in JPEG
 
@@ -78,17 +91,48 @@ def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distort
     The principal point is half a pixel less than in the list. Raises InputError if COLMAP has no
     such model, or if it takes another number of parameters.
     """
-    camera = _model(model)
-    if len(parameters) != len(camera.params):
+    layout = _PINHOLES.get(model) or _model(model).params_info.split(", ")
+    if len(parameters) != len(layout):
         raise InputError(
-            f"{model} takes {len(camera.params)} parameters ({camera.params_info}), "
-            f"not {len(parameters)}"
+            f"{model} takes {len(layout)} parameters ({', '.join(layout)}), not {len(parameters)}"
         )
-    camera.params = parameters
-    distortion = None
-    if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        distortion = Distortion(model, tuple(camera.params[camera.extra_params_idxs()].tolist()))
-    return pixel_matrix(camera), distortion
+    focals = 2 if layout[0] == "fx" else 1  # the principal point and the coefficients follow
+    cx, cy, *coefficients = parameters[focals:]
+    K = np.array([[parameters[0], 0, cx - 0.5], [0, parameters[focals - 1], cy - 0.5], [0, 0, 1]])
+    return K, None if model in _PINHOLES else Distortion(model, tuple(coefficients))
+
+
+def parameters(K: np.ndarray, distortion: Distortion | None) -> tuple[str, list[float]]:
+    """COLMAP's model and parameters of a camera, the inverse of `intrinsics`.
+
+    PINHOLE without a distortion. A model of one focal length becomes the same with two where K has
+    two. Raises InputError for a K with skew, which COLMAP has not.
+    """
+    fx, fy, skew = float(K[0, 0]), float(K[1, 1]), float(K[0, 1])
+    if abs(skew) > _MOST_SKEW * fx:
+        raise InputError(f"K has a skew of {skew:g}, which COLMAP cannot hold")
+    model = "PINHOLE" if distortion is None else distortion.model
+    coefficients = () if distortion is None else distortion.coefficients
+    focals = [fx, fy]
+    if distortion is not None and len(_model(model).focal_length_idxs()) == 1:
+        if abs(fx - fy) > _MOST_FOCAL_DIFFERENCE * fx:
+            model, count = _TWO_FOCALS[model]
+            coefficients = (*coefficients, *[0.0] * (count - len(coefficients)))
+        else:
+            focals = [fx]
+    return model, [*focals, float(K[0, 2]) + 0.5, float(K[1, 2]) + 0.5, *coefficients]
+
+
+def model_of_id(model_id: int) -> tuple[str, int]:
+    """The name and the number of parameters of a model of COLMAP's files. Raises InputError."""
+    for number, (name, layout) in enumerate(_PINHOLES.items()):
+        if number == model_id:
+            return name, len(layout)
+    from dgc_pose.system.colmap_library import pycolmap
+
+    names = {int(value): name for name, value in pycolmap.CameraModelId.__members__.items()}
+    name = names.get(model_id, f"model {model_id}")
+    return name, len(_model(name).params)
 
 
 def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:

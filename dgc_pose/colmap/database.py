@@ -9,6 +9,7 @@ import numpy as np
 
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.estimation.status import CONFIGURATIONS
@@ -19,8 +20,6 @@ from dgc_pose.system.stderr import quiet
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
-# Over the focal length: rounding in a calibration, below 0.01 pixels in the image.
-_MOST_SKEW = 1e-5
 # Of the logarithm of a focal length; below, COLMAP is told that it is known.
 _KNOWN_STD = 0.05
 
@@ -85,26 +84,15 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
     """A camera with its size as COLMAP's: PINHOLE, or the model of its distortion.
 
-    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew, or two
-    focal lengths in a model of one.
+    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
     """
     assert camera.size is not None
-    K = camera.K
-    if abs(K[0, 1]) > _MOST_SKEW * K[0, 0]:
-        raise InputError(f"{name}: its K has a skew of {K[0, 1]:g}, which COLMAP cannot hold")
-    lens = camera.distortion
-    converted = pycolmap.Camera.create_from_model_name(
-        0, "PINHOLE" if lens is None else lens.model, 1.0, *camera.size
-    )
-    parameters = np.zeros(len(converted.params))
-    focal = list(converted.focal_length_idxs())
-    if len(focal) == 1 and abs(K[0, 0] - K[1, 1]) > 1e-6 * K[0, 0]:
-        raise InputError(f"{name}: {converted.model.name} has one focal length, and its K has two")
-    parameters[focal] = (K[0, 0], K[1, 1])[: len(focal)]
-    parameters[list(converted.principal_point_idxs())] = K[:2, 2] + HALF_PIXEL
-    if lens is not None:
-        parameters[list(converted.extra_params_idxs())] = lens.coefficients
-    converted.params = parameters.tolist()
+    try:
+        model, parameters = colmap_parameters(camera.K, camera.distortion)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)
+    converted.params = parameters
     return converted
 
 

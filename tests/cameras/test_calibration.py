@@ -121,10 +121,10 @@ def test_kitti(tmp_path: Path) -> None:
         ("c.csv", "name,fx\na,1\n", ":2: expected the columns"),
         ("c.csv", "name,fx,fy,cx,cy\na,1,-1,1,1\n", ":2: expected the columns"),
         ("c.csv", "name,fx,fy,cx,cy\n", "no cameras"),
-        ("t.json", "{", "not a transforms.json"),
-        ("t.json", '{"frames": [{"file_path": "a.png"}]}', "no focal length"),
+        ("t.json", "{", "t.json is not JSON that can be read"),
+        ("t.json", '{"frames": [{"file_path": "a.png"}]}', "no fl_x, and no camera_angle_x with w"),
         ("calib.txt", "P0: 1 2 3\n", ":1: not a 3x4 projection"),
-        ("k.txt", "1 2 3\n", "must have shape"),
+        ("k.txt", "1 2 3\n", "k.txt: K has 3 numbers"),
     ],
 )
 def test_a_broken_file_is_named(tmp_path: Path, name: str, text: str, reason: str) -> None:

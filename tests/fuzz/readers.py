@@ -117,6 +117,16 @@ def _make_calibrations(folder: Path) -> None:
     frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
     nerf = {"fl_x": 9.0, "fl_y": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(nerf))
+    storage = cv2.FileStorage(str(folder / "opencv.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", dense_scene.K)
+    storage.write("distortion_coefficients", np.array([0.1, 0.01, 0.0, 0.0]))
+    storage.release()
+    (folder / "ros.yaml").write_text(
+        "image_width: 10\nimage_height: 8\ndistortion_model: plumb_bob\n"
+        "camera_matrix: {data: [9, 0, 5, 0, 9, 4, 0, 0, 1]}\n"
+    )
+    (folder / "kalibr.yaml").write_text("cam0: {intrinsics: [9, 9, 5, 4], resolution: [10, 8]}\n")
+    (folder / "pose.json").write_text(json.dumps({"K1": [9, 9, 5, 4], "K2": [9, 9, 5, 4]}))
     (folder / "calib.txt").write_text("P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n")
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 9.0, 10, 8)

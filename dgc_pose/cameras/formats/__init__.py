@@ -1,0 +1,1 @@
+"""What cameras are read from: a module for each format."""

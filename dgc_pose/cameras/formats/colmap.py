@@ -1,0 +1,165 @@
+"""COLMAP's cameras: a line of cameras.txt, the files, and the folder of a model.
+
+The principal point has (0.5, 0.5) at the centre of the top-left pixel, half a pixel more than ours.
+A pinhole is read and written without pycolmap.
+"""
+
+import re
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+from dgc_pose.cameras import colmap_camera
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats.file_cameras import FileCameras
+from dgc_pose.errors import InputError, shortened
+from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, read_text
+
+_LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
+# Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
+_COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
+_POINT_BYTES = 24
+
+
+def is_line(text: str) -> bool:
+    """Whether a text begins as a line of cameras.txt does, with or without the id."""
+    return _LINE.match(text) is not None
+
+
+def parse_line(text: str) -> Camera:
+    """The camera of `[id] MODEL width height parameters...`, split by blanks or commas.
+
+    Raises InputError.
+    """
+    words = re.split(r"[\s,]+", text.strip())
+    return _parse_words(words[1:] if words[0].isdecimal() else words, text)
+
+
+def write_line(camera: Camera) -> str:
+    """The camera as `MODEL,width,height,parameters...`, which `parse_line` reads.
+
+    Raises InputError for a camera without a size, and as `colmap_camera.parameters` does.
+    """
+    if camera.size is None:
+        raise InputError("a camera without a size is no line of COLMAP's")
+    model, parameters = colmap_camera.parameters(camera.K, camera.distortion)
+    return ",".join([model, *map(str, camera.size), *map(repr, parameters)])
+
+
+def read_model(folder: Path, name: str) -> FileCameras:
+    """The cameras of the folder of a model. Raises InputError, also with the option `name`."""
+    path = find_file(folder, "cameras.bin") or find_file(folder, "cameras.txt")
+    if path is None:
+        raise InputError(f"{name}: {folder} holds no cameras.txt and no cameras.bin")
+    return read_cameras(path)
+
+
+def read_cameras(path: Path) -> FileCameras:
+    """The cameras of a cameras.txt or cameras.bin, of the images in the images.txt or images.bin
+    beside it, or else a single one for all.
+
+    Raises InputError, with the path, if a file cannot be read.
+    """
+    ending = path.suffix.lower()
+    cameras = _text_cameras(path) if ending == ".txt" else _binary_cameras(path)
+    if not cameras:
+        raise InputError(f"{path}: no cameras in this file")
+    cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
+    images = find_file(path.parent, f"images{ending}")
+    if images is not None:
+        data = read_bytes(images)
+        with read_as("COLMAP's images", images):
+            ids = _text_images(data) if ending == ".txt" else _binary_images(data)
+        by_name = {name: cameras[key] for name, key in ids.items() if key in cameras}
+        if by_name:
+            return FileCameras(by_name)
+    if len(cameras) != 1:
+        raise InputError(
+            f"{path}: {len(cameras)} cameras, and no images.txt or images.bin beside it to say "
+            "which is whose"
+        )
+    return FileCameras(common=next(iter(cameras.values())))
+
+
+def find_file(folder: Path, name: str) -> Path | None:
+    """The file of a folder that has a name in small letters, or the same in capitals."""
+    alike = sorted(path for path in folder.iterdir() if path.name.lower() == name)
+    return next((path for path in reversed(alike) if path.is_file()), None)
+
+
+def _parse_words(words: list[str], text: str) -> Camera:
+    try:
+        width, height = int(words[1]), int(words[2])
+        parameters = [float(word) for word in words[3:]]
+    except (ValueError, IndexError):
+        raise InputError(
+            f"expected MODEL,width,height,parameters, not {shortened(text.strip())!r}"
+        ) from None
+    K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
+    return Camera(K, (width, height), distortion)
+
+
+def _text_cameras(path: Path) -> dict[int, Camera]:
+    cameras: dict[int, Camera] = {}
+    for number, line in enumerate(read_text(path, "a cameras.txt").splitlines(), start=1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            if not words[0].isdecimal():
+                raise InputError(f"expected the id of a camera, not {shortened(words[0])!r}")
+            cameras[int(words[0])] = _parse_words(words[1:], line)
+        except InputError as error:
+            raise InputError(f"{path}:{number}: not COLMAP's cameras ({error})") from None
+    return cameras
+
+
+def _binary_cameras(path: Path) -> dict[int, Camera]:
+    data = read_bytes(path, TEXT_BYTES)
+    cameras: dict[int, Camera] = {}
+    try:
+        (count,) = _COUNT.unpack_from(data)
+        start = _COUNT.size
+        for _ in range(count):
+            key, model_id, width, height = _CAMERA.unpack_from(data, start)
+            model, parameter_count = colmap_camera.model_of_id(model_id)
+            numbers = struct.unpack_from(f"<{parameter_count}d", data, start + _CAMERA.size)
+            K, distortion = colmap_camera.intrinsics(model, list(numbers))
+            cameras[key] = Camera(K, (width, height), distortion)
+            start += _CAMERA.size + 8 * parameter_count
+    except (struct.error, InputError) as error:
+        raise InputError(f"{path}: not COLMAP's cameras ({error})") from None
+    return cameras
+
+
+# pycolmap's reader of an images.bin that is cut within a name never ends.
+
+
+def _binary_images(data: bytes) -> dict[str, int]:
+    """The camera id by image name, from an images.bin."""
+    camera_ids: dict[str, int] = {}
+    (count,) = _COUNT.unpack_from(data)
+    start = _COUNT.size
+    for _ in range(count):
+        camera_id = _IMAGE.unpack_from(data, start)[-1]
+        name_end = data.index(b"\0", start + _IMAGE.size)
+        camera_ids[data[start + _IMAGE.size : name_end].decode()] = camera_id
+        (points,) = _COUNT.unpack_from(data, name_end + 1)
+        start = name_end + 1 + _COUNT.size + _POINT_BYTES * points
+    if start > len(data):
+        raise ValueError("points are missing")
+    return camera_ids
+
+
+def _text_images(data: bytes) -> dict[str, int]:
+    """The same from an images.txt: two lines an image, the second of its points."""
+    camera_ids: dict[str, int] = {}
+    lines = iter(data.decode().splitlines())
+    for line in lines:
+        words = line.split(maxsplit=9)
+        if words and not words[0].startswith("#"):
+            if len(words) < 10:
+                raise ValueError("an image without a name")
+            camera_ids[words[9].strip()] = int(words[8])
+            next(lines, None)
+    return camera_ids

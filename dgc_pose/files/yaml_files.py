@@ -1,0 +1,23 @@
+"""YAML, by PyYAML."""
+
+from pathlib import Path
+from typing import Any
+
+from dgc_pose.files.inputs import read_as
+
+_MAX_TEXT = 2**20  # characters: a calibration has a few thousand
+
+
+def yaml_data(text: str, path: Path) -> Any:
+    """The first document of a YAML text, also with OpenCV's first line %YAML:1.0.
+
+    Raises InputError, with the path, for no YAML, and for a text of over a million characters.
+    """
+    import yaml
+
+    with read_as("YAML", path):
+        if len(text) > _MAX_TEXT:
+            raise ValueError(f"{len(text)} characters, at most {_MAX_TEXT} are read")
+        if text.startswith("%YAML:"):
+            text = text.partition("\n")[2]
+        return next(yaml.load_all(text, Loader=yaml.SafeLoader), None)

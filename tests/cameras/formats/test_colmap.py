@@ -1,0 +1,141 @@
+"""COLMAP's lines and files, against those that pycolmap writes and reads."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from dgc_pose.cameras.calibration import parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.formats.colmap import write_line
+from dgc_pose.errors import InputError
+from dgc_pose.images.header import Header
+
+SIZE = (640, 480)
+MODELS = [
+    name
+    for name in pycolmap.CameraModelId.__members__
+    if name not in ("INVALID", "EQUIRECTANGULAR")
+]
+
+
+def _theirs(model: str, seed: int = 0) -> pycolmap.Camera:
+    """A camera of a model with arbitrary small coefficients."""
+    rng = np.random.default_rng(seed)
+    camera = pycolmap.Camera.create_from_model_name(1, model, 500.0, *SIZE)
+    parameters = np.array(camera.params)
+    parameters[camera.principal_point_idxs()] = (321.5, 238.25)
+    parameters[camera.extra_params_idxs()] = rng.uniform(
+        0.01, 0.03, len(camera.extra_params_idxs())
+    )
+    if len(camera.focal_length_idxs()) == 2:
+        parameters[camera.focal_length_idxs()] = (500, 510)
+    if model == "EUCM":
+        parameters[-2:] = (0.6, 1.1)
+    camera.params = parameters.tolist()
+    return camera
+
+
+def _line(camera: pycolmap.Camera) -> str:
+    return ",".join([camera.model.name, *map(str, SIZE), *map(repr, camera.params.tolist())])
+
+
+def _assert_same(camera: Camera, theirs: pycolmap.Camera) -> None:
+    """Pixels to rays as pycolmap's, whose pixels are half a pixel more."""
+    rng = np.random.default_rng(1)
+    pixels = rng.uniform((150, 100), (500, 400), (20, 2))
+    expected = theirs.cam_from_img(pixels + 0.5)
+    np.testing.assert_allclose(camera.normalise(pixels), expected, atol=1e-9)
+    assert camera.size == SIZE
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("form", ["line", "line with id", "file", "cameras.txt", "cameras.bin"])
+def test_every_model_from_every_form(tmp_path: Path, model: str, form: str) -> None:
+    theirs = _theirs(model)
+    source = _line(theirs)
+    if form == "line with id":
+        source = "3 " + source.replace(",", " ")
+    elif form == "file":
+        (tmp_path / "K").write_text(f"# a camera\n{source}\n")
+        source = str(tmp_path / "K")
+    elif form.startswith("cameras"):
+        reconstruction = pycolmap.Reconstruction()
+        reconstruction.add_camera_with_trivial_rig(theirs)
+        write = reconstruction.write_text if form.endswith("txt") else reconstruction.write_binary
+        write(tmp_path)
+        for path in tmp_path.glob("images.*"):
+            path.unlink()
+        source = str(tmp_path / form)
+    _assert_same(parse_camera(source), theirs)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("resized", [False, True])
+def test_a_camera_written_as_a_line_is_read_back(model: str, resized: bool) -> None:
+    """Resized to another aspect ratio, K has two focal lengths, also of a model that has one."""
+    camera = parse_camera(
+        ",".join([model, *map(str, SIZE), *map(repr, _theirs(model).params.tolist())])
+    )
+    if resized:
+        camera = camera.resized((320, 480))
+    again = parse_camera(write_line(camera))
+    np.testing.assert_array_equal(again.K, camera.K)
+    assert again.size == camera.size
+    pixels = np.random.default_rng(1).uniform((75, 100), (250, 400), (20, 2))
+    np.testing.assert_allclose(again.normalise(pixels), camera.normalise(pixels), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        (Camera(np.array([[500.0, 3, 320], [0, 500, 240], [0, 0, 1]]), SIZE), "skew of 3"),
+        (Camera(np.diag([500.0, 500, 1])), "without a size"),
+    ],
+)
+def test_a_camera_that_is_no_line(camera: Camera, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        write_line(camera)
+
+
+def test_a_pinhole_needs_no_pycolmap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reconstruction = pycolmap.Reconstruction()
+    reconstruction.add_camera_with_trivial_rig(_theirs("PINHOLE"))
+    reconstruction.write_binary(tmp_path)
+    (tmp_path / "images.bin").unlink()
+    for name in [name for name in sys.modules if name.startswith("pycolmap")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "dgc_pose.system.colmap_library", raising=False)
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    camera = parse_camera(str(tmp_path))
+    assert parse_camera(write_line(camera)).K.tolist() == camera.K.tolist()
+    assert parse_camera("SIMPLE_PINHOLE 640 480 500 320.5 240.5").K[0].tolist() == [500, 0, 320]
+    with pytest.raises(ModuleNotFoundError):
+        Distortion("SIMPLE_RADIAL", (0.1,))
+
+
+@pytest.mark.parametrize(
+    ("image", "number"),
+    [("d/1.jpg", 1), ("/home/x/photos/d/1.jpg", 1), ("d/2.jpg", 2), ("3.jpg", 3), ("e/2.jpg", 4)],
+)
+def test_an_image_of_a_model_by_its_name_or_file_name(
+    tmp_path: Path, image: str, number: int
+) -> None:
+    model = pycolmap.Reconstruction()
+    for key, name in enumerate(("d/1.jpg", "d/2.jpg", "c/3.jpg", "e/2.jpg"), start=1):
+        camera = _theirs("PINHOLE")
+        camera.camera_id, camera.params = key, [500.0 + key, 500, 320, 240]
+        model.add_camera_with_trivial_rig(camera)
+        listed = pycolmap.Image(name=name, camera_id=key, image_id=key)
+        model.add_image_with_trivial_frame(listed, pycolmap.Rigid3d())
+    model.write_binary(tmp_path)
+    calibration = read_calibration(str(tmp_path))
+    header = Header("JPEG", SIZE)
+    camera = calibration.camera(Path(), image, header)
+    assert camera.K[0, 0] == 500 + number
+    assert camera.identity == calibration.camera(Path("x"), image, header).identity
+    with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
+        calibration.camera(Path(), "2.jpg", header)

@@ -1,0 +1,200 @@
+"""ROS's camera_info and Kalibr's camchain; the lenses against OpenCV's."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dgc_pose.cameras.calibration import camera_for, parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.images.header import Header
+from dgc_pose.images.image import Image
+
+K = np.array([[500.0, 0, 321.25], [0, 510, 238.5], [0, 0, 1]])
+SIZE = (640, 480)
+PLUMB_BOB = [-0.21, 0.06, 0.002, -0.001, 0.013]
+FISHEYE = [-0.03, 0.005, -0.001, 0.0002]
+
+# As camera_calibration_parsers writes it (sensor_msgs/CameraInfo: K of the raw image, row by row).
+ROS = """image_width: 640
+image_height: 480
+camera_name: narrow_stereo/left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [500.0, 0., 321.25, 0., 5.1e+02, 238.5, 0., 0., 1.]
+distortion_model: {model}
+distortion_coefficients:
+  rows: 1
+  cols: {count}
+  data: {coefficients}
+rectification_matrix: {{rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}}
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [480, 0, 320, 0, 0, 480, 240, 0, 0, 0, 1, 0]
+"""
+
+# As `ros2 topic echo` prints the message, with the line that ends it.
+MESSAGE = """header:
+  stamp:
+    sec: 1
+  frame_id: camera
+height: 480
+width: 640
+distortion_model: plumb_bob
+d:
+- -0.21
+- 0.06
+- 0.002
+- -0.001
+- 0.013
+k: [500.0, 0.0, 321.25, 0.0, 510.0, 238.5, 0.0, 0.0, 1.0]
+binning_x: {binning}
+roi:
+  x_offset: {offset}
+  do_rectify: false
+---
+"""
+
+# The example of Kalibr's wiki, "Yaml formats", with numbers of our own.
+KALIBR = """cam0:
+  camera_model: pinhole
+  intrinsics: [500.0, 510.0, 321.25, 238.5]
+  distortion_model: {model}
+  distortion_coeffs: {coefficients}
+  T_cam_imu:
+  - [0.01779318, 0.99967549,-0.01822936, 0.07008565]
+  - [0.0, 0.0, 0.0, 1.0]
+  timeshift_cam_imu: -8.121e-05
+  rostopic: /cam0/image_raw
+  resolution: [640, 480]
+cam1:
+  camera_model: eucm
+  intrinsics: [0.6, 1.1, 400.0, 410.0, 319.5, 239.5]
+  distortion_model: none
+  distortion_coeffs: []
+  T_cn_cnm1:
+  - [ 0.99998854, 0.00216014, 0.00427195,-0.11003785]
+  - [0.0, 0.0, 0.0, 1.0]
+  rostopic: /cam1/image_raw
+  resolution: [640, 480]
+"""
+
+
+def _write(path: Path, text: str) -> str:
+    path.write_text(text)
+    return str(path)
+
+
+def _pixels() -> np.ndarray:
+    return np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
+
+
+def _assert_lens(camera: Camera, model: str, coefficients: list[float]) -> None:
+    """OpenCV projects the camera's rays back onto the pixels."""
+    lens = np.array(coefficients)
+    points = camera.normalise(_pixels())
+    if model == "equidistant":
+        again = cv2.fisheye.distortPoints(points[:, None], K, lens)
+    else:
+        rays = np.column_stack([points, np.ones(len(points))])
+        again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, lens)
+    np.testing.assert_allclose(again[:, 0], _pixels(), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [
+        ("plumb_bob", PLUMB_BOB),
+        ("rational_polynomial", [*PLUMB_BOB, 0.02, 0.01, 0.004]),
+        ("equidistant", FISHEYE),
+    ],
+)
+def test_ros(tmp_path: Path, model: str, coefficients: list[float]) -> None:
+    text = ROS.format(model=model, count=len(coefficients), coefficients=coefficients)
+    camera = parse_camera(_write(tmp_path / "ost.yaml", text))
+    np.testing.assert_array_equal(camera.K, K)
+    assert camera.size == SIZE
+    _assert_lens(camera, model, coefficients)
+
+
+def test_a_message_of_ros(tmp_path: Path) -> None:
+    camera = parse_camera(_write(tmp_path / "info.yaml", MESSAGE.format(binning=1, offset=0)))
+    _assert_lens(camera, "plumb_bob", PLUMB_BOB)
+    for values in ({"binning": 2, "offset": 0}, {"binning": 0, "offset": 8}):
+        with pytest.raises(InputError, match="binning or roi is set"):
+            parse_camera(_write(tmp_path / "info.yaml", MESSAGE.format(**values)))
+
+
+@pytest.mark.parametrize(
+    ("model", "coefficients"),
+    [("radtan", PLUMB_BOB[:4]), ("equidistant", FISHEYE), ("none", [])],
+)
+def test_kalibr(tmp_path: Path, model: str, coefficients: list[float]) -> None:
+    path = _write(tmp_path / "camchain.yaml", KALIBR.format(model=model, coefficients=coefficients))
+    camera = parse_camera(path)
+    np.testing.assert_array_equal(camera.K, K)
+    assert camera.size == SIZE
+    _assert_lens(camera, model, coefficients or [0.0] * 4)
+
+
+def test_kalibr_fov(tmp_path: Path) -> None:
+    """Devernay and Faugeras: r_distorted = atan(2 r tan(w / 2)) / w."""
+    text = KALIBR.format(model="fov", coefficients=[0.8])
+    camera = parse_camera(_write(tmp_path / "camchain.yaml", text))
+    ideal = np.array([[0.3, -0.2], [0.5, 0.4]])
+    radius = np.linalg.norm(ideal, axis=1, keepdims=True)
+    distorted = ideal * np.arctan(2 * radius * np.tan(0.4)) / 0.8 / radius
+    np.testing.assert_allclose(camera.normalise(distorted @ K[:2, :2] + K[:2, 2]), ideal, atol=1e-9)
+
+
+def test_which_camera_of_a_rig(tmp_path: Path) -> None:
+    """By the image's folder, by FILE:PART, or else the first, with a warning."""
+    path = _write(tmp_path / "camchain.yaml", KALIBR.format(model="none", coefficients=[]))
+    calibration, header = read_calibration(path), Header("PNG", SIZE)
+    for image, focal in (("mav0/cam0/data/1.png", 500), ("mav0/cam1/data/1.png", 400)):
+        camera = calibration.camera(tmp_path, image, header)
+        assert (camera.K[0, 0], camera.warnings) == (focal, ())
+    camera = calibration.camera(tmp_path, "1.png", header)
+    (warning,) = camera.warnings
+    assert camera.K[0, 0] == 500
+    assert "has 2 cameras" in warning and f"cam0 is taken; {path}:cam1 is another" in warning
+    second = parse_camera(f"{path}:cam1")
+    assert second.distortion is not None
+    assert (second.distortion.model, second.distortion.coefficients) == ("EUCM", (0.6, 1.1))
+    image = Image(np.zeros((480, 640, 3), np.uint8))
+    assert camera_for(f"{path}:cam1", image, "K").warnings == ()
+    with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
+        parse_camera(f"{path}:cam2")
+
+
+def test_eurocs_sensor(tmp_path: Path) -> None:
+    """The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML does."""
+    text = (
+        "%YAML:1.0\n# General sensor definitions.\nsensor_type: camera\nresolution: [640, 480]\n"
+        "camera_model: pinhole\nintrinsics: [500.0, 510.0, 321.25, 238.5] #fu, fv, cu, cv\n"
+        f"distortion_model: radial-tangential\ndistortion_coefficients: {PLUMB_BOB[:4]}\n"
+    )
+    camera = parse_camera(_write(tmp_path / "sensor.yaml", text))
+    _assert_lens(camera, "radtan", PLUMB_BOB[:4])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (ROS.format(model="thin_prism", count=0, coefficients=[]), "'thin_prism' has no COLMAP"),
+        (ROS.format(model="equidistant", count=2, coefficients=[0, 1]), "2 fisheye coefficients"),
+        (KALIBR.format(model="radtan", coefficients=[1]), "1 distortion coefficients"),
+        (KALIBR.replace("eucm", "ds").format(model="none", coefficients=[]), "'ds' has no COLMAP"),
+        (KALIBR.format(model="poly", coefficients=[1]), "cam0: the distortion_model 'poly'"),
+        ("a: [1", "is not YAML that can be read"),
+        ("a: 1\nb: 2\n", "no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its"),
+    ],
+)
+def test_what_has_no_model_is_named(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        parse_camera(_write(tmp_path / "c.yaml", text))
+    assert "c.yaml" in str(caught.value) and "\n" not in str(caught.value)
