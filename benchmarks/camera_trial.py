@@ -17,7 +17,8 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import check_options, option
 
-ToldCameras = Literal["list", "auto", "auto:shared", "auto:two"]
+WithheldCameras = Literal["auto", "auto:shared", "auto:two"]
+ToldCameras = Literal["list", WithheldCameras]
 _ONE_CAMERA = 0.01  # relative difference of all numbers of K
 # How a warning or a refusal begins that says that a K may be wrong.
 _DOUBTS = ("the matches suggest f", "K1 ", "K2 ")

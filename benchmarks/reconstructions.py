@@ -1,8 +1,8 @@
 """Reconstructions of one scene by several methods, compared with the true cameras."""
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -10,10 +10,11 @@ import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice
-from dgc_pose.batch.run import run_batch
+from dgc_pose.batch.run import Batch, run_batch
 from dgc_pose.batch.source import Source
+from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.posed_views import PosedViews
-from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.calibration import Calibration, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import colmap_camera
 from dgc_pose.colmap.mapping import MappingError, map_database
@@ -21,7 +22,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.metrics.pose import rotation_error_deg
+from dgc_pose.metrics import folded, pose_auc, rotation_error_deg, translation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
 
 COLMAP_SIFT = "colmap-sift"
@@ -36,14 +37,28 @@ COLUMNS = {  # of the table
     "points": "{0.points}",
     "track length": "{0.mean_track_length:.2f}",
     "reprojection px": "{0.reprojection_error_px:.3f}",
+    "f off %": "{0.focal_percent:.3f}",
     "pairs": "{0.pairs}",
     "poses": "{0.poses}",
+    "AUC@5": "{0.pair_auc5:.1f}",
+    "pooled f off %": "{0.pooled_focal_percent:.3f}",
     "seconds": "{0.seconds:.0f}",
 }
 
 
 @dataclass(frozen=True)
-class ReconstructionScore:
+class PairFigures:
+    """Of the pairs that a model is made from; NaN where nothing is known of them."""
+
+    pairs: int = 0  # matched
+    poses: int = 0  # pairs with a pose
+    # Percent; of max(rotation, folded translation), infinite without a pose
+    pair_auc5: float = np.nan
+    pooled_focal_percent: float = np.nan  # mean error of the images' focal lengths
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionScore(PairFigures):
     """A model compared with the truth. NaN if too few images are registered."""
 
     method: str
@@ -56,8 +71,7 @@ class ReconstructionScore:
     points: int
     mean_track_length: float
     reprojection_error_px: float
-    pairs: int  # matched
-    poses: int  # pairs with a pose
+    focal_percent: float  # mean error of the images' focal lengths
     seconds: float
 
 
@@ -69,69 +83,102 @@ def run_method(
     reconstruction: ReconstructionOptions,
     estimation: EstimationOptions,
     options: BatchOptions,
+    withheld: WithheldCameras | None = None,
 ) -> ReconstructionScore:
     """Reconstruct the views by one method: `colmap-sift`, or a matcher by its name.
 
     Both map with the same options. The folder keeps a matcher's batch, which `resume` goes on with.
+    withheld: in place of K, as of --K; bundle adjustment refines the cameras then.
     """
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    matched = poses = 0
+    figures = PairFigures()
     try:
         if method == COLMAP_SIFT:
             database, mapping = out / DATABASE, reconstruction.mapping
             database.unlink(missing_ok=True)
-            sift_database(database, views.root, views.cameras, mapping.mapper_threads)
+            sift_database(database, views.root, views.cameras, mapping.mapper_threads, withheld)
+            refines = mapping.refine_intrinsics or withheld is not None
+            mapping = replace(mapping, refine_intrinsics=refines)
             model = sparse_model(map_database(database, views.root, mapping))
-            matched = poses = len(views.poses) * (len(views.poses) - 1) // 2
+            pairs_of_all = len(views.poses) * (len(views.poses) - 1) // 2
+            figures = PairFigures(pairs_of_all, pairs_of_all)
         else:
             batch = run_batch(
                 Source(views.root, tuple(sorted(views.cameras)), None, {}),
-                Calibration("the truth", views.cameras),
+                Calibration("the truth", views.cameras)
+                if withheld is None
+                else read_calibration(withheld),
                 pairs,
                 out / "batch",
                 matcher=MatcherOptions(method),
                 estimation=estimation,
                 options=options,
             )
-            matched, poses = batch.summary["pairs"], batch.summary["poses"]
+            figures = pair_figures(batch, views)
             model, _ = reconstruct(batch, out, reconstruction)
     except MappingError:
         model = None
     seconds = time.perf_counter() - start
-    return score(method, model, views, matched, poses, seconds)
+    return score(method, model, views, figures, seconds)
 
 
 def sift_database(
-    database: Path, images: Path, cameras: Mapping[str, Camera], threads: int
+    database: Path,
+    images: Path,
+    cameras: Mapping[str, Camera],
+    threads: int,
+    withheld: WithheldCameras | None = None,
 ) -> None:
     """Write a new database of SIFT key points and all verified pairs, with pycolmap's defaults.
 
-    cameras: by image name, with their sizes; the focal lengths count as known. Raises InputError if
-    COLMAP cannot hold a camera.
+    cameras: by image name, with their sizes; the focal lengths count as known. withheld: the
+    cameras are COLMAP's own guesses instead. Raises InputError if COLMAP cannot hold a camera.
     """
     extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
     extraction.num_threads = matching.num_threads = threads
     extraction.use_gpu = matching.use_gpu = False
-    per_image = pycolmap.CameraMode.PER_IMAGE
+    modes = {"auto": "AUTO", "auto:shared": "SINGLE"}
+    mode = pycolmap.CameraMode.__members__[modes.get(withheld or "", "PER_IMAGE")]
     pycolmap.extract_features(
-        database, images, list(cameras), camera_mode=per_image, extraction_options=extraction
+        database, images, list(cameras), camera_mode=mode, extraction_options=extraction
     )
-    with pycolmap.Database.open(database) as opened:
-        for image in opened.read_all_images():
-            camera = colmap_camera(cameras[image.name], image.name)
-            camera.camera_id = image.camera_id
-            camera.has_prior_focal_length = True
-            opened.update_camera(camera)
+    if withheld is None:
+        with pycolmap.Database.open(database) as opened:
+            for image in opened.read_all_images():
+                camera = colmap_camera(cameras[image.name], image.name)
+                camera.camera_id = image.camera_id
+                camera.has_prior_focal_length = True
+                opened.update_camera(camera)
     pycolmap.match_exhaustive(database, matching_options=matching)
+
+
+def pair_figures(batch: Batch, views: PosedViews) -> PairFigures:
+    """The poses and cameras of a batch compared with the true ones."""
+    errors = []
+    for row in batch.rows:
+        error = np.inf
+        if row.R is not None and row.t is not None:
+            first, second = views.poses[row.name1], views.poses[row.name2]
+            R = second[:, :3] @ first[:, :3].T
+            t = second[:, 3] - R @ first[:, 3]
+            rotation = rotation_error_deg(np.reshape(row.R, (3, 3)), R)
+            error = max(rotation, folded(translation_error_deg(np.array(row.t), t)))
+        errors.append(error)
+    cameras = batch.plan.final_cameras
+    return PairFigures(
+        batch.summary["pairs"],
+        batch.summary["poses"],
+        pose_auc(np.array(errors), (5,))[0] if errors else np.nan,
+        _focal_percent([(name, camera.focal) for name, camera in cameras.items()], views),
+    )
 
 
 def score(
     method: str,
     model: SparseModel | None,
     views: PosedViews,
-    pairs: int,
-    poses: int,
+    pairs: PairFigures,
     seconds: float,
 ) -> ReconstructionScore:
     """A model's cameras compared with the true ones."""
@@ -143,7 +190,11 @@ def score(
     true = np.stack([views.centre(name) for name in views.poses])
     extent = np.linalg.norm(true[:, None] - true, axis=-1).max()
     rms = float(np.sqrt((position**2).mean()))
+    focal_lengths: list[tuple[str, float]] = []
+    for camera in () if model is None else model.cameras:
+        focal_lengths += [(camera.first_image, camera.focal_px)] * camera.images
     return ReconstructionScore(
+        **asdict(pairs),
         method=method,
         images=len(views.poses),
         registered=len(names),
@@ -154,10 +205,15 @@ def score(
         points=0 if model is None else len(model.points),
         mean_track_length=np.nan if model is None else model.mean_track_length,
         reprojection_error_px=np.nan if model is None else model.reprojection_error_px,
-        pairs=pairs,
-        poses=poses,
+        focal_percent=_focal_percent(focal_lengths, views),
         seconds=seconds,
     )
+
+
+def _focal_percent(focal_lengths: Iterable[tuple[str, float]], views: PosedViews) -> float:
+    """Mean error of the focal lengths of images, each with its name; NaN without any."""
+    errors = [abs(focal / views.cameras[name].focal - 1) for name, focal in focal_lengths]
+    return 100 * float(np.mean(errors)) if errors else np.nan
 
 
 def rotation_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:

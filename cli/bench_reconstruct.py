@@ -7,6 +7,7 @@ import click
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.posed_views import views_of_dtu, views_of_list
 from dgc_pose.benchmarks.reconstructions import COLMAP_SIFT, COLUMNS, run_method
 from dgc_pose.benchmarks.table import table
@@ -35,6 +36,9 @@ class ReconstructBenchOptions:
         "unit, or DTU's folder Calibration/cal18.",
         metavar="LIST|DIR",
     )
+    k: WithheldCameras | None = option(
+        None, "Withhold K, as for reconstruct without one.", flag="--K"
+    )
     methods: str = option(
         f"{DEFAULT_WEIGHTS},{COLMAP_SIFT}",
         f"Comma-separated names or paths of weights, sift, and {COLMAP_SIFT}, COLMAP's own "
@@ -61,8 +65,10 @@ def bench_reconstruct(
 ) -> None:
     """Reconstruct a scene with known cameras, and compare positions and rotations.
 
-    K is known and stays fixed. Positions are compared after the best similarity; "% of extent" is
-    their rms over the largest distance of two cameras. All methods map with the same options.
+    K is known and stays fixed, unless --K auto withholds it. Positions are compared after the best
+    similarity; "% of extent" is their rms over the largest distance of two cameras. "f off" is the
+    mean error of the model's focal lengths, "pooled f off" of those that all pairs tell together;
+    AUC@5 is of the pairs' poses. All methods map with the same options.
     """
     out, truth, scale = bench.out, bench.truth, bench.scale
     if not folder.is_dir():
@@ -72,7 +78,7 @@ def bench_reconstruct(
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
     mapping = replace(reconstruction.mapping, mapper_threads=work.worker_count)
     reconstruction = replace(reconstruction, mapping=mapping)
-    setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work
+    setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     if scale != 1:

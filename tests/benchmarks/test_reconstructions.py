@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,11 +13,12 @@ from command_line import run
 from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
 
+from dgc_pose.batch.rows import PairRow
 from dgc_pose.benchmarks.posed_views import PosedViews, views_of_dtu, views_of_list
-from dgc_pose.benchmarks.reconstructions import score
+from dgc_pose.benchmarks.reconstructions import PairFigures, pair_figures, score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
-from dgc_pose.colmap.reconstruction import SparseModel
+from dgc_pose.colmap.reconstruction import ModelCamera, SparseModel
 from dgc_pose.errors import InputError
 
 
@@ -91,30 +93,67 @@ def _model(views: PosedViews, error: float) -> SparseModel:
         centre = 0.2 * turn @ (views.centre(name) + np.array([0, error if i == 1 else 0, 0])) + 5
         R = pose[:, :3] @ turn.T
         poses[name] = np.column_stack([R, -R @ centre])
-    return SparseModel(poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8), 4.0, 0.5)
+    # Three images of a camera that is exact, and one of a camera that is 2 % off
+    names = sorted(views.poses)
+    cameras = tuple(
+        ModelCamera("PINHOLE", *SIZE, (), focal * (K[0, 0] + K[1, 1]) / 2, images, name)
+        for focal, images, name in ((1, 3, names[0]), (0.98, 1, names[3]))
+    )
+    return SparseModel(poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8), 4.0, 0.5, cameras)
 
 
 def test_scores_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[View]]) -> None:
     views = views_of_list(scene[1], scene[0])
-    exact = score("m", _model(views, 0), views, 6, 5, 1.0)
+    exact = score("m", _model(views, 0), views, PairFigures(6, 5), 1.0)
     assert (exact.images, exact.registered, exact.points) == (4, 4, 7)
+    assert (exact.pairs, exact.poses) == (6, 5) and np.isnan(exact.pair_auc5)
+    np.testing.assert_allclose(exact.focal_percent, 2 / 4)
     assert exact.position_rms < 1e-9
     assert exact.rotation_median_deg < 1e-6
-    moved = score("m", _model(views, 0.1), views, 6, 5, 1.0)
+    moved = score("m", _model(views, 0.1), views, PairFigures(6, 5), 1.0)
     assert 0.02 < moved.position_rms < 0.05  # 0.1 in one of four, and the fit takes a part
     length = np.linalg.norm(views.centre("view3.png") - views.centre("view0.png"))
     np.testing.assert_allclose(moved.position_percent, 100 * moved.position_rms / length)
-    none = score("m", None, views, 6, 5, 1.0)
+    none = score("m", None, views, PairFigures(6, 5), 1.0)
     assert none.registered == 0
     assert np.isnan(none.position_rms)
     model = _model(views, 0)
     few = replace(model, poses=dict(list(model.poses.items())[:2]))
-    assert np.isnan(score("m", few, views, 6, 5, 1.0).position_rms)
+    assert np.isnan(score("m", few, views, PairFigures(6, 5), 1.0).position_rms)
 
 
-def test_the_command(scene: tuple[Path, Path, list[View]], tmp_path: Path) -> None:
+def test_the_pairs_of_a_batch_are_scored(scene: tuple[Path, Path, list[View]]) -> None:
+    views = views_of_list(scene[1], scene[0])
+    rows = []
+    for number in (1, 2, 3):
+        names = ("view0.png", f"view{number}.png")
+        relative = _relative(dict(views.poses), *names)
+        turn = Rotation.from_rotvec([0, np.radians(number - 1), 0]).as_matrix()
+        R, t = turn @ relative[:3, :3], relative[:3, 3]
+        row = PairRow(*names, "ok", True, "", R=tuple(R.ravel()), t=tuple(-t if number < 2 else t))
+        rows.append(row)
+    rows.append(PairRow("view1.png", "view2.png", "too_few_matches", False, ""))
+    cameras = {
+        name: replace(camera, K=camera.K * [[f], [f], [1]])
+        for (name, camera), f in zip(sorted(views.cameras.items()), (1, 1, 1.01, 0.97), strict=True)
+    }
+    batch = SimpleNamespace(
+        rows=rows, summary={"pairs": 4, "poses": 3}, plan=SimpleNamespace(final_cameras=cameras)
+    )
+    figures = pair_figures(batch, views)
+    assert (figures.pairs, figures.poses) == (4, 3)
+    np.testing.assert_allclose(figures.pooled_focal_percent, (1 + 3) / 4)
+    # Errors 0 (t folded), 1, 2 and infinite: the recall is 1/4 at 0, then 2/4, 3/4, and stays.
+    area = 0.25 * 0 + (0.25 + 0.5) / 2 + (0.5 + 0.75) / 2 + 3 * 0.75
+    np.testing.assert_allclose(figures.pair_auc5, 100 * area / 5, atol=0.01)
+
+
+@pytest.mark.parametrize("withheld", [(), ("--K", "auto:shared")])
+def test_the_command(
+    scene: tuple[Path, Path, list[View]], tmp_path: Path, withheld: tuple[str, ...]
+) -> None:
     out = tmp_path / "out"
-    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1)
+    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1, *withheld)
     done = run("bench-reconstruct", scene[0], "--truth", scene[1], "--out", out, *options)
     assert done.exit_code == 0, done.output
     summary = json.loads((out / "summary.json").read_text())["methods"]
@@ -122,4 +161,6 @@ def test_the_command(scene: tuple[Path, Path, list[View]], tmp_path: Path) -> No
     for one in summary:
         assert one["registered"] == 4
         assert one["position_percent"] < 2
+        assert (one["focal_percent"] < 1e-9) == (not withheld)
+        assert one["focal_percent"] < 5
     assert "track length" in done.output
