@@ -87,7 +87,7 @@ def survey(
         elif calibration.common is not None:
             sizes.add(header.size)
         camera = of_image.camera(source.root, name, header)
-        cameras[name] = with_orientation(replace(camera, size=header.size), header)
+        cameras[name] = replace(with_orientation(camera, header), size=header.size)
     if len(sizes) > 1:
         listed_sizes = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
         raise InputError(

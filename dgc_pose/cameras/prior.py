@@ -17,6 +17,8 @@ Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
 SIZE_STD = 0.4  # deviation of their logarithm
 CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
+_NEAR_MIDDLE = 0.04  # of the principal point from the middle, over the side
+_QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
 class Photograph(Protocol):
@@ -96,10 +98,23 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
 
 def with_orientation(camera: Camera, image: Photograph) -> Camera:
     """The camera with a warning if an EXIF orientation is not applied: a K that was given may be
-    for the upright image."""
-    if image.orientation == 1 or camera.focal_source != "given":
+    for the upright image, unless its size or its principal point says that it is not."""
+    if image.orientation == 1 or camera.focal_source != "given" or _is_as_stored(camera, image):
         return camera
     warning = (
         f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
     )
     return replace(camera, warnings=(*camera.warnings, warning))
+
+
+def _is_as_stored(camera: Camera, image: Photograph) -> bool:
+    """Whether K is certainly of the pixels as stored, and not of the image rotated by a quarter."""
+    if image.orientation not in _QUARTER_TURNS:
+        return False
+    if camera.size is not None and camera.size[0] != camera.size[1]:
+        return camera.size == image.size
+    offsets = [
+        float(np.abs((camera.K[:2, 2] + 0.5) / size - 0.5).max())
+        for size in (image.size, image.size[::-1])
+    ]
+    return offsets[0] < _NEAR_MIDDLE < offsets[1]

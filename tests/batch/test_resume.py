@@ -175,11 +175,11 @@ def test_a_lack_of_memory_ends_the_batch_which_resumes(
 def test_an_exif_rotation_is_told(photos: Path, tmp_path: Path) -> None:
     with PIL.Image.open(photos / "view0.png") as image:
         exif = image.getexif()
-        exif[0x0112] = 6
+        exif[0x0112] = 3
         image.save(photos / "view0.jpg", exif=exif, quality=95)
     (photos / "view0.png").unlink()
     batch = run_sift(photos, tmp_path / "out")
-    told = [row for row in batch.rows if any("EXIF orientation 6" in w for w in row.warnings)]
+    told = [row for row in batch.rows if any("EXIF orientation 3" in w for w in row.warnings)]
     assert [row.name1 for row in told] == ["view0.jpg"] * (COUNT - 1)
     (warning,) = batch.plan.cameras["view0.jpg"].warnings
     assert told[0].warnings.count(warning) == 1

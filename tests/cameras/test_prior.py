@@ -291,10 +291,26 @@ def test_a_shared_camera_has_the_exif_data_of_either_image(turned: bool) -> None
     assert (camera1.focal_source, camera2.focal_source) == ("exif", "size")
 
 
-def test_an_orientation_is_told_of_a_K_alone() -> None:
-    known = Camera(np.array([[4400.0, 0, 2000], [0, 4400, 1500], [0, 0, 1]]), warnings=("a",))
-    turned = photo(TAGS, orientation=6)
-    assert with_orientation(known, photo()) is known
-    first, warning = with_orientation(known, turned).warnings
-    assert first == "a" and "orientation 6 is not applied" in warning
-    assert with_orientation(auto_camera(turned), turned).warnings == ()
+# --- the orientation ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("orientation", "centre", "size", "told"),
+    [
+        (1, (1700, 1700), None, False),
+        (6, (1700, 1700), None, True),
+        (6, (2010, 1490), None, False),  # the middle of the pixels as stored
+        (6, (1490, 2010), None, True),  # the middle of the upright image
+        (8, (1700, 1700), SIZE, False),  # K says it itself
+        (3, (2010, 1490), SIZE, True),  # upside down: nothing says it
+    ],
+)
+def test_an_orientation_is_told_of_a_K_that_may_be_for_the_upright_image(
+    orientation: int, centre: tuple[float, float], size: tuple[int, int] | None, told: bool
+) -> None:
+    K = np.array([[4400.0, 0, centre[0]], [0, 4400, centre[1]], [0, 0, 1]])
+    image = photo(TAGS, orientation=orientation)
+    warnings = with_orientation(Camera(K, size, warnings=("a",)), image).warnings
+    assert warnings[0] == "a" and len(warnings) == 1 + told
+    assert all(f"orientation {orientation} is not applied" in text for text in warnings[1:])
+    assert with_orientation(auto_camera(image), image).warnings == ()
