@@ -127,10 +127,8 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     if camera.focal_source == "matches" and prior.focal_source != "matches":
         text += f", {_focal_text(prior)}"
     x, y = camera.K[:2, 2].tolist()
-    middle = camera.size is not None and np.allclose(
-        (x, y), (np.array(camera.size) - 1) / 2, rtol=0, atol=0.5
-    )
-    return f"{text}; principal point {'in the middle' if middle else f'({x:.1f}, {y:.1f})'}"
+    text += f"; principal point ({x:.1f}, {y:.1f})"
+    return text if camera.centre_std == 0 else f"{text} +- {camera.centre_std:.1f}"
 
 
 def _focal_text(camera: Camera) -> str:

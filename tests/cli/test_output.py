@@ -23,10 +23,16 @@ def test_no_probability_is_printed_as_certain(probability, words) -> None:
 
 
 K = np.array([[1210.0, 0, 639.5], [0, 1210, 479.5], [0, 0, 1]])
-FITTED = Camera(K, (1280, 960), focal_std=0.01, focal_source="matches", identity="a telephone")
+FITTED = Camera(
+    K, (1280, 960), focal_std=0.01, centre_std=8, focal_source="matches", identity="a telephone"
+)
 OFF_CENTRE = replace(FITTED, K=K + [[0, 0, 9], [0, 0, 0], [0, 0, 0]])
 EXIF = replace(FITTED, K=np.diag((0.9, 0.9, 1)) @ K, focal_std=0.05, focal_source="exif")
 EXACT = Camera(K)
+
+
+TEXT = "f = 1210.0 +- 12.1 px by the matches"
+CENTRE = "; principal point (639.5, 479.5) +- 8.0"
 
 
 @pytest.mark.parametrize(
@@ -36,31 +42,25 @@ EXACT = Camera(K)
         (
             (FITTED, FITTED),
             (EXIF, EXIF),
-            [
-                "camera of both images: f = 1210.0 +- 12.1 px by the matches, 1089.0 +- 54.5 px by "
-                "EXIF data; principal point in the middle"
-            ],
+            [f"camera of both images: {TEXT}, 1089.0 +- 54.5 px by EXIF data{CENTRE}"],
         ),
         (
             (FITTED, OFF_CENTRE),
             None,
             [
-                "camera 1: f = 1210.0 +- 12.1 px by the matches; principal point in the middle",
-                "camera 2: f = 1210.0 +- 12.1 px by the matches; principal point (648.5, 479.5)",
+                f"camera 1: {TEXT}{CENTRE}",
+                f"camera 2: {TEXT}; principal point (648.5, 479.5) +- 8.0",
             ],
         ),
         (
-            (EXACT, replace(FITTED, focal_source="given")),
+            (EXACT, replace(FITTED, focal_source="given", centre_std=0)),
             None,
-            ["camera 2: f = 1210.0 +- 12.1 px by the given K; principal point in the middle"],
+            ["camera 2: f = 1210.0 +- 12.1 px by the given K; principal point (639.5, 479.5)"],
         ),
         (
             (replace(FITTED, identity=None), replace(FITTED, identity=None)),
             None,
-            [
-                "camera 1: f = 1210.0 +- 12.1 px by the matches; principal point in the middle",
-                "camera 2: f = 1210.0 +- 12.1 px by the matches; principal point in the middle",
-            ],
+            [f"camera 1: {TEXT}{CENTRE}", f"camera 2: {TEXT}{CENTRE}"],
         ),
     ],
 )
