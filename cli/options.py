@@ -2,10 +2,9 @@
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
 
 from dgc_pose.cameras.calibration import KDetails, pair_cameras
-from dgc_pose.cameras.camera import Camera, guess_camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import option
@@ -78,10 +77,6 @@ class CameraChoice(KChoice):
 
     k1: str | None = option(None, "Camera of image 1 alone.", flag="--K1", metavar="K|FILE|auto")
     k2: str | None = option(None, "Camera of image 2 alone.", flag="--K2", metavar="K|FILE|auto")
-    guess_focal: bool = option(
-        False,
-        "Without a K, take the focal length from EXIF or guess it. Poses get much worse.",
-    )
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked. Raises InputError, naming the option, if one is
@@ -91,8 +86,6 @@ class CameraChoice(KChoice):
             "--K" if k is None else f"--K{number}"
             for number, k in enumerate((self.k1, self.k2), start=1)
         )
-        if self.guess_focal and text1 is None and text2 is None:
-            return guess_camera(Path(image1.name)), guess_camera(Path(image2.name))
         if text1 is None or text2 is None:
             number = 1 if text1 is None else 2
             raise InputError(f"image {number} has no K: give --K or --K{number}, or --K auto")

@@ -17,7 +17,7 @@ from typing import Any, Protocol, get_args
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera, FocalSource, guess_camera, matrix_camera
+from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.formats import colmap, plain
@@ -27,7 +27,7 @@ from dgc_pose.errors import InputError, shortened
 
 _AUTO: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
-_PATH = re.compile(r".*([/\\]|\.[A-Za-z]\w*$)")  # what has a folder or an ending
+_PATH = re.compile(r"[/\\]|\.[A-Za-z]\w*(:\w+)?$")  # what has a folder or an ending
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 
 
@@ -59,8 +59,6 @@ class Calibration:
     # The images have no K. Of "shared" one camera took all; of "two" each has a camera of its own.
     auto: Sharing | None = None
     details: KDetails = KDetails()
-    # Whether an image without a camera gets one guessed from EXIF data or its size.
-    guess: bool = False
 
     def camera(self, root: Path, name: str, image: Photograph, part: str | None = None) -> Camera:
         """The camera of an image or its header, checked against its size.
@@ -77,8 +75,6 @@ class Calibration:
             if self.auto == "files":
                 return camera
             return replace(camera, identity="shared" if self.auto == "shared" else None)
-        if self.guess:
-            return guess_camera(root / name)
         if self.parts:
             *_, last = self.parts
             raise InputError(
@@ -229,7 +225,7 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
 
 
 def read_calibration(
-    text: str | None, name: str = "--K", details: KDetails = KDetails(), *, guess: bool = False
+    text: str | None, name: str = "--K", details: KDetails = KDetails()
 ) -> Calibration:
     """The calibration of the option --K: a text or the path of a file, see this module.
 
@@ -238,7 +234,7 @@ def read_calibration(
     """
     if text is None:
         _require_K(details, name)
-        return Calibration(name, guess=guess)
+        return Calibration(name)
     if (sharing := _sharing(text, name)) is not None:
         _require_K(details, name)
         return Calibration(name, auto=sharing)
@@ -246,7 +242,7 @@ def read_calibration(
     if os.path.lexists(text):
         head, part = text, ""
     elif not (head and os.path.lexists(head)):
-        if _PATH.fullmatch(text) and not colmap.is_line(text) and plain.numbers_of(text) is None:
+        if _looks_like_path(text):
             raise InputError(f"{name}: {shortened(text)} does not exist")
         camera = replace(_parse_text(text, name), identity=name)
         return Calibration(name, common=camera, details=details)
@@ -281,6 +277,11 @@ def _parse_text(text: str, name: str) -> Camera:
         return colmap.parse_line(text)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+
+
+def _looks_like_path(text: str) -> bool:
+    is_camera = colmap.is_line(text) or plain.numbers_of(text) is not None
+    return text.isprintable() and _PATH.search(text) is not None and not is_camera
 
 
 def _sharing(text: str, name: str) -> Sharing | None:
@@ -329,7 +330,6 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "centre_std_px": camera.centre_std,
         "focal_source": camera.focal_source,
         "identity": camera.identity,
-        "guessed_focal": camera.guessed_focal,
     }
 
 
@@ -349,5 +349,4 @@ def parse_camera_data(data: Mapping[str, Any]) -> Camera:
         float(data["centre_std_px"]),
         data["focal_source"],
         data["identity"],
-        bool(data["guessed_focal"]),
     )

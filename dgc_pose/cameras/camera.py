@@ -6,12 +6,10 @@ Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.files.arrays import as_numpy
@@ -40,7 +38,6 @@ class Camera:
     # Images whose cameras have the same identity were taken by one camera: K is wrong by the same
     # factor. None: a camera of its image alone.
     identity: str | None = None
-    guessed_focal: bool = False  # whether the focal length is from EXIF data or the image's size
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
@@ -87,21 +84,6 @@ class Camera:
 def matrix_camera(K: Any, name: str = "K") -> Camera:
     """The camera of an array (3, 3). Raises as `Camera` does, naming the argument `name`."""
     return Camera(_checked_matrix(K, name))
-
-
-def guess_camera(path: str | Path) -> Camera:
-    """A camera guessed from an image file, with a warning that poses will be inaccurate.
-
-    The focal length is that of the file's EXIF data, or else 1.2 times the longer side; the
-    principal point is the middle. Raises ImageError if the image cannot be read.
-    """
-    K, size, from_exif = colmap_camera.guess(Path(path))
-    source = "its EXIF data" if from_exif else "nothing but its size (1.2 times the longer side)"
-    warning = (
-        f"{path}: the focal length of {K[0, 0]:.0f} pixels is a guess from {source}; "
-        f"expect the pose to be much less accurate than with a calibration"
-    )
-    return Camera(K, size, warnings=(warning,), guessed_focal=True)
 
 
 def _checked_matrix(value: Any, name: str) -> np.ndarray:

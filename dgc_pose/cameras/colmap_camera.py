@@ -1,23 +1,17 @@
-"""COLMAP's cameras, through pycolmap: parameters, distortion, and the guess of a focal length."""
+"""COLMAP's cameras: parameters and distortion, which pycolmap computes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.errors import ImageError, InputError, reason
-from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.system.stderr import quiet
+from dgc_pose.errors import InputError
 
 if TYPE_CHECKING:
     import pycolmap
 
-    from dgc_pose.images.header import Header
 
 # Of a point that is undistorted and distorted again, in focal lengths: 0.01 px at a focal of 1000.
 _MAX_ROUND_TRIP_ERROR = 1e-5
@@ -34,8 +28,6 @@ _TWO_FOCALS = {
     "SIMPLE_DIVISION": ("DIVISION", 1),
     "SIMPLE_FISHEYE": ("FISHEYE", 0),
 }
-_READ = ("JPEG", "PNG", "TIFF", "BMP", "PPM")  # formats that pycolmap reads
-_EXIF = b"Exif\0\0"  # the start of an EXIF block in JPEG
 
 
 @dataclass(frozen=True)
@@ -133,44 +125,6 @@ def model_of_id(model_id: int) -> tuple[str, int]:
     names = {int(value): name for name, value in pycolmap.CameraModelId.__members__.items()}
     name = names.get(model_id, f"model {model_id}")
     return name, len(_model(name).params)
-
-
-def guess(path: Path) -> tuple[np.ndarray, tuple[int, int], bool]:
-    """COLMAP's camera for an image without a calibration: K (3, 3), (width, height), and whether
-    its focal length is from EXIF data, else 1.2 times the longer side.
-
-    Raises ImageError if the image cannot be read.
-    """
-    from dgc_pose.images.image import image_header
-    from dgc_pose.system.colmap_library import pycolmap
-
-    header = image_header(path)  # its size is checked, as pycolmap decodes the pixels
-    try:
-        # quiet: about odd EXIF data
-        with _readable(path, header) as file, quiet():
-            camera = pycolmap.infer_camera_from_image(file)
-    except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RuntimeError) as error:
-        raise ImageError(f"{path}: COLMAP reads no camera from it: {reason(error)}") from error
-    size = (int(camera.width), int(camera.height))
-    return pixel_matrix(camera), size, bool(camera.has_prior_focal_length)
-
-
-@contextmanager
-def _readable(path: Path, header: Header) -> Iterator[Path]:
-    """An image file for pycolmap: a blank JPEG of the same size and EXIF data if it does not read
-    the format."""
-    import PIL.Image
-
-    if header.format in _READ:
-        yield path
-        return
-    with scratch_folder() as folder:
-        blank = folder / "blank.jpg"
-        exif = header.exif.removeprefix(_EXIF)  # WebP has it without
-        PIL.Image.new("L", header.size).save(blank, exif=_EXIF + exif if exif else b"")
-        yield blank
 
 
 def pixel_matrix(camera: pycolmap.Camera) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Cameras of many images from each kind of file."""
 
 import json
-import math
 from dataclasses import fields
 from pathlib import Path
 
@@ -11,7 +10,9 @@ import pytest
 
 from dgc_pose.cameras.calibration import (
     Calibration,
+    KDetails,
     camera_data,
+    camera_for,
     pair_cameras,
     parse_camera_data,
     read_calibration,
@@ -23,6 +24,7 @@ from dgc_pose.images.header import Header
 from dgc_pose.images.image import Image
 
 SIZE = (640, 480)
+K = [[500, 0, 320], [0, 510, 238], [0, 0, 1]]
 
 
 def _header(size: tuple[int, int]) -> Header:
@@ -76,40 +78,6 @@ def test_a_single_colmap_camera_serves_all(tmp_path: Path) -> None:
     assert _K(calibration, "any.jpg") == [500, 510, 320, 240]
     with pytest.raises(InputError, match=r"640 x 480 pixels, the image has 320 x 240"):
         _K(calibration, "any.jpg", (320, 240))
-
-
-def test_csv(tmp_path: Path) -> None:
-    text = "name,fx,fy,cx,cy,width,height\na.jpg,500,510,320,240,640,480\nb.jpg,50,51,32,24,,\n"
-    calibration = read_calibration(_write(tmp_path / "cameras.csv", text))
-    assert _K(calibration, "a.jpg") == [500, 510, 320, 240]
-    assert _K(calibration, "b.jpg", (64, 48)) == [50, 51, 32, 24]
-
-
-@pytest.mark.parametrize("frames", ["common", "own", "angle"])
-def test_transforms_json(tmp_path: Path, frames: str) -> None:
-    size = {"w": 640, "h": 480}
-    lens = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5, "k1": 0.1, **size}
-    data: dict[str, object] = {"frames": [{"file_path": "./images/a.jpg"}]}
-    expected = [500, 510, 320, 240]
-    if frames == "common":
-        data |= lens
-    elif frames == "own":
-        data["frames"] = [{"file_path": "images/a", **lens}]
-    else:
-        data |= size | {"camera_angle_x": 2 * math.atan(0.5)}
-        expected = [640, 640, 319.5, 239.5]
-    calibration = read_calibration(_write(tmp_path / "transforms.json", json.dumps(data)))
-    np.testing.assert_allclose(_K(calibration, "a.jpg"), expected)
-    camera = calibration.camera(tmp_path, "a.jpg", _header(SIZE))
-    assert (camera.distortion is None) == (frames == "angle")
-
-
-def test_kitti(tmp_path: Path) -> None:
-    lines = [f"P{i}: {500 + i} 0 320 {-0.5 * i} 0 {500 + i} 240 0 0 0 1 0" for i in range(4)]
-    calibration = read_calibration(_write(tmp_path / "calib.txt", "\n".join([*lines, "Tr: 1"])))
-    assert _K(calibration, "image_2/000001.png") == [502, 502, 320, 240]
-    assert _K(calibration, "image_03/data/1.png") == [503, 503, 320, 240]
-    assert _K(calibration, "1.png") == [500, 500, 320, 240]
 
 
 @pytest.mark.parametrize(
@@ -198,7 +166,7 @@ def test_cameras_survive_json() -> None:
         if of.name != "K":
             assert getattr(again, of.name) == getattr(camera, of.name)
     with pytest.raises(ValueError, match="focal_source"):
-        parse_camera_data({**data, "focal_source": "a guess"})
+        parse_camera_data({**data, "focal_source": "a star"})
 
 
 # --- no K -----------------------------------------------------------------------------------------
@@ -242,3 +210,68 @@ def test_the_cameras_of_a_pair_without_K() -> None:
         pair_cameras("auto:two", None, first, second)
     with pytest.raises(InputError, match="^K1 must be one of auto, auto:shared, auto:two, not"):
         pair_cameras("auto:both", None, first, second)
+
+
+# --- what is said of K besides its numbers --------------------------------------------------------
+
+
+def test_a_K_of_another_size_is_scaled() -> None:
+    (image,) = _images((320, 240))
+    expected = Camera(np.array([[500.0, 0, 320], [0, 510, 238], [0, 0, 1]]), SIZE).resized(
+        (320, 240)
+    )
+    details = KDetails(size=SIZE)
+    for value in ("500,510,320,238", "PINHOLE,640,480,500,510,320.5,238.5", np.array(K)):
+        camera = camera_for(value, image, "K", details)
+        np.testing.assert_allclose(camera.K, expected.K)
+        assert (camera.size, camera.warnings) == ((320, 240), ())
+
+
+@pytest.mark.parametrize(
+    ("text", "size", "said"),
+    [
+        ("500,510,160,238", (640, 240), "320x240, of another aspect ratio"),
+        ("500,510,160,160", (320, 320), "K is for 320x320 pixels and the image has 320x240"),
+        ("PINHOLE,640,480,500,510,320,240", (1280, 960), "K states 640x480, and --K-size 1280x960"),
+        ("500,510,320,240", (160, 120), "641x481, and the image has 160x120"),
+        ("auto", SIZE, "--K-size is of a K, and K gives none"),
+    ],
+)
+def test_a_size_that_K_cannot_have(text: str, size: tuple[int, int], said: str) -> None:
+    (image,) = _images((320, 240))
+    with pytest.raises(InputError, match=said):
+        pair_cameras(text, text, image, image, ("K", "K"), KDetails(size=size))
+
+
+def test_the_deviation_of_a_K() -> None:
+    first, second = _images(SIZE, SIZE)
+    details = KDetails(focal_std=0.02, centre_std=3.0)
+    text = "500,510,320,240"
+    camera1, camera2 = pair_cameras(text, text, first, second, ("--K", "--K"), details)
+    assert (camera1.focal_std, camera1.centre_std, camera1.focal_source) == (0.02, 3.0, "given")
+    assert camera1.identity == camera2.identity is not None
+    camera1, camera2 = pair_cameras(text, text, first, second, ("--K1", "--K2"), details)
+    assert camera1.identity != camera2.identity
+    camera1, camera2 = pair_cameras("auto", text, first, second, ("--K1", "--K"), details)
+    assert camera1.focal_source != "given" and camera1.focal_std != 0.02
+    assert camera2.focal_std == 0.02
+    with pytest.raises(InputError, match="^--K-std is of a K, and --K gives none$"):
+        read_calibration("auto", "--K", details)
+
+
+# --- what is no K ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text", ["K.txt", "calib/K", "./500,500,320,240.txt", "C:\\calib\\K", "photos/", "x.yaml:cam1"]
+)
+def test_a_path_that_does_not_exist_is_told_so(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_calibration(text)
+    assert str(caught.value) == f"--K: {text} does not exist"
+
+
+@pytest.mark.parametrize("text", ["K", "500,500", "1e3", "-5", "500;500;320;240", "2.5.6.7"])
+def test_other_texts_are_no_paths(text: str) -> None:
+    with pytest.raises(InputError, match="is neither fx,fy,cx,cy nor MODEL,width,height"):
+        read_calibration(text)

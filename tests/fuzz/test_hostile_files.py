@@ -15,7 +15,6 @@ import numpy as np
 import pycolmap
 import pytest
 import torch
-from fuzz.bad_values import png_claiming
 from fuzz.readers import make_batch
 from safetensors.torch import load_file, save_file
 
@@ -23,10 +22,9 @@ from dgc_pose import load_image
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.run import read_batch
 from dgc_pose.benchmarks.probability.plan import read_plan
-from dgc_pose.cameras.camera import guess_camera
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
+from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.network.config import preset
@@ -142,12 +140,6 @@ def test_an_npy_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_bytes(data)
     with pytest.raises(InputError, match="too large"):
         read_arrays(tmp_path / "a.npz")
-
-
-def test_a_guessed_camera_decodes_no_image_that_is_too_large(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_bytes(png_claiming(60_000, 50_000))
-    with pytest.raises(ImageError, match="too large: 60000 x 50000"):
-        guess_camera(tmp_path / "a.png")
 
 
 POINTS = "a.png/b.png/keypoints0"

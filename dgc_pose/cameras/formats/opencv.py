@@ -23,6 +23,7 @@ _COEFFICIENTS = (
     "Distortion_Coefficients",
     "D",
 )
+_MAX_TEXT = 2**20  # characters: a calibration with its views has some thousand
 _SIZES = ("image_size", "imageSize", "cameraResolution")
 _WIDTHS = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
 
@@ -37,6 +38,8 @@ def read_storage(text: str) -> FileCameras:
 
     Raises InputError if it has none, and for a lens that COLMAP has no model of.
     """
+    if len(text) > _MAX_TEXT:
+        raise InputError(f"{len(text)} characters of cv::FileStorage, at most {_MAX_TEXT} are read")
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         K, values = _matrix(storage, _MATRICES), _matrix(storage, _COEFFICIENTS)

@@ -18,7 +18,7 @@ from dgc_pose.errors import InputError, reason
 from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as
 
-_PARTS = ("K1", "K2")
+_PARTS = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}  # of a pair
 
 
 def numbers_of(text: str) -> list[float] | None:
@@ -79,13 +79,13 @@ def is_cameras_json(data: Mapping[str, Any]) -> bool:
 
 def json_cameras(data: Mapping[str, Any]) -> FileCameras:
     """The camera of {"K": 3x3} or {"fx", "fy", "cx", "cy"}, with "size" or "width" and "height",
-    and "model" and "coefficients" of a lens, if they are there; of {"K1", "K2"} two cameras, which
-    are matrices or such entries.
+    and "model" and "coefficients" of a lens, if they are there; of {"K1", "K2"} or the output's
+    {"camera1", "camera2"} two cameras, which are matrices or such entries.
 
     Raises InputError.
     """
     try:
-        parts = {name: _json_camera(data[name]) for name in _PARTS if name in data}
+        parts = {part: _json_camera(data[key]) for key, part in _PARTS.items() if data.get(key)}
         if not parts:
             return FileCameras(common=_json_camera(data))
         return FileCameras(parts=parts)
@@ -108,4 +108,11 @@ def _json_camera(data: Any) -> Camera:
     lens = None
     if data.get("model") is not None:
         lens = Distortion(str(data["model"]), tuple(float(x) for x in data["coefficients"]))
-    return Camera(K, size, lens)
+    return Camera(
+        K,
+        size,
+        lens,
+        focal_std=float(data.get("focal_std") or 0),
+        centre_std=float(data.get("centre_std_px") or 0),
+        identity=data.get("identity"),
+    )

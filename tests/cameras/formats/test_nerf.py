@@ -1,0 +1,93 @@
+"""NeRF's transforms.json, as nerfstudio's and instant-ngp's documents describe it.
+
+docs.nerf.studio/quickstart/data_conventions.html: camera_model, fl_x, fl_y, cx, cy, w, h, k1 to k4,
+p1, p2, for all frames or in each. The values are COLMAP's, as their converters copy them.
+"""
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dgc_pose.cameras.calibration import parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.images.header import Header
+
+SIZE = (640, 480)
+ALL = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5, "w": 640, "h": 480}
+K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
+
+
+def _read(folder: Path, data: dict[str, object], name: str = "a.jpg") -> Camera:
+    path = folder / "transforms.json"
+    path.write_text(json.dumps(data))
+    return read_calibration(str(path)).camera(folder, name, Header("JPEG", SIZE))
+
+
+@pytest.mark.parametrize("frame", [{"file_path": "./images/a.jpg"}, {"file_path": "images/a"}])
+@pytest.mark.parametrize("each", [False, True])
+def test_intrinsics_of_all_frames_or_of_each(
+    tmp_path: Path, frame: dict[str, object], each: bool
+) -> None:
+    data = {"frames": [{**frame, **ALL}]} if each else {**ALL, "frames": [frame]}
+    camera = _read(tmp_path, data)
+    np.testing.assert_array_equal(camera.K, K)
+    assert (camera.size, camera.distortion) == (SIZE, None)
+
+
+def test_the_fields_of_view_alone(tmp_path: Path) -> None:
+    angles = {"camera_angle_x": 2 * math.atan(0.5), "camera_angle_y": 2 * math.atan(0.4)}
+    camera = _read(tmp_path, {**angles, "w": 640, "h": 480, "frames": [{"file_path": "a"}]})
+    np.testing.assert_allclose(camera.K, [[640, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("model", "lens"),
+    [
+        ({"camera_model": "OPENCV"}, {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001}),
+        ({}, {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01, "k4": 0}),
+        ({"camera_model": "OPENCV_FISHEYE"}, {"k1": -0.03, "k2": 0.005, "k3": 0.001, "k4": 0.002}),
+        ({"is_fisheye": True}, {"k1": -0.03, "k2": 0.005}),
+    ],
+)
+def test_lenses(tmp_path: Path, model: dict[str, object], lens: dict[str, float]) -> None:
+    camera = _read(tmp_path, {**ALL, **model, **lens, "frames": [{"file_path": "a.jpg"}]})
+    pixels = np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
+    points = camera.normalise(pixels)
+    if model in ({}, {"camera_model": "OPENCV"}):
+        coefficients = np.array([lens.get(key, 0) for key in ("k1", "k2", "p1", "p2", "k3")])
+        rays = np.column_stack([points, np.ones(30)])
+        again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, coefficients)
+    else:
+        coefficients = np.array([lens.get(key, 0.0) for key in ("k1", "k2", "k3", "k4")])
+        again = cv2.fisheye.distortPoints(points[:, None], K, coefficients)
+    np.testing.assert_allclose(again[:, 0], pixels, atol=1e-3)
+
+
+def test_frames_of_common_intrinsics_have_one_identity(tmp_path: Path) -> None:
+    frames = [{"file_path": "a.jpg"}, {"file_path": "b.jpg"}, {"file_path": "c.jpg", "fl_x": 700}]
+    identities = {name: _read(tmp_path, {**ALL, "frames": frames}, name).identity for name in "abc"}
+    assert identities["a"] == identities["b"] is not None
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
+        ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
+        ({**ALL, "camera_model": "EQUIRECTANGULAR", "frames": []}, "'EQUIRECTANGULAR' is not read"),
+        ({**ALL, "k4": 0.1, "frames": []}, "k4 of the camera_model OPENCV, which no COLMAP"),
+        ({**ALL, "frames": [{}]}, "file_path"),
+        ({**ALL, "frames": 3}, "not a transforms.json"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path: Path, data: dict[str, object], said: str) -> None:
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=said) as caught:
+        parse_camera(str(path))
+    assert "transforms.json" in str(caught.value)
