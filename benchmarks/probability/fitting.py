@@ -8,6 +8,7 @@ on right poses of scenes whose reference is exact.
 
 import importlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,8 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FEATURES,
     FORMAT,
+    OF_AUTO,
+    OF_EXACT,
     OF_MAPS,
     MatchKind,
     log_error,
@@ -29,12 +32,17 @@ _LEAST = 20  # right poses and wrong ones that a fit needs
 _LEAST_SCENES = 3
 _WITHIN = 0.9  # share of right poses whose error is to be within the expected one
 _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
+_ALTOGETHER_WRONG_DEG = 30.0  # a pose whose cameras say nothing
 _LEAST_SLOPE = 0.2  # of the calibrated log-odds
 Samples = Sequence[tuple[Record, Evidence]]
 
 
-def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
+def fit_model(
+    rows: Sequence[Record], kind: MatchKind, focal_error: Mapping[str, float]
+) -> dict[str, Any]:
     """The model, as `probability.json` holds it, of the records of the part `fit` with evidence.
+
+    focal_error: the `ErrorModel` of the focal lengths.
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
@@ -47,7 +55,11 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
             f"{kind}: {counts[0]} right and {counts[1]} wrong poses of {places} scenes to fit on; "
             f"at least {_LEAST} of each and {_LEAST_SCENES} scenes are needed"
         )
-    names = [name for name in FEATURES if kind == "network" or name not in OF_MAPS]
+    left_out = (
+        *(() if kind.startswith("network") else OF_MAPS),
+        *(OF_EXACT if kind.endswith("auto") else OF_AUTO),
+    )
+    names = [name for name in FEATURES if name not in left_out]
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
     odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
@@ -56,14 +68,37 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     weights, intercept = _logistic(X, right, signs, strength)
     medians = np.median(X[right], axis=0)
     used = [column for column, weight in enumerate(weights) if weight != 0]
-    accurate = [(row, evidence) for row, evidence in samples if row.right and row.exact]
+    accurate = [
+        (row, evidence)
+        for row, evidence in samples
+        if row.exact and row.cameras != "wrong" and row.right
+    ]
     return {
         "weights": {names[k]: round(slope * weights[k], 6) for k in used},
         "intercept": round(slope * intercept + offset, 6),
         "reference": {names[k]: round(float(medians[k]), 6) for k in used},
         "rotation_error": _error_model(accurate, "rotation"),
         "translation_error": _error_model(accurate, "translation"),
+        "focal_error": dict(focal_error),
     }
+
+
+def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
+    """The `ErrorModel` of the focal lengths of the records of the part `fit` that fitted them, with
+    poses that are not altogether wrong. Without any the jackknife's errors stay as they are."""
+    samples = [
+        (row, row.evidence)
+        for row in rows
+        if row.part == "fit"
+        and row.exact
+        and row.evidence
+        and row.evidence.jackknife_focal_90_percent is not None
+        and math.isfinite(row.focal_error_percent)
+        and row.pair_error_deg < _ALTOGETHER_WRONG_DEG
+    ]
+    if len(samples) < _LEAST:
+        return {"slope": 0.0, "intercept": 0.0}
+    return _error_model(samples, "focal")
 
 
 def models_text(models: Mapping[MatchKind, Mapping[str, Any]], engine: Mapping[str, Any]) -> str:
@@ -124,13 +159,14 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
     The quantile is the least that holds for nine poses in ten of scenes left out: a scene's own
     errors have more in common than the fit knows.
     """
+    unit = "percent" if part == "focal" else "deg"
     usable = [
         (row, jackknife)
         for row, evidence in samples
-        if (jackknife := getattr(evidence, f"jackknife_{part}_90_deg")) is not None
+        if (jackknife := getattr(evidence, f"jackknife_{part}_90_{unit}")) is not None
     ]
     X = np.array([[log_error(jackknife)] for _, jackknife in usable])
-    errors = np.array([max(getattr(row, f"{part}_error_deg"), 1e-4) for row, _ in usable])
+    errors = np.array([max(getattr(row, f"{part}_error_{unit}"), 1e-4) for row, _ in usable])
     y = np.log(errors / np.array([max(jackknife, 1e-4) for _, jackknife in usable]))
     scenes = np.array([row.scene for row, _ in usable])
     for quantile in _QUANTILES:

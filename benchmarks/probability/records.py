@@ -1,15 +1,26 @@
-"""From stored matches to evidence and errors: a record for each pair, whatever the verdict."""
+"""From stored matches to evidence and errors: records of each pair, whatever the verdict.
+
+A pair is estimated with its K, with K withheld, and now and then with a wrong one.
+"""
 
 import math
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
+from typing import Literal
 
+import numpy as np
+
+from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import Part
-from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import auto_camera
+from dgc_pose.estimation import EstimationOptions, RelativePose, VerdictOptions, estimate_pose
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
+from dgc_pose.images.header import Header
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
 
@@ -27,6 +38,13 @@ ANY_POSE = VerdictOptions(
     max_rotation_error_deg=math.inf,
 )
 _CHUNK = 16
+CameraCase = Literal["exact", "auto", "wrong"]
+_WRONG_FACTORS = (0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0)  # of the focal lengths
+_WRONG_SHARE = 3  # a pair of so many has a record of a wrong K as well
+_SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken both images
+# Principal points farther from the middle, over the longer side, are of no photograph: of drawn
+# cameras. They say nothing of what the deviation of a focal length is worth.
+_USUAL_CENTRE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +58,10 @@ class Record:
     evidence: Evidence | None  # None without a model
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
+    cameras: CameraCase = "exact"
+    # Of ln f of the less certain camera, per cent; NaN if it was not fitted, without a pose, and if
+    # the principal point is off as that of no photograph.
+    focal_error_percent: float = math.nan
 
     @property
     def right(self) -> bool:
@@ -53,19 +75,21 @@ class Record:
 
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
-    """The record of each pair, in order; `options.verdict` does not matter."""
+    """The records of each pair, in order; `options.verdict` does not matter."""
     stored = iter(pairs)
     while chunk := list(islice(stored, _CHUNK)):
-        yield from in_threads(lambda pair: record(pair, options), chunk)
+        work = [(pair, case) for pair in chunk for case in _cases(pair)]
+        yield from in_threads(lambda item: record(item[0], options, item[1]), work)
 
 
-def record(pair: StoredPair, options: EstimationOptions) -> Record:
+def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "exact") -> Record:
     """The record of one pair."""
     truth = pair.truth
+    camera1, camera2 = _cameras(pair, cameras)
     pose = estimate_pose(
         pair.matches,
-        truth.camera1,
-        truth.camera2,
+        camera1,
+        camera2,
         replace(options, verdict=ANY_POSE),
         map_matches=pair.map_matches,
     )
@@ -74,4 +98,56 @@ def record(pair: StoredPair, options: EstimationOptions) -> Record:
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, truth.t)
     scene = (pair.entry, pair.scene, pair.part, pair.exact)
-    return Record(*scene, pose.evidence, rotation, translation)
+    errors = (rotation, translation, cameras, _focal_error(pose, truth))
+    return Record(*scene, pose.evidence, *errors)
+
+
+def _cases(pair: StoredPair) -> list[CameraCase]:
+    if pair.matches.key_points:
+        return ["exact"]
+    wrong = pair.truth.R is not None and _draw(pair.name, _WRONG_SHARE) == 0
+    return ["exact", "auto", "wrong"] if wrong else ["exact", "auto"]
+
+
+def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
+    """What the estimation is told. Withheld, the cameras of half of the pairs that one camera may
+    have taken are said to be one."""
+    camera1, camera2 = pair.truth.camera1, pair.truth.camera2
+    if case == "exact":
+        return camera1, camera2
+    if case == "wrong":
+        scale = np.array([_WRONG_FACTORS[_draw(pair.name, len(_WRONG_FACTORS))]] * 2 + [1.0])
+        first, second = (
+            replace(camera, K=np.column_stack([camera.K[:, :2] * scale[:2], camera.K[:, 2]]))
+            for camera in (camera1, camera2)
+        )
+        return first, second
+    assert camera1.size is not None and camera2.size is not None
+    alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
+    identity = "both" if alike and _draw(pair.name, 2) == 0 else None
+    first, second = (
+        replace(auto_camera(Header("", size)), identity=identity)
+        for size in (camera1.size, camera2.size)
+    )
+    return first, second
+
+
+def _draw(name: str, count: int) -> int:
+    """A number below `count`, the same whatever else is estimated."""
+    return zlib.crc32(f"{count} {name}".encode()) % count
+
+
+def _focal_error(pose: RelativePose, truth: Truth) -> float:
+    fitted = [(pose.camera1, truth.camera1), (pose.camera2, truth.camera2)]
+    pairs = [(camera, true) for camera, true in fitted if camera is not None and camera.focal_std]
+    if not pairs or any(_offset(true) > _USUAL_CENTRE for _, true in pairs):
+        return math.nan
+    camera, true = max(pairs, key=lambda item: item[0].focal_std)
+    return 100 * abs(math.log(camera.focal / true.focal))
+
+
+def _offset(camera: Camera) -> float:
+    """Of the principal point from the middle, over the longer side."""
+    assert camera.size is not None
+    middle = (np.array(camera.size) - 1) / 2
+    return float(np.abs(camera.K[:2, 2] - middle).max() / max(camera.size))

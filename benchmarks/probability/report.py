@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import VerdictOptions
+from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.probability import ProbabilityModel
+from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.metrics import Reliability, pose_auc
@@ -19,6 +20,7 @@ from dgc_pose.metrics import Reliability, pose_auc
 _GATES = VerdictOptions(min_probability=None)
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
 _INLIERS = (0, 60, 200, 600, math.inf)
+_DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
 _LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 
 
@@ -32,6 +34,7 @@ class Judged:
     probability: float  # 0 if the evidence says that the translation is not determined
     rotation_90_deg: float
     translation_90_deg: float
+    focal_90_percent: float = math.nan  # of a focal length that was fitted
 
     @property
     def right(self) -> bool:
@@ -52,11 +55,14 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         0.0 if STATUSES[status].rotation_alone else probability,
         _expected(evidence, model, "rotation"),
         _expected(evidence, model, "translation"),
+        _expected(evidence, model, "focal"),
     )
 
 
 def report_text(poses: Sequence[Judged]) -> str:
-    """All tables."""
+    """All tables. Of poses with a wrong K the first alone."""
+    wrong = [pose for pose in poses if pose.record.cameras == "wrong"]
+    poses = [pose for pose in poses if pose.record.cameras != "wrong"]
     parts = [
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
         claims_table(poses),
@@ -70,6 +76,16 @@ def report_text(poses: Sequence[Judged]) -> str:
         "scenes of a rough reference left out",
         coverage_table(poses),
     ]
+    if any(math.isfinite(pose.focal_90_percent) for pose in poses):
+        parts += ["focal lengths that were fitted", focal_table(poses)]
+    if wrong:
+        bins = reliability(wrong)
+        parts += [
+            "The same pairs, a third of them, with focal lengths that are wrong by a factor of 0.5 "
+            "to 2",
+            claims_table(wrong),
+            f"calibration error of the probability {100 * bins.calibration_error:.1f} %",
+        ]
     return "\n\n".join(parts)
 
 
@@ -156,6 +172,22 @@ def coverage_table(poses: Sequence[Judged]) -> str:
     return aligned(rows)
 
 
+def focal_table(poses: Sequence[Judged]) -> str:
+    """By what the fit says of them: errors of ln f, and how many are within two deviations."""
+    rows = [("deviation of f", "poses", "median error", "within two deviations")]
+    members = [p for p in poses if p.by_probability and math.isfinite(p.record.focal_error_percent)]
+    error = np.array([pose.record.focal_error_percent for pose in members])
+    std = np.array([pose.focal_90_percent for pose in members]) / NORMAL_90
+    for low, high in zip(_DEVIATIONS, _DEVIATIONS[1:], strict=False):
+        chosen = (low <= std) & (std < high)
+        if chosen.any():
+            within = 100 * np.mean(error[chosen] <= 2 * std[chosen])
+            median = f"{np.median(error[chosen]):.2f} %"
+            name = f"{low:g} to {high:g} %"
+            rows.append((name, str(chosen.sum()), median, f"{within:.0f} %"))
+    return aligned(rows)
+
+
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     """The reliability diagram and precision against recall, a curve a kind of matches; the gates
     are a point each."""
@@ -188,11 +220,12 @@ def _values(poses: Sequence[Judged], name: str) -> np.ndarray:
 
 
 def _expected(evidence: Evidence, model: ProbabilityModel, part: str) -> float:
-    error = getattr(evidence, f"jackknife_{part}_90_deg")
+    unit, most = ("percent", math.inf) if part == "focal" else ("deg", 180.0)
+    error = getattr(evidence, f"jackknife_{part}_90_{unit}")
     if error is None:
         return math.nan
-    factors = {"rotation": model.rotation_error, "translation": model.translation_error}
-    return min(error * factors[part].factor(error), 180.0)
+    error_model: ErrorModel = getattr(model, f"{part}_error")
+    return min(error * error_model.factor(error), most)
 
 
 def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:

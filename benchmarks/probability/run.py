@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.fitting import fit_model, models_text
+from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model, models_text
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.probability.report import judged, reliability_figure, report_text
@@ -20,6 +20,8 @@ WORDS = {
     "network": "matches of a network, with its dense map",
     "matches": "the same matches without the map",
     "key_points": "key points",
+    "network_auto": "matches of a network, K withheld",
+    "matches_auto": "the same without the map, K withheld",
 }
 
 
@@ -53,7 +55,9 @@ def fit_all(
             by_kind.setdefault(kind, rows)  # of several networks the first
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
-    text = models_text({kind: fit_model(rows, kind) for kind, rows in by_kind.items()}, engines)
+    focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
+    fitted = {kind: fit_model(rows, kind, focal_error) for kind, rows in by_kind.items()}
+    text = models_text(fitted, engines)
     models = parse_models(text)
     reported = {
         kind: [judged(row, models[kind]) for row in rows if row.part == "report"]
@@ -65,11 +69,17 @@ def fit_all(
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
-    """A method's records as its own kind of matches, and a network's as those of no map too."""
-    kinds = {match_kind(row.evidence) for row in rows if row.evidence is not None}
-    if "network" not in kinds:
-        return {kind: list(rows) for kind in kinds}
+    """A method's records by their kind of matches and cameras, and a network's as those of no map
+    too. Those without evidence are of every kind of their cameras."""
     blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
-    evidence = [row.evidence and replace(row.evidence, **blank) for row in rows]  # type: ignore[arg-type]
-    without = [replace(row, evidence=e) for row, e in zip(rows, evidence, strict=True)]
-    return {"network": list(rows), "matches": without}
+    kinds: dict[MatchKind, list[Record]] = {}
+    for auto in (False, True):
+        members = [row for row in rows if (row.cameras == "auto") == auto]
+        kind = {match_kind(row.evidence) for row in members if row.evidence is not None}
+        for name in kind:
+            kinds[name] = members
+        if "network" in kind or "network_auto" in kind:
+            evidence = [row.evidence and replace(row.evidence, **blank) for row in members]  # type: ignore[arg-type]
+            without = [replace(row, evidence=e) for row, e in zip(members, evidence, strict=True)]
+            kinds["matches_auto" if auto else "matches"] = without
+    return kinds

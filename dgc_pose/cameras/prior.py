@@ -15,8 +15,8 @@ from dgc_pose.images.exif import read_exif
 
 Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
-SIZE_STD = 0.4  # deviation of their logarithm
-CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
+SIZE_STD = 0.45  # deviation of their logarithm
+CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 _NEAR_MIDDLE = 0.04  # of the principal point from the middle, over the side
 _QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 

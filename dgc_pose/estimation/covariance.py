@@ -5,55 +5,97 @@ of them carry little more information than a few. The usual covariance takes all
 independent and is several times too small. Here image 2 is divided into blocks, and the pose's
 spread is measured by leaving out one block after the other (the delete-a-group jackknife, Kott
 2001), so that correlated errors are left out together.
+
+Cameras that are not exact are parameters as the pose is. Their prior is information that no block
+holds: to what the blocks say, the spread that the prior leaves is added.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.estimation.model import Model, error_scale
+from dgc_pose.estimation.camera_spread import EXACT, CameraSpread
+from dgc_pose.estimation.model import EFFICIENT, Model, pose_error_scale
 from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
+from dgc_pose.estimation.slopes import error_slopes
 
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
+NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
 _RIDGE = 1e-9  # keeps the remaining information regular if one block has nearly all
 
 
-def pose_covariance(problem: TwoViewProblem, model: Model) -> np.ndarray | None:
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """The covariance of a pose and of the deviations of its cameras."""
+
+    pose: np.ndarray  # (6, 6), rad^2, of rank 5: see `pose_covariance`
+    cameras: np.ndarray  # (6, 6) of (k1, x1, y1, k2, x2, y2), see `CameraSpread`; 0 of exact ones
+
+    @property
+    def focal_stds(self) -> tuple[float, float]:
+        """Standard deviations of ln f of both cameras."""
+        return math.sqrt(self.cameras[0, 0]), math.sqrt(self.cameras[3, 3])
+
+    @property
+    def focal_90_percent(self) -> float | None:
+        """What ln f of the less certain camera is off by less than nine times in ten, per cent;
+        None if both focal lengths are exact."""
+        return 100 * NORMAL_90 * max(self.focal_stds) or None
+
+
+def pose_covariance(
+    problem: TwoViewProblem, model: Model, spread: CameraSpread = EXACT
+) -> Covariance | None:
     """Covariance (6, 6), rad^2, of the rotation vector and of the unit translation.
 
     Of the pose that minimises the Cauchy loss, at the errors' own scale, of the Sampson errors of
     the inliers in front of both cameras. In camera 2's axes: the true pose is exp([w]x) R and t + d
     for a (w, d) of this covariance. d is perpendicular to t, so the rank is 5. None if the inliers
-    do not determine the pose.
+    do not determine the pose. spread: of the cameras that normalised the problem.
     """
     inliers = problem.subset(model.inliers_in_front)
     if len(inliers) <= MINIMAL:
         return None
-    error, slopes, tangent = error_slopes(inliers, model.R, model.t)
-    squared = (error / error_scale(inliers, model.R, model.t)) ** 2
+    error, slopes, tangent = error_slopes(inliers, model.R, model.t, spread)
+    scale = pose_error_scale(inliers, model.R, model.t)
+    squared = (error / scale) ** 2
     # Negative for errors beyond the loss's inflection; a match must not count as negative evidence.
     curvature = np.maximum(1 - squared, 0) / (1 + squared) ** 2
     gradients = slopes * (error / (1 + squared))[:, None]
     information = (slopes * curvature[:, None])[:, :, None] * slopes[:, None]
-    terms = np.column_stack([information.reshape(-1, 25), gradients])  # (N, 30)
+    count = slopes.shape[1]
+    terms = np.column_stack([information.reshape(-1, count**2), gradients])
     total = information.sum(0)
+    prior = np.zeros((count, count))
+    variance = (scale / EFFICIENT) ** 2  # of a match: the information is in its unit
+    if len(spread):
+        prior[5:, 5:] = variance * np.eye(len(spread))
+        total = total + prior
     covariances = []
-    for shift in _SHIFTS:
-        sums = _membership(inliers.points2, shift).T @ terms
-        count = len(sums)
-        left_out, gradient = sums[:, :25].reshape(-1, 5, 5), sums[:, 25:, None]
-        try:
+    try:
+        for shift in _SHIFTS:
+            sums = _membership(inliers.points2, shift).T @ terms
+            blocks = len(sums)
+            left_out = sums[:, : count**2].reshape(-1, count, count)
+            gradient = sums[:, count**2 :, None]
             moves = np.linalg.solve((1 + _RIDGE) * total - left_out, gradient)[:, :, 0]
-        except np.linalg.LinAlgError:
-            return None
-        covariances.append((count - 1) / count * moves.T @ moves)
+            covariances.append((blocks - 1) / blocks * moves.T @ moves)
+        covariance = np.mean(covariances, axis=0)
+        if len(spread):
+            inverse = np.linalg.inv(total)
+            covariance += variance * inverse @ prior @ inverse
+    except np.linalg.LinAlgError:
+        return None
     expand = np.zeros((6, 5))
     expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
-    covariance = expand @ np.mean(covariances, axis=0) @ expand.T
-    return covariance if np.isfinite(covariance).all() else None
+    pose = expand @ covariance[:5, :5] @ expand.T
+    cameras = spread.basis @ covariance[5:, 5:] @ spread.basis.T
+    if not (np.isfinite(pose).all() and np.isfinite(cameras).all()):
+        return None
+    return Covariance(pose, cameras)
 
 
 def error_radii_deg(covariance: np.ndarray | None) -> tuple[float | None, float | None]:
@@ -102,31 +144,6 @@ def _incomplete_gamma(a: float, x: float) -> float:
         term *= x / a
         total += term
     return total
-
-
-def error_slopes(
-    problem: TwoViewProblem, R: np.ndarray, t: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Signed Sampson errors (N,), their derivatives by the pose (N, 5), and a basis (3, 2).
-
-    The parameters are a rotation vector w, R becoming exp([w]x) R, and two coordinates of t along
-    the columns of the basis, which are perpendicular to t.
-    """
-    tangent = np.linalg.svd(t[None])[2][1:].T
-    E = essential_from_pose(R, t)
-    algebraic, squared1, squared2 = epipolar_terms(problem.points1, problem.points2, E)
-    squared = np.maximum(squared1 + squared2, np.finfo(float).tiny)  # 0 at the epipoles
-    x1, x2 = homogeneous(problem.points1), homogeneous(problem.points2)
-    lines2, lines1 = x1 @ E.T, x2 @ E
-    by_rotation = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
-    by_translation = [essential_from_pose(R, axis) for axis in tangent.T]
-    slopes = np.empty((len(x1), 5))
-    for column, change in enumerate(by_rotation + by_translation):
-        changed2, changed1 = x1 @ change.T, x2 @ change
-        lengthening = (lines1 * changed1)[:, :2].sum(1) + (lines2 * changed2)[:, :2].sum(1)
-        slopes[:, column] = (x2 * changed2).sum(1) - algebraic / squared * lengthening
-    root = np.sqrt(squared)
-    return algebraic / root, slopes / root[:, None], tangent
 
 
 def _membership(points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:

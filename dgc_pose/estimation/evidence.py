@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.estimation.covariance import error_radii_deg
+from dgc_pose.estimation.covariance import Covariance, error_radii_deg
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -52,6 +52,11 @@ class Evidence:
     # Nine times in ten the error is below, as the jackknife has it, not calibrated; or unknown.
     jackknife_rotation_90_deg: float | None
     jackknife_translation_90_deg: float | None
+    # The same of the logarithm of the focal length, per cent; None if K is exact.
+    jackknife_focal_90_percent: float | None
+    # By how many standard deviations the focal lengths that the matches suggest are off those of an
+    # exact K; 0 if they agree.
+    focal_contradiction: float
     residual: float  # median epipolar error of the inliers, over the threshold
     threshold_cells: float  # the threshold over the side of a grid cell, mean of both images
     hull_cells: float  # area of the inliers' convex hull in grid cells, the smaller of both images
@@ -86,16 +91,18 @@ def gather(
     problem: TwoViewProblem,
     model: Model,
     homography_ratio: float,
-    covariance: np.ndarray | None = None,
+    covariance: Covariance | None = None,
     *,
     runs: Sequence[Model] = (),
     rivals: Sequence[Model] = (),
     map_problem: TwoViewProblem | None = None,
+    focal_contradiction: float = 0.0,
 ) -> Evidence:
     """The evidence for and against a model of the problem's matches.
 
     covariance: of its pose, see `pose_covariance`. runs: the models of the RANSAC runs. rivals:
     other models that explain matches. map_problem: an even sample of the dense map.
+    focal_contradiction: see `FocalCheck`.
     """
     threshold, is_inlier = problem.threshold, model.inliers
     inliers = problem.subset(is_inlier)
@@ -109,7 +116,7 @@ def gather(
     rotated = problem.subset(explained)
     across = epipolar_angles(rotated.points1, rotated.points2, model.E)
     angles = triangulation_angles_deg(inliers.points1, inliers.points2, model.R)
-    rotation_90, translation_90 = error_radii_deg(covariance)
+    rotation_90, translation_90 = error_radii_deg(None if covariance is None else covariance.pose)
     side1, side2 = problem.cells
     in_cells = inliers.points1 / side1, inliers.points2 / side2
     return Evidence(
@@ -133,6 +140,8 @@ def gather(
         key_points=problem.key_points,
         jackknife_rotation_90_deg=rotation_90,
         jackknife_translation_90_deg=translation_90,
+        jackknife_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
+        focal_contradiction=focal_contradiction,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         hull_cells=min(_hull_area(cells) for cells in in_cells),

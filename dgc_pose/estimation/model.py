@@ -12,7 +12,7 @@ from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 _DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
-_EFFICIENT = 2.385  # Cauchy loss of 95 % efficiency on Gaussian noise, in standard deviations
+EFFICIENT = 2.385  # Cauchy loss of 95 % efficiency on Gaussian noise, in standard deviations
 _MIN_SCALE = 0.02  # of the threshold: matches are not trusted to be more accurate than that
 
 
@@ -63,11 +63,16 @@ class Model:
         return int(self.inliers_in_front.sum())
 
 
-def error_scale(inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> float:
-    """Scale of the Cauchy loss for the Sampson errors of a pose's inliers, in their unit.
+def pose_error_scale(inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> float:
+    """`error_scale` of the Sampson errors of a pose's inliers."""
+    error = sampson_distance(inliers.points1, inliers.points2, essential_from_pose(R, t))
+    return error_scale(error, inliers.threshold)
+
+
+def error_scale(error: np.ndarray, threshold: float) -> float:
+    """Scale of the Cauchy loss for inliers' errors (N,), in their unit.
 
     From the median error, as if the errors were Gaussian; at most the threshold.
     """
-    error = sampson_distance(inliers.points1, inliers.points2, essential_from_pose(R, t))
-    scale = _EFFICIENT * _DEVIATION * float(np.median(error))
-    return min(max(scale, _MIN_SCALE * inliers.threshold), inliers.threshold)
+    scale = EFFICIENT * _DEVIATION * float(np.median(error))
+    return min(max(scale, _MIN_SCALE * threshold), threshold)

@@ -58,16 +58,65 @@ def essential_matrix(
     same seed gives the same answer to the bit. A run ends as soon as its share of inliers says that
     a sample without outliers was drawn, with PoseLib's probability of 0.9999.
     """
+    pose, info = poselib.estimate_relative_pose(
+        points1 * _FOCAL,
+        points2 * _FOCAL,
+        _CAMERA,
+        _CAMERA,
+        *_ransac_options(threshold, iterations, seed),
+    )
+    return _essential(pose, info)
+
+
+def essential_and_focal(
+    points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
+) -> tuple[np.ndarray, float] | None:
+    """As `essential_matrix`, for points that were normalised by a focal length that is wrong by the
+    same factor in both images: E of the points divided by that factor, and the factor (six-point
+    solver)."""
+    pair, info = poselib.estimate_shared_focal_relative_pose(
+        points1 * _FOCAL,
+        points2 * _FOCAL,
+        np.zeros(2),
+        *_ransac_options(threshold, iterations, seed),
+    )
+    E, factor = _essential(pair.pose, info), pair.camera1.focal() / _FOCAL
+    return None if E is None or not 0 < factor < np.inf else (E, factor)
+
+
+def essential_and_focals(
+    points1: np.ndarray, points2: np.ndarray, *, threshold: float, iterations: int, seed: int
+) -> tuple[np.ndarray, float, float] | None:
+    """As `essential_and_focal`, with a factor for each image, by the fundamental matrix: the
+    factors nearest to 1 that it allows (Kocur, Kyselica, Kukelova, CVPR 2024)."""
+    F, info = poselib.estimate_fundamental(
+        points1 * _FOCAL, points2 * _FOCAL, *_ransac_options(threshold, iterations, seed)
+    )
+    if info["num_inliers"] == 0:
+        return None
+    camera1, camera2, _ = poselib.focals_from_fundamental_iterative(F, _CAMERA, _CAMERA)
+    factors = np.array([camera1.focal(), camera2.focal()]) / _FOCAL
+    if not ((factors > 0) & np.isfinite(factors)).all():
+        return None
+    first, second = (np.diag([factor * _FOCAL, factor * _FOCAL, 1.0]) for factor in factors)
+    E = second @ F @ first
+    return E / np.linalg.norm(E), float(factors[0]), float(factors[1])
+
+
+def _ransac_options(
+    threshold: float, iterations: int, seed: int
+) -> tuple[dict[str, float], dict[str, str | float]]:
+    """PoseLib's options of a run and of its local optimisation."""
     ransac = {
         "max_iterations": iterations,
         "min_iterations": min(iterations, _LEAST_ITERATIONS),
         "max_epipolar_error": threshold * _FOCAL,
         "seed": seed,
     }
-    bundle = {"loss_type": "TRUNCATED", "loss_scale": threshold * _FOCAL}
-    pose, info = poselib.estimate_relative_pose(
-        points1 * _FOCAL, points2 * _FOCAL, _CAMERA, _CAMERA, ransac, bundle
-    )
+    return ransac, {"loss_type": "TRUNCATED", "loss_scale": threshold * _FOCAL}
+
+
+def _essential(pose: poselib.CameraPose, info: dict[str, float]) -> np.ndarray | None:
     length = np.linalg.norm(pose.t)
     if info["num_inliers"] == 0 or length < 1e-12 or not np.isfinite(pose.R).all():
         return None

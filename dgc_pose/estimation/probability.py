@@ -17,16 +17,19 @@ import numpy as np
 from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
-FORMAT = 1  # of the file
-MatchKind = Literal["network", "matches", "key_points"]
+FORMAT = 2  # of the file
+MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MOST_REASONS = 3
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
 
 
 def match_kind(evidence: Evidence) -> MatchKind:
-    """Which model applies: of matches with a dense map, without one, or of key points."""
+    """Which model applies: of matches with a dense map, without one, or of key points; `_auto` if
+    the focal lengths are fitted."""
     if evidence.key_points:
         return "key_points"
+    if evidence.jackknife_focal_90_percent is not None:
+        return "matches_auto" if evidence.map_agreement is None else "network_auto"
     return "matches" if evidence.map_agreement is None else "network"
 
 
@@ -109,7 +112,15 @@ FEATURES: Mapping[str, Feature] = {
     "map_over_chance": Feature(
         "map_over_chance", 1, "the dense map agrees with it no more than by chance"
     ),
+    "focal_error": Feature(
+        "jackknife_focal_90_percent", -1, "the matches hardly tell the focal length", (0.3, 100)
+    ),
+    "focal_contradiction": Feature(
+        "focal_contradiction", -1, "the matches contradict the focal length of K", (2, 50)
+    ),
 }
+OF_AUTO = ("focal_error",)  # of focal lengths that are fitted
+OF_EXACT = ("focal_contradiction",)  # of those that are not
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 
 
@@ -131,7 +142,8 @@ class ErrorModel:
 
 
 def log_error(error_deg: float | None) -> float:
-    """The logarithm of a jackknife's error, within the range that the model was fitted on."""
+    """The logarithm of a jackknife's error, in degrees or of a focal length in per cent, within the
+    range that the model was fitted on."""
     return _log(error_deg, 0.005, 60)
 
 
@@ -144,6 +156,7 @@ class ProbabilityModel:
     reference: Mapping[str, float]  # the median of each feature over right poses
     rotation_error: ErrorModel
     translation_error: ErrorModel
+    focal_error: ErrorModel  # of its logarithm, per cent
 
     def probability(self, evidence: Evidence) -> float:
         """That R and t are both within 10 degrees."""
@@ -188,6 +201,7 @@ def parse_models(text: str) -> Mapping[str, ProbabilityModel]:
             values["reference"],
             ErrorModel(**values["rotation_error"]),
             ErrorModel(**values["translation_error"]),
+            ErrorModel(**values["focal_error"]),
         )
         for kind, values in json.loads(text)["models"].items()
     }

@@ -3,7 +3,7 @@ that the homography of a plane allows."""
 
 import numpy as np
 
-from dgc_pose.estimation.model import Model, error_scale
+from dgc_pose.estimation.model import Model, pose_error_scale
 from dgc_pose.estimation.poselib_calls import MINIMAL, refine_pose
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.homography import fit_homography, homography_poses, transfer_error
@@ -39,7 +39,7 @@ def refit(problem: TwoViewProblem, model: Model, *, adapt_scale: bool = False) -
         return model
     R, t = model.R, model.t
     for _ in range(_ROUNDS if adapt_scale else 1):
-        scale = error_scale(inliers, R, t) if adapt_scale else problem.threshold
+        scale = pose_error_scale(inliers, R, t) if adapt_scale else problem.threshold
         R, t = refine_pose(inliers.points1, inliers.points2, R, t, scale)
     fitted = Model.of_pose(problem, R, t)
     if not adapt_scale:

@@ -9,7 +9,10 @@ from functools import partial
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.camera_check import FocalCheck, check_focals, focal_warnings
+from dgc_pose.estimation.camera_fit import SEARCH_RUNS, fit_cameras
+from dgc_pose.estimation.camera_spread import CameraSpread
+from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
@@ -25,6 +28,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
+_OF_CAMERAS = ("ok", "planar", "improbable")  # statuses of models that say something of K
 
 
 def estimate_pose(
@@ -53,7 +57,9 @@ def estimate_pose(
     if len(problem) < options.verdict.min_matches:
         reason = f"only {len(problem)} matches; a verdict needs {options.verdict.min_matches}"
         return failure("too_few_matches", reason)
-    runs = sampled_models(problem, options)
+    hypotheses = _hypotheses(problem, matches, camera1, camera2, options)
+    problem, camera1, camera2 = hypotheses.problem, hypotheses.camera1, hypotheses.camera2
+    spread, runs = CameraSpread.of(camera1, camera2), hypotheses.runs
     if not runs:
         return failure("no_model", f"no essential matrix was found for {len(problem)} matches")
 
@@ -65,8 +71,11 @@ def estimate_pose(
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, camera1, camera2, map_options)
 
+    # A spread says what K may be; without it K is to be right.
+    check = FocalCheck() if len(spread) else check_focals(matches, camera1, camera2, model, options)
+
     def assess(model: Model, rivals: Sequence[Model]) -> _Assessed:
-        covariance = pose_covariance(problem, model)
+        covariance = pose_covariance(problem, model, spread)
         evidence = gather(
             problem,
             model,
@@ -75,6 +84,7 @@ def estimate_pose(
             runs=runs,
             rivals=rivals,
             map_problem=map_problem,
+            focal_contradiction=check.contradiction,
         )
         logistic = shipped_models().get(match_kind(evidence))
         return _Assessed(model, evidence, covariance, logistic)
@@ -91,6 +101,7 @@ def estimate_pose(
         [assess(other, [model]) for other in others if other.count_in_front >= least],
         best.probability,
     )
+    cameras = best.camera(camera1, 0), best.camera(camera2, 1)
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
@@ -99,13 +110,51 @@ def estimate_pose(
         R=model.R if known.has_t else rotation,
         t=model.t if known.has_t else None,
         covariance=best.calibrated_covariance if known.has_t else None,
-        camera1=camera1 if known.has_t else None,
-        camera2=camera2 if known.has_t else None,
+        camera1=cameras[0] if known.has_t else None,
+        camera2=cameras[1] if known.has_t else None,
         evidence=best.evidence,
         probability=0.0 if known.rotation_alone else best.probability,
         alternatives=alternatives,
-        warnings=problem.warnings + verdict.warnings + _warnings(len(alternatives)),
+        warnings=(
+            *problem.warnings,
+            *verdict.warnings,
+            *(focal_warnings(cameras, check) if verdict.status in _OF_CAMERAS else ()),
+            *_warnings(len(alternatives)),
+        ),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypotheses:
+    """The results of RANSAC."""
+
+    problem: TwoViewProblem  # normalised by the cameras
+    camera1: Camera  # as the matches tell, if they are not exact
+    camera2: Camera
+    runs: list[Model]  # that with most inliers first; none if there is no essential matrix
+
+
+def _hypotheses(
+    problem: TwoViewProblem,
+    matches: Matches,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions,
+) -> _Hypotheses:
+    """RANSAC, with the focal lengths of cameras that are not exact among the unknowns.
+
+    problem: of the matches, normalised by the two cameras.
+    """
+    if not len(CameraSpread.of(camera1, camera2)):
+        return _Hypotheses(problem, camera1, camera2, sampled_models(problem, options))
+    fit = fit_cameras(problem, camera1, camera2, options)
+    if fit is None:
+        return _Hypotheses(problem, camera1, camera2, [])
+    problem = TwoViewProblem.of(matches, fit.camera1, fit.camera2, options)
+    rest = replace(options, runs=max(1, options.runs - SEARCH_RUNS))
+    runs = [Model.of_pose(problem, fit.R, fit.t), *sampled_models(problem, rest)]
+    runs.sort(key=lambda model: -model.count)
+    return _Hypotheses(problem, fit.camera1, fit.camera2, runs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +163,7 @@ class _Assessed:
 
     model: Model
     evidence: Evidence
-    covariance: np.ndarray | None
+    covariance: Covariance | None
     logistic: ProbabilityModel | None
 
     @property
@@ -123,9 +172,21 @@ class _Assessed:
 
     @property
     def calibrated_covariance(self) -> np.ndarray | None:
-        if self.covariance is None or self.logistic is None:
-            return self.covariance
-        return self.logistic.calibrated(self.covariance, self.evidence)
+        if self.covariance is None:
+            return None
+        if self.logistic is None:
+            return self.covariance.pose
+        return self.logistic.calibrated(self.covariance.pose, self.evidence)
+
+    def camera(self, camera: Camera, number: int) -> Camera:
+        """A fitted camera with the standard deviation that is left; an exact one as it is."""
+        if not camera.focal_std or self.covariance is None:
+            return camera
+        factor = 1.0
+        if self.logistic is not None:
+            factor = self.logistic.focal_error.factor(self.evidence.jackknife_focal_90_percent)
+        std = factor * self.covariance.focal_stds[number]
+        return replace(camera, focal_std=std, focal_source="matches")
 
 
 def _alternatives(

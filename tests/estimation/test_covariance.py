@@ -4,9 +4,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.covariance import error_radius_deg, error_slopes, pose_covariance
-from dgc_pose.estimation.model import Model, error_scale
+from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
+from dgc_pose.estimation.model import Model, pose_error_scale
 from dgc_pose.estimation.poselib_calls import refine_pose
+from dgc_pose.estimation.slopes import error_slopes
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene
@@ -69,9 +70,11 @@ def test_the_radius_ends_at_0_and_180_degrees():
 def refitted(points1, points2, scene):
     """The pose that the covariance is of: a Cauchy fit at its own scale."""
     problem = normalised_problem(points1, points2, 4 * SCALE)
-    scale = error_scale(problem, scene.R, scene.t)
+    scale = pose_error_scale(problem, scene.R, scene.t)
     model = Model.of_pose(problem, *refine_pose(points1, points2, scene.R, scene.t, scale))
-    return model.R, model.t, pose_covariance(problem, model)
+    covariance = pose_covariance(problem, model)
+    assert covariance is not None
+    return model.R, model.t, covariance.pose
 
 
 def test_the_covariance_is_that_of_poses_from_other_noise():

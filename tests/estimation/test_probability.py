@@ -27,6 +27,7 @@ MODEL = {
     "reference": {name: feature.value(GOOD_EVIDENCE) for name, feature in FEATURES.items()},
     "rotation_error": ERROR,
     "translation_error": ERROR,
+    "focal_error": ERROR,
 }
 
 

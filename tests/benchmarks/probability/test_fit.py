@@ -36,6 +36,7 @@ from two_view import two_view_scene
 OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")
 BLANK = Image(np.zeros((8, 8, 3), np.uint8))
+FOCAL_ERROR = {"slope": 0.0, "intercept": 0.0}
 
 
 class _Scenes(Matcher):
@@ -173,7 +174,7 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
 
 def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
     data = _records(1000, 0, "fit")
-    text = json.dumps({"format": 1, "models": {"network": fit_model(data, "network")}})
+    text = json.dumps({"format": 1, "models": {"network": fit_model(data, "network", FOCAL_ERROR)}})
     model = parse_models(text)["network"]
     fresh = [judged(one, model) for one in _records(1500, 2, "report")]
     probability = np.array([one.probability for one in fresh])
@@ -189,7 +190,7 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
 def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
     data = [one for one in _records(300, 0, "fit") if one.right]
     with pytest.raises(InputError, match="0 wrong poses of 5 scenes to fit on"):
-        fit_model(data, "network")
+        fit_model(data, "network", FOCAL_ERROR)
 
 
 def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
@@ -199,7 +200,7 @@ def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setattr("importlib.import_module", missing)
     data = _records(400, 0, "fit")
     with pytest.raises(InputError, match="dgc-pose\\[fit\\]"):
-        fit_model(data, "network")
+        fit_model(data, "network", FOCAL_ERROR)
 
 
 def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:

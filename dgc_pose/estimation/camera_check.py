@@ -1,0 +1,91 @@
+"""Whether the matches contradict the focal lengths of exact cameras.
+
+From the pose that these cameras give, the pose and a factor of both focal lengths are fitted
+together. Where the matches tell the focal length at all, the fit leads from a wrong one to the
+right one.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.camera_spread import CameraSpread, deviating
+from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.joint_fit import JointFit, JointPose
+from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.matches import Matches
+
+_STD = 0.5  # of ln f: a focal length that is hardly known
+_CENTRE_STD = 0.005  # of the principal point, over the focal length
+_HARDLY_TOLD = 0.1  # standard deviation of ln f, beyond which there is a warning
+_CONTRADICTED = 4.0  # standard deviations that K may be off without a warning
+_LEAST_ERROR = 0.08  # of ln f, below which there is none
+_AGREEING = 0.03  # of ln f: if the first step of the fit is shorter, the focal lengths are right
+
+
+@dataclass(frozen=True)
+class FocalCheck:
+    """What the matches say of the focal lengths of both cameras."""
+
+    factor: float = 1.0  # that the matches suggest, of those of K
+    std: float = math.inf  # of its logarithm, by the jackknife; infinite if it was not fitted
+
+    @property
+    def contradiction(self) -> float:
+        """By how many standard deviations K is off; 0 if it was not fitted."""
+        return abs(math.log(self.factor)) / self.std
+
+
+def focal_warnings(cameras: Sequence[Camera], check: FocalCheck) -> tuple[str, ...]:
+    """What the user is to know of the focal lengths, each a line. cameras: of the pose, with the
+    standard deviations that are left."""
+    lengths = {round(camera.focal, 1): camera for camera in cameras}
+    told = abs(math.log(check.factor)) >= _LEAST_ERROR and check.contradiction >= _CONTRADICTED
+    if told:
+        parts = (
+            f"f = {check.factor * f:.0f} +- {check.std * check.factor * f:.0f} px, and K says "
+            f"{f:.0f}"
+            for f in lengths
+        )
+        return (f"the matches suggest {', '.join(parts)}",)
+    loose = [f for f, camera in lengths.items() if camera.focal_std > _HARDLY_TOLD]
+    return tuple(
+        f"the matches hardly tell the focal length: f = {f:.0f} px within "
+        f"{100 * lengths[f].focal_std:.0f} %"
+        for f in loose
+    )
+
+
+def check_focals(
+    matches: Matches, camera1: Camera, camera2: Camera, model: Model, options: EstimationOptions
+) -> FocalCheck:
+    """The factor of the focal lengths that the matches suggest.
+
+    model: of the pose that the cameras give, as if they were exact.
+    """
+    loose1, loose2 = (
+        replace(
+            camera, focal_std=_STD, centre_std=_CENTRE_STD * camera.focal, identity="both cameras"
+        )
+        for camera in (camera1, camera2)
+    )
+    spread = CameraSpread.of(loose1, loose2)
+    joint = JointFit(TwoViewProblem.of(matches, camera1, camera2, options), spread)
+    start = JointPose(model.R, model.t, np.zeros(len(spread)))
+    step = joint.fitted(start, rounds=1, iterations=1)
+    if abs(joint.deviations(step)[0]) < _AGREEING:
+        return FocalCheck()
+    pose = joint.fitted(start)
+    deviations = joint.deviations(pose)
+    fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
+    problem = TwoViewProblem.of(matches, fitted1, fitted2, options)
+    refitted = Model.of_pose(problem, pose.R, pose.t)
+    covariance = pose_covariance(problem, refitted, CameraSpread.of(fitted1, fitted2))
+    if covariance is None:
+        return FocalCheck()
+    return FocalCheck(math.exp(deviations[0]), covariance.focal_stds[0])

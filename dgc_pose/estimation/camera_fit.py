@@ -1,0 +1,150 @@
+"""The focal lengths that the matches tell, of cameras that are not exact.
+
+Robust estimates at several focal lengths, and by solvers that have the focal length among their
+unknowns, are starts. From the best of them pose and cameras are fitted together.
+
+Where the matches do not tell the focal length (optical axes that meet, forward motion, a plane,
+little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.camera_spread import CameraSpread, deviating
+from dgc_pose.estimation.joint_fit import JointFit, JointPose
+from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.poselib_calls import (
+    essential_and_focal,
+    essential_and_focals,
+    essential_matrix,
+    run_seeds,
+    sampled_models,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.system.threads import in_threads
+
+SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
+_REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side
+_STEP = 0.23  # of ln f from each of them to the next
+_SHARE = 4  # a run at one of them has the iterations over this
+_MOST_STARTS = 3  # that are fitted
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFit:
+    """A pose x2 = R x1 + t with the cameras that it is of."""
+
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,), unit length
+    camera1: Camera  # with the standard deviations of the prior
+    camera2: Camera
+
+
+def fit_cameras(
+    problem: TwoViewProblem, camera1: Camera, camera2: Camera, options: EstimationOptions
+) -> CameraFit | None:
+    """The most probable pose and cameras; None if RANSAC has no essential matrix.
+
+    problem: normalised by the two cameras, whose standard deviations are the prior.
+    """
+    spread = CameraSpread.of(camera1, camera2)
+    joint = JointFit(problem, spread)
+    starts = [start for start in _starts(problem, spread, options) if start is not None]
+    if not starts:
+        return None
+    best = sorted(starts, key=joint.cost)[:_MOST_STARTS]
+    pose = min(in_threads(joint.fitted, best), key=joint.cost)
+    deviations = joint.deviations(pose)
+    return CameraFit(
+        pose.R,
+        pose.t,
+        deviating(camera1, deviations[:3]),
+        deviating(camera2, deviations[3:]),
+    )
+
+
+def _starts(
+    problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions
+) -> list[JointPose | None]:
+    """The results of the runs: at focal lengths within the prior's reach, and of the solvers."""
+    stds = np.array([np.linalg.norm(spread.basis[row]) for row in (0, 3)])
+    count = math.ceil(2 * _REACH * stds.max() / _STEP)
+    if count <= 1:  # the K of the prior are near enough
+        return [
+            JointPose(model.R, model.t, np.zeros(len(spread)))
+            for model in sampled_models(problem, options)[:_MOST_STARTS]
+        ]
+    solve = None
+    if spread.shared_focal:
+        solve = essential_and_focal
+    elif stds.all():
+        solve = essential_and_focals
+    tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
+    seeds = run_seeds(replace(options, runs=count + 1))
+    every = np.arange(len(problem))
+
+    def sample(seed: int) -> np.ndarray:
+        return np.random.default_rng(seed).permutation(every)[: options.max_sampled]
+
+    def at_focals(number: int) -> JointPose | None:
+        seed, log_factors = seeds[number], tried[number]
+        scaled = _rescaled(problem, log_factors)
+        sampled = sample(seed)
+        E = essential_matrix(
+            scaled.points1[sampled],
+            scaled.points2[sampled],
+            threshold=scaled.threshold,
+            iterations=max(1, options.iterations // _SHARE),
+            seed=seed,
+        )
+        return None if E is None else _start(problem, spread, E, log_factors)
+
+    def solved() -> JointPose | None:
+        sampled = sample(seeds[-1])
+        result = (
+            None
+            if solve is None
+            else solve(
+                problem.points1[sampled],
+                problem.points2[sampled],
+                threshold=problem.threshold,
+                iterations=options.iterations,
+                seed=seeds[-1],
+            )
+        )
+        if result is None:
+            return None
+        E, *factors = result
+        return _start(problem, spread, E, np.log(np.broadcast_to(factors, 2)))
+
+    work: list[Callable[[], JointPose | None]] = [solved]
+    work += [lambda number=number: at_focals(number) for number in range(count)]  # type: ignore[misc]
+    return in_threads(lambda run: run(), work)
+
+
+def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProblem:
+    """The problem for focal lengths that are larger by factors."""
+    shrink = np.exp(-log_factors)
+    return replace(
+        problem,
+        points1=problem.points1 * shrink[0],
+        points2=problem.points2 * shrink[1],
+        threshold=problem.threshold * float(shrink.mean()),
+    )
+
+
+def _start(
+    problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, log_factors: np.ndarray
+) -> JointPose | None:
+    model = Model.of_essential(_rescaled(problem, log_factors), E)
+    deviations = np.zeros(6)
+    deviations[[0, 3]] = log_factors
+    z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
+    return JointPose(model.R, model.t, z)

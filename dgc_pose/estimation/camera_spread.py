@@ -1,0 +1,86 @@
+"""How far two cameras may be from their K: the focal lengths and principal points, as a Gaussian.
+
+The deviations of one camera are k = ln(f / f of K) and the shift (x, y) of its principal point over
+the focal length of K. Points that K normalised are normalised by A of `normaliser` to what the
+camera makes of them, so that F = A2^T E A1.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+
+_BY_LOG_FOCAL = np.diag([-1.0, -1.0, 0.0])  # derivative of A by k, times A^-1
+
+
+@dataclass(frozen=True, eq=False)
+class CameraSpread:
+    """The deviations (k1, x1, y1, k2, x2, y2) of two cameras are `basis` times a standard normal
+    vector (M,)."""
+
+    basis: np.ndarray  # (6, M); no columns: both K are exact
+
+    @classmethod
+    def of(cls, camera1: Camera, camera2: Camera) -> CameraSpread:
+        """Of the deviations that two cameras state. One camera that took both images, by its
+        `identity`, has one focal length, and one principal point unless the images' sizes differ.
+        """
+        same = camera1.identity is not None and camera1.identity == camera2.identity
+        columns = []
+        for axis in range(3):
+            sides = [
+                camera.focal_std if axis == 0 else camera.centre_std / camera.focal
+                for camera in (camera1, camera2)
+            ]
+            column = np.zeros((6, 2))
+            column[axis, 0], column[3 + axis, 1] = sides
+            if same and (axis == 0 or camera1.size == camera2.size):
+                column = column.sum(axis=1, keepdims=True)
+            columns.append(column)
+        basis = np.hstack(columns)
+        return cls(basis[:, basis.any(axis=0)])
+
+    def __len__(self) -> int:
+        return self.basis.shape[1]
+
+    @property
+    def shared_focal(self) -> bool:
+        """Whether both cameras are off by the same factor."""
+        focal = self.basis[[0, 3]]
+        return bool((focal[0] == focal[1]).all() and focal.any())
+
+    @property
+    def focal_std(self) -> float:
+        """The larger deviation of ln f of the two cameras."""
+        return float(np.linalg.norm(self.basis[[0, 3]], axis=1).max(initial=0))
+
+
+EXACT = CameraSpread(np.zeros((6, 0)))
+
+
+def normaliser(deviations: np.ndarray) -> np.ndarray:
+    """A (3, 3) of the deviations (3,) of a camera."""
+    shrink = math.exp(-deviations[0])
+    x, y = deviations[1:]
+    return np.array([[shrink, 0, -x * shrink], [0, shrink, -y * shrink], [0, 0, 1]])
+
+
+def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
+    """The derivatives (3, 3) of A by the three deviations (3,)."""
+    A = normaliser(deviations)
+    by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
+    by_x[0, 2] = by_y[1, 2] = -A[0, 0]
+    return [_BY_LOG_FOCAL @ A, by_x, by_y]
+
+
+def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
+    """The camera with deviations (3,) from its K; its standard deviations stay."""
+    K = camera.K.copy()
+    K[0, 2] += deviations[1] * K[0, 0]
+    K[1, 2] += deviations[2] * K[1, 1]
+    K[:2, :2] *= math.exp(deviations[0])
+    return replace(camera, K=K)
