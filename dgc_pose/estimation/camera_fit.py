@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Unpack
 
 import numpy as np
 
@@ -81,7 +82,7 @@ def _starts(
             JointPose(model.R, model.t, np.zeros(len(spread)))
             for model in sampled_models(problem, options)[:_MOST_STARTS]
         ]
-    solve = None
+    solve: Callable[..., tuple[np.ndarray, Unpack[tuple[float, ...]]] | None] | None = None
     if spread.shared_focal:
         solve = essential_and_focal
     elif stds.all():
