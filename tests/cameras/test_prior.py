@@ -22,7 +22,7 @@ from exif_blocks import (
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import auto_camera, auto_cameras, with_orientation
+from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras, with_orientation
 from dgc_pose.cameras.sensors import sensor_width_mm
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import load_image
@@ -56,8 +56,8 @@ def whole(size: tuple[int, int] = SIZE) -> dict[int, int]:
 def test_without_exif_the_size_says_little() -> None:
     camera = auto_camera(photo(size=(1000, 800)))
     np.testing.assert_array_equal(camera.K, [[1100, 0, 499.5], [0, 1100, 399.5], [0, 0, 1]])
-    assert (camera.size, camera.focal_source, camera.focal_std) == ((1000, 800), "size", 0.4)
-    assert (camera.centre_std, camera.warnings) == (10, ())
+    assert (camera.size, camera.focal_source, camera.focal_std) == ((1000, 800), "size", SIZE_STD)
+    assert (camera.centre_std, camera.warnings) == (5, ())
     assert camera.identity is not None
 
 
@@ -158,7 +158,7 @@ def test_a_focal_length_that_no_camera_has(tags: dict[int, Any], said: str | Non
     if said is None:
         assert (camera.focal_source, camera.warnings) == ("exif", ())
         return
-    assert (camera.focal, camera.focal_std, camera.focal_source) == (4400, 0.4, "size")
+    assert (camera.focal, camera.focal_std, camera.focal_source) == (4400, SIZE_STD, "size")
     (warning,) = camera.warnings
     assert said in warning and "not believed" in warning and "\n" not in warning
 
@@ -226,7 +226,7 @@ def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) 
     assert np.abs(ends - np.log(camera.focal)).max() < camera.focal_std
     assert camera.focal_std > auto_camera(photo({FILM: 26})).focal_std
     np.testing.assert_array_equal(camera.K[:2, 2], (np.array(size) - 1) / 2)
-    assert camera.centre_std > 100
+    assert camera.centre_std > 50
 
 
 def test_an_image_of_16_to_9_may_be_a_part_of_the_sensor() -> None:
