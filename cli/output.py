@@ -124,7 +124,7 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     if camera.focal_std == 0:
         return ""
     text = f"f = {_focal_text(camera)}"
-    if camera.focal_source == "matches" and prior.focal_source != "matches":
+    if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
         text += f", {_focal_text(prior)}"
     x, y = camera.K[:2, 2].tolist()
     text += f"; principal point ({x:.1f}, {y:.1f})"
