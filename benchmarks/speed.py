@@ -19,9 +19,8 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 from dgc_pose.benchmarks.table import aligned
-from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import check_size
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
@@ -170,10 +169,8 @@ def user_setup(path1: Path, path2: Path | None, k: str | None) -> tuple[Path, Pa
     argument is missing."""
     if path2 is None or k is None:
         raise InputError("give both images and K, or nothing")
-    camera = parse_camera(k, "K")
-    for path in (path1, path2):
-        check_size(camera, load_image(path).size, "K")
-    return path1, path2, camera, camera
+    cameras = pair_cameras(k, k, load_image(path1), load_image(path2), ("K", "K"))
+    return path1, path2, *cameras
 
 
 def stages_text(timed: Sequence[Stage]) -> str:
