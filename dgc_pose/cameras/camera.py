@@ -43,6 +43,9 @@ class Camera:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
         if self.size is not None and not (self.size[0] > 0 and self.size[1] > 0):
             raise InputError(f"size must be positive, not {self.size[0]} x {self.size[1]}")
+        for name in ("focal_std", "centre_std"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
 
     @property
     def focal(self) -> float:

@@ -179,6 +179,14 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
     assert camera["size"] == [320, 240] and camera["focal_std"] > 0
     focal = camera["K"][0][0]
     assert f"f = {focal:.1f} +- {focal * camera['focal_std']:.1f} px" in told[-1]
+    # The JSON is a camera of the next pair, as uncertain as it was.
+    assert estimate("--json", "q.json", k=("--K", "p.json")).exit_code == 0
+    again = json.loads((folder / "q.json").read_text())
+    for name in ("camera1", "camera2"):
+        np.testing.assert_allclose(again[name]["K"], data[name]["K"], rtol=0.01)
+        assert (again[name]["focal_std"] > 0) == (data[name]["focal_std"] > 0)
+    same = [found["camera1"]["identity"] == found["camera2"]["identity"] for found in (data, again)]
+    assert same[0] == same[1]
 
 
 @pytest.mark.parametrize(

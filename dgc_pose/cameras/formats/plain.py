@@ -19,6 +19,7 @@ from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as
 
 _PARTS = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}  # of a pair
+_MAX_FOCAL_STD = 1.0  # relative
 
 
 def numbers_of(text: str) -> list[float] | None:
@@ -108,11 +109,15 @@ def _json_camera(data: Any) -> Camera:
     lens = None
     if data.get("model") is not None:
         lens = Distortion(str(data["model"]), tuple(float(x) for x in data["coefficients"]))
+    focal_std = float(data.get("focal_std") or 0)
+    if focal_std > _MAX_FOCAL_STD:
+        raise InputError(f"focal_std is {focal_std:g}, more than {_MAX_FOCAL_STD:g}: no K at all")
+    identity = data.get("identity")
     return Camera(
         K,
         size,
         lens,
-        focal_std=float(data.get("focal_std") or 0),
+        focal_std=focal_std,
         centre_std=float(data.get("centre_std_px") or 0),
-        identity=data.get("identity"),
+        identity=None if identity is None else str(identity),
     )

@@ -1,6 +1,7 @@
 """Numbers, tables and JSON."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,11 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path, keys: tuple[str, str]) ->
     [
         ({"K": [1, 2]}, "K has 2 numbers"),
         ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
+        ({"K": K.tolist(), "focal_std": 1e9}, r"focal_std is 1e\+09"),
+        ({"K": K.tolist(), "focal_std": -0.1}, "focal_std must be finite and at least 0"),
+        ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
+        ({"K": K.tolist(), "centre_std_px": math.inf}, "centre_std must be finite and at least 0"),
+        ({"camera1": None, "camera2": None}, "not a camera in JSON"),
         ({"fx": 1}, "not a camera in JSON"),
         ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
         ({"other": 1}, "no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys"),
