@@ -69,7 +69,9 @@ class Calibration:
         """
         camera = self.named(str(root / name)) or self._of_part(root / name, part) or self.common
         if camera is not None:
-            return self._checked(camera, image.size, f"{self.where}: {name}: K")
+            is_of_pair = part is not None and not self.by_name
+            label = self.where if is_of_pair else f"{self.where}: {name}: K"
+            return _fitted(camera, self.details, image.size, label)
         if self.auto is not None:
             camera = auto_camera(image)
             if self.auto == "files":
@@ -131,17 +133,17 @@ class Calibration:
         )
         return replace(self.common, warnings=(*self.common.warnings, warning))
 
-    def _checked(self, camera: Camera, size: tuple[int, int], name: str) -> Camera:
-        return checked_camera(with_details(camera, self.details, size, name), size, name)
 
+def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str) -> Camera:
+    """The camera of an image of `size`: checked, scaled from the size of `details`, and with its
+    deviations.
 
-def with_details(camera: Camera, details: KDetails, size: tuple[int, int], name: str) -> Camera:
-    """A camera with deviations, and scaled from the size of `details` to that of the image.
-
-    Raises InputError if K states another size, or if the image is a crop.
+    Raises InputError if K states another size, if the image is a crop, and as `checked_camera`.
     """
     of_K = details.size
-    if of_K is not None:
+    if of_K is None:
+        camera = checked_camera(camera, size, name)
+    else:
         if camera.size is not None and camera.size != of_K:
             raise InputError(f"{name} states {_times(camera.size)}, and --K-size {_times(of_K)}")
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
@@ -149,7 +151,8 @@ def with_details(camera: Camera, details: KDetails, size: tuple[int, int], name:
                 f"{name} is for {_times(of_K)} pixels and the image has {_times(size)}, of another "
                 "aspect ratio: it is no resized image, and K cannot be scaled to it"
             )
-        camera = checked_camera(replace(camera, size=of_K), of_K, name).resized(size)
+        camera = checked_camera(replace(camera, size=None), of_K, name)
+        camera = replace(camera, size=of_K).resized(size)
     return replace(
         camera,
         focal_std=details.focal_std or camera.focal_std,
@@ -176,7 +179,7 @@ def camera_for(
         return calibration.camera(Path(), image.name, image, part)
     camera = value if isinstance(value, Camera) else matrix_camera(value, name)
     camera = replace(camera, identity=camera.identity or name)
-    return checked_camera(with_details(camera, details, image.size, name), image.size, name)
+    return _fitted(camera, details, image.size, name)
 
 
 def pair_cameras(

@@ -9,7 +9,9 @@ from dgc_pose.errors import InputError
 MAX_FIELD_OF_VIEW_DEG, MIN_FIELD_OF_VIEW_DEG = 150.0, 1.0  # horizontal, of a pinhole
 _USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
 _SAME_RATIO = 0.03  # of the sides of two sizes: less is the same aspect ratio
-_OTHER_SCALE = 0.1  # of two sizes of the same aspect ratio: less is the same size
+# Logarithms of the scale between two sizes of the same aspect ratio: less is the same size, and
+# more cannot be the image's.
+_OTHER_SCALE, _FAR_OTHER_SCALE = 0.1, 0.4
 # Lenses whose field of view is not that of a pinhole.
 _WIDE = ("FISHEYE", "FOV", "EUCM", "DIVISION")
 
@@ -24,18 +26,20 @@ def checked_camera(camera: Camera, size: Size, name: str) -> Camera:
 def check_size(camera: Camera, size: Size, name: str) -> tuple[str, ...]:
     """Check that a camera belongs to an image of `size` (width, height).
 
-    Raises InputError, naming the argument `name`, if the camera's size differs, if its principal
-    point lies outside the image, or if a pinhole's field of view is above
-    `MAX_FIELD_OF_VIEW_DEG`. Returns a warning if the principal point is that of an image of another
-    resolution or turned by 90 degrees, or is far from the middle; and if the field of view is below
-    `MIN_FIELD_OF_VIEW_DEG`.
+    Raises InputError, naming the argument `name`, if the camera's size differs; if its principal
+    point lies outside the image, or, of a camera without a size, in the middle of one of far more
+    or fewer pixels; or if a pinhole's field of view is above `MAX_FIELD_OF_VIEW_DEG`. Returns a
+    warning if the principal point is that of an image of another size or turned by 90 degrees, or
+    is far from the middle; and if the field of view is below `MIN_FIELD_OF_VIEW_DEG`.
     """
     if camera.size is not None and camera.size != size:
         raise InputError(f"{name} {_other_size(camera.size, size)}")
     x, y = float(camera.K[0, 2]), float(camera.K[1, 2])
     is_inside = -0.5 < x < size[0] - 0.5 and -0.5 < y < size[1] - 0.5
     said = f"{name} has its principal point at ({x:g}, {y:g})"
-    if (other := _size_by_centre(x, y, size)) is not None:
+    other = _size_by_centre(x, y, size) if camera.size is None else None
+    is_far_off = other is not None and not _alike(max(other), max(size), _FAR_OTHER_SCALE)
+    if other is not None:
         middle = f"{said}, the middle of an image of about {_times(other)}, and"
         said = f"{middle} {_turned_or_scaled(other, size)}"
     elif not is_inside:
@@ -46,7 +50,7 @@ def check_size(camera: Camera, size: Size, name: str) -> tuple[str, ...]:
         said = ""
     angle = _field_of_view_deg(camera, size[0])
     is_too_wide = angle is not None and angle > MAX_FIELD_OF_VIEW_DEG
-    if said and (not is_inside or (is_too_wide and other is not None)):
+    if said and (not is_inside or is_far_off or (is_too_wide and other is not None)):
         raise InputError(said)
     warnings = [said] if said else []
     if angle is not None and not MIN_FIELD_OF_VIEW_DEG <= angle <= MAX_FIELD_OF_VIEW_DEG:

@@ -31,9 +31,9 @@ def test_a_usual_K_passes_without_a_word(text: str) -> None:
     ("text", "said"),
     [
         (
-            "700,700,399.5,299.5",
-            "K1 has its principal point at (399.5, 299.5), the middle of an image of about "
-            "800x600, and the image has 1600x1200: --K-size 800x600 scales it",
+            "1100,1100,639.5,479.5",
+            "K1 has its principal point at (639.5, 479.5), the middle of an image of about "
+            "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
         ),
         (
             "1400,1400,599.5,799.5",
@@ -66,6 +66,11 @@ def test_a_K_that_may_be_of_another_image_is_a_warning(text: str, said: str) -> 
             "3200x2400, and the image has 1600x1200: --K-size 3200x2400 scales it",
         ),
         (
+            "700,700,399.5,299.5",
+            "K1 has its principal point at (399.5, 299.5), the middle of an image of about "
+            "800x600, and the image has 1600x1200: --K-size 800x600 scales it",
+        ),
+        (
             "1400,1400,1700,300",
             "K1 has its principal point at (1700, 300), outside the image of 1600x1200",
         ),
@@ -96,6 +101,15 @@ def test_a_K_that_cannot_be_of_the_image_is_refused(text: str, said: str) -> Non
     with pytest.raises(InputError) as caught:
         check_size(parse_camera(text), SIZE, "K1")
     assert str(caught.value).startswith(said)
+
+
+def test_a_K_that_states_the_images_size_is_of_that_image() -> None:
+    """A part of a photograph may have its principal point anywhere inside."""
+    (said,) = check_size(parse_camera("PINHOLE,1600,1200,700,700,400,300"), SIZE, "K1")
+    assert said == (
+        "K1 has its principal point at (399.5, 299.5), far from the middle of the image of "
+        "1600x1200"
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -191,6 +191,8 @@ def test_eurocs_sensor(tmp_path: Path) -> None:
         (KALIBR.replace("eucm", "ds").format(model="none", coefficients=[]), "'ds' has no COLMAP"),
         (KALIBR.format(model="poly", coefficients=[1]), "cam0: the distortion_model 'poly'"),
         ("a: [1", "is not YAML that can be read"),
+        ("a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read .an alias"),
+        ("[" * 10000, "is not YAML that can be read"),
         ("a: 1\nb: 2\n", "no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its"),
     ],
 )
