@@ -10,7 +10,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 
-SceneKind = Literal["general", "planar", "rotation_only", "forward", "identical", "random"]
+SceneKind = Literal[
+    "general", "skew", "orbit", "planar", "rotation_only", "forward", "identical", "random"
+]
 SCENE_KINDS: tuple[SceneKind, ...] = get_args(SceneKind)
 
 CELLS = (0.05, 0.05)  # sides of a grid cell: a thirtieth of the images' width, normalised
@@ -39,7 +41,7 @@ class TwoViewScene:
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
-        return Camera(self.K1, SIZE1), Camera(self.K2, SIZE2)
+        return Camera(self.K1, SIZE1), Camera(self.K2, SIZE1 if self.K2 is self.K1 else SIZE2)
 
     def problem(
         self, threshold: float = 2e-3, cells: tuple[float, float] = CELLS
@@ -73,14 +75,16 @@ def two_view_scene(
     sigma_px: float = 0.5,
     outliers: float = 0.3,
     rotation_deg: float = 20.0,
+    same_camera: bool = False,
 ) -> TwoViewScene:
     """A scene of `count` matches, `outliers` of them anywhere, noise of `sigma_px` in each image.
 
-    "identical" is the same view twice, one camera; "random" has no scene at all.
+    "identical" is the same view twice, one camera; "random" has no scene at all. The optical axes
+    of "skew" do not meet, so that the matches tell the focal lengths; those of "orbit" do.
     """
     rng = np.random.default_rng(seed)
-    first, second = K1, K1 if kind == "identical" else K2
-    size2 = SIZE1 if kind == "identical" else SIZE2
+    same = same_camera or kind == "identical"
+    first, second, size2 = K1, K1 if same else K2, SIZE1 if same else SIZE2
     R, t = _motion(kind, rng, rotation_deg)
     points = _points(kind, rng, 40 * count)
     seen1, in1 = _project(points, first, np.eye(3), np.zeros(3), SIZE1)
@@ -112,6 +116,12 @@ def _motion(
     if kind == "forward":
         small = Rotation.from_rotvec(np.radians(2.0) * rng.standard_normal(3)).as_matrix()
         return small, np.array([0.02, 0.01, -1.5])
+    if kind == "skew":
+        R = R @ Rotation.from_euler("xz", (12.0, 15.0), degrees=True).as_matrix()
+        return R, -R @ np.array([1.5, 1.2, 0.3])
+    if kind == "orbit":
+        R = Rotation.from_euler("y", rotation_deg, degrees=True).as_matrix()
+        return R, np.array([0, 0, 6.0]) - R @ (0, 0, 6.0)
     # An orbit: the middle of the scene, 6 away, stays near the axis.
     middle = np.array([0.0, 0.0, 6.0])
     return R, middle - R @ middle + 0.3 * rng.standard_normal(3)

@@ -37,12 +37,8 @@ _LEAST_SLOPE = 0.2  # of the calibrated log-odds
 Samples = Sequence[tuple[Record, Evidence]]
 
 
-def fit_model(
-    rows: Sequence[Record], kind: MatchKind, focal_error: Mapping[str, float]
-) -> dict[str, Any]:
+def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     """The model, as `probability.json` holds it, of the records of the part `fit` with evidence.
-
-    focal_error: the `ErrorModel` of the focal lengths.
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
@@ -79,7 +75,6 @@ def fit_model(
         "reference": {names[k]: round(float(medians[k]), 6) for k in used},
         "rotation_error": _error_model(accurate, "rotation"),
         "translation_error": _error_model(accurate, "translation"),
-        "focal_error": dict(focal_error),
     }
 
 
@@ -101,9 +96,14 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     return _error_model(samples, "focal")
 
 
-def models_text(models: Mapping[MatchKind, Mapping[str, Any]], engine: Mapping[str, Any]) -> str:
+def models_text(
+    models: Mapping[MatchKind, Mapping[str, Any]],
+    focal_error: Mapping[str, float],
+    engine: Mapping[str, Any],
+) -> str:
     """The file that the package reads."""
-    return json.dumps({"format": FORMAT, "engine": engine, "models": models}, indent=1) + "\n"
+    data = {"format": FORMAT, "engine": engine, "focal_error": focal_error, "models": models}
+    return json.dumps(data, indent=1) + "\n"
 
 
 def _logistic(

@@ -11,7 +11,6 @@ from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import VerdictOptions
 from dgc_pose.estimation.covariance import NORMAL_90
-from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
@@ -41,7 +40,7 @@ class Judged:
         return self.record.right
 
 
-def judged(record: Record, model: ProbabilityModel) -> Judged:
+def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> Judged:
     """The verdicts on a record, by the gates and by the probability."""
     evidence = record.evidence
     if evidence is None:
@@ -53,9 +52,9 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         STATUSES[judge(evidence, _GATES).status].has_t,
         STATUSES[status].has_t,
         0.0 if STATUSES[status].rotation_alone else probability,
-        _expected(evidence, model, "rotation"),
-        _expected(evidence, model, "translation"),
-        _expected(evidence, model, "focal"),
+        min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
+        min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
+        _expected(evidence.jackknife_focal_90_percent, focal_error),
     )
 
 
@@ -219,13 +218,8 @@ def _values(poses: Sequence[Judged], name: str) -> np.ndarray:
     return np.array([getattr(pose, name) for pose in poses], kind)
 
 
-def _expected(evidence: Evidence, model: ProbabilityModel, part: str) -> float:
-    unit, most = ("percent", math.inf) if part == "focal" else ("deg", 180.0)
-    error = getattr(evidence, f"jackknife_{part}_90_{unit}")
-    if error is None:
-        return math.nan
-    error_model: ErrorModel = getattr(model, f"{part}_error")
-    return min(error * error_model.factor(error), most)
+def _expected(error: float | None, model: ErrorModel) -> float:
+    return math.nan if error is None else error * model.factor(error)
 
 
 def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:

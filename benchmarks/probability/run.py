@@ -56,11 +56,11 @@ def fit_all(
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
     focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
-    fitted = {kind: fit_model(rows, kind, focal_error) for kind, rows in by_kind.items()}
-    text = models_text(fitted, engines)
-    models = parse_models(text)
+    fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
+    text = models_text(fitted, focal_error, engines)
+    models, focal = parse_models(text)
     reported = {
-        kind: [judged(row, models[kind]) for row in rows if row.part == "report"]
+        kind: [judged(row, models[kind], focal) for row in rows if row.part == "report"]
         for kind, rows in by_kind.items()
     }
     parts = [f"{WORDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]

@@ -2,7 +2,7 @@
 
 From the pose that these cameras give, the pose and a factor of both focal lengths are fitted
 together. Where the matches tell the focal length at all, the fit leads from a wrong one to the
-right one.
+right one; where it does not, the six-point solver has a better start.
 """
 
 import math
@@ -12,11 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.camera_fit import solved_start
 from dgc_pose.estimation.camera_spread import CameraSpread, deviating
 from dgc_pose.estimation.covariance import pose_covariance
 from dgc_pose.estimation.joint_fit import JointFit, JointPose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.probability import calibrated_focal_std
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 
@@ -25,6 +27,8 @@ _CENTRE_STD = 0.005  # of the principal point, over the focal length
 _HARDLY_TOLD = 0.1  # standard deviation of ln f, beyond which there is a warning
 _CONTRADICTED = 4.0  # standard deviations that K may be off without a warning
 _LEAST_ERROR = 0.08  # of ln f, below which there is none
+_EXPLAINED = 0.8  # share of inliers beyond which no other focal length explains many more
+_MORE = 1.2  # of the inliers that another focal length must have to be a start
 _AGREEING = 0.03  # of ln f: if the first step of the fit is shorter, the focal lengths are right
 
 
@@ -44,12 +48,12 @@ class FocalCheck:
 def focal_warnings(cameras: Sequence[Camera], check: FocalCheck) -> tuple[str, ...]:
     """What the user is to know of the focal lengths, each a line. cameras: of the pose, with the
     standard deviations that are left."""
+    std = calibrated_focal_std(check.std) if math.isfinite(check.std) else check.std
     lengths = {round(camera.focal, 1): camera for camera in cameras}
-    told = abs(math.log(check.factor)) >= _LEAST_ERROR and check.contradiction >= _CONTRADICTED
-    if told:
+    error = abs(math.log(check.factor))
+    if error >= max(_LEAST_ERROR, _CONTRADICTED * std):
         parts = (
-            f"f = {check.factor * f:.0f} +- {check.std * check.factor * f:.0f} px, and K says "
-            f"{f:.0f}"
+            f"f = {check.factor * f:.0f} +- {std * check.factor * f:.0f} px, and K says {f:.0f}"
             for f in lengths
         )
         return (f"the matches suggest {', '.join(parts)}",)
@@ -77,9 +81,16 @@ def check_focals(
     spread = CameraSpread.of(loose1, loose2)
     joint = JointFit(TwoViewProblem.of(matches, camera1, camera2, options), spread)
     start = JointPose(model.R, model.t, np.zeros(len(spread)))
-    step = joint.fitted(start, rounds=1, iterations=1)
-    if abs(joint.deviations(step)[0]) < _AGREEING:
-        return FocalCheck()
+    if model.count_in_front < _EXPLAINED * len(joint.problem):
+        # The pose of a wrong K may lie in a valley of its own.
+        other = solved_start(joint.problem, spread, options, options.seed)
+        least = _MORE * model.count_in_front
+        if other is not None and joint.inliers_in_front(other).sum() >= least:
+            start = other
+    if not start.z.any():
+        step = joint.fitted(start, rounds=1, iterations=1)
+        if abs(joint.deviations(step)[0]) < _AGREEING:
+            return FocalCheck()
     pose = joint.fitted(start)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])

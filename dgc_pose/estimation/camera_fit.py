@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Unpack
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from dgc_pose.estimation.poselib_calls import (
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.system.threads import in_threads
+
+Result = TypeVar("Result")
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
 _REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side
@@ -74,7 +76,7 @@ def fit_cameras(
 def _starts(
     problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions
 ) -> list[JointPose | None]:
-    """The results of the runs: at focal lengths within the prior's reach, and of the solvers."""
+    """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
     stds = np.array([np.linalg.norm(spread.basis[row]) for row in (0, 3)])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
@@ -82,52 +84,46 @@ def _starts(
             JointPose(model.R, model.t, np.zeros(len(spread)))
             for model in sampled_models(problem, options)[:_MOST_STARTS]
         ]
-    solve: Callable[..., tuple[np.ndarray, Unpack[tuple[float, ...]]] | None] | None = None
-    if spread.shared_focal:
-        solve = essential_and_focal
-    elif stds.all():
-        solve = essential_and_focals
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
     seeds = run_seeds(replace(options, runs=count + 1))
-    every = np.arange(len(problem))
+    less = replace(options, iterations=max(1, options.iterations // _SHARE))
 
-    def sample(seed: int) -> np.ndarray:
-        return np.random.default_rng(seed).permutation(every)[: options.max_sampled]
-
-    def at_focals(number: int) -> JointPose | None:
-        seed, log_factors = seeds[number], tried[number]
-        scaled = _rescaled(problem, log_factors)
-        sampled = sample(seed)
-        E = essential_matrix(
-            scaled.points1[sampled],
-            scaled.points2[sampled],
-            threshold=scaled.threshold,
-            iterations=max(1, options.iterations // _SHARE),
-            seed=seed,
-        )
+    def run(number: int) -> JointPose | None:
+        if number == count:
+            return solved_start(problem, spread, options, seeds[number])
+        log_factors = tried[number]
+        E = _run(essential_matrix, _rescaled(problem, log_factors), less, seeds[number])
         return None if E is None else _start(problem, spread, E, log_factors)
 
-    def solved() -> JointPose | None:
-        sampled = sample(seeds[-1])
-        result = (
-            None
-            if solve is None
-            else solve(
-                problem.points1[sampled],
-                problem.points2[sampled],
-                threshold=problem.threshold,
-                iterations=options.iterations,
-                seed=seeds[-1],
-            )
-        )
-        if result is None:
-            return None
-        E, *factors = result
-        return _start(problem, spread, E, np.log(np.broadcast_to(factors, 2)))
+    return in_threads(run, list(range(count, -1, -1)))  # the longest first
 
-    work: list[Callable[[], JointPose | None]] = [solved]
-    work += [lambda number=number: at_focals(number) for number in range(count)]  # type: ignore[misc]
-    return in_threads(lambda run: run(), work)
+
+def solved_start(
+    problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions, seed: int
+) -> JointPose | None:
+    """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
+    fails, and if a focal length is exact."""
+    if spread.shared_focal:
+        result = _run(essential_and_focal, problem, options, seed)
+        return result and _start(problem, spread, result[0], np.log([result[1]] * 2))
+    if not spread.basis[[0, 3]].any(axis=1).all():
+        return None
+    results = _run(essential_and_focals, problem, options, seed)
+    return results and _start(problem, spread, results[0], np.log(results[1:]))
+
+
+def _run(
+    estimate: Callable[..., Result], problem: TwoViewProblem, options: EstimationOptions, seed: int
+) -> Result:
+    """A run of RANSAC on at most `options.max_sampled` matches."""
+    order = np.random.default_rng(seed).permutation(len(problem))[: options.max_sampled]
+    return estimate(
+        problem.points1[order],
+        problem.points2[order],
+        threshold=problem.threshold,
+        iterations=options.iterations,
+        seed=seed,
+    )
 
 
 def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProblem:

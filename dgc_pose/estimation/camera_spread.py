@@ -79,6 +79,8 @@ def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
 
 def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
     """The camera with deviations (3,) from its K; its standard deviations stay."""
+    if not deviations.any():
+        return camera
     K = camera.K.copy()
     K[0, 2] += deviations[1] * K[0, 0]
     K[1, 2] += deviations[2] * K[1, 1]

@@ -53,6 +53,10 @@ class JointFit:
         squares[~self._in_front(pose)] = 1.0
         return float(EFFICIENT**2 * squares.sum() + pose.z @ pose.z) / 2
 
+    def inliers_in_front(self, pose: JointPose) -> np.ndarray:
+        """(N,) bool, matches below the threshold and in front of both cameras."""
+        return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
+
     def fitted(
         self, pose: JointPose, rounds: int = _ROUNDS, iterations: int = _ITERATIONS
     ) -> JointPose:

@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
@@ -156,7 +157,6 @@ class ProbabilityModel:
     reference: Mapping[str, float]  # the median of each feature over right poses
     rotation_error: ErrorModel
     translation_error: ErrorModel
-    focal_error: ErrorModel  # of its logarithm, per cent
 
     def probability(self, evidence: Evidence) -> float:
         """That R and t are both within 10 degrees."""
@@ -185,23 +185,36 @@ class ProbabilityModel:
         return covariance * np.outer(scale, scale)
 
 
+class FittedModels(NamedTuple):
+    """What `dgc-pose fit-probability` fits."""
+
+    by_kind: Mapping[str, ProbabilityModel]  # a `MatchKind` each
+    focal_error: ErrorModel  # of the logarithm of a focal length that was fitted, per cent
+
+
 @cache
-def shipped_models() -> Mapping[str, ProbabilityModel]:
-    """The models of the package, by kind of matches."""
+def shipped_models() -> FittedModels:
+    """Those of the package."""
     file = files("dgc_pose.estimation").joinpath("probability.json")
     return parse_models(file.read_text("utf-8"))
 
 
-def parse_models(text: str) -> Mapping[str, ProbabilityModel]:
-    """The models in the JSON that `dgc-pose fit-probability` writes, by kind of matches."""
-    return {
+def parse_models(text: str) -> FittedModels:
+    """Those in the JSON that `dgc-pose fit-probability` writes."""
+    data = json.loads(text)
+    models = {
         kind: ProbabilityModel(
             values["weights"],
             values["intercept"],
             values["reference"],
             ErrorModel(**values["rotation_error"]),
             ErrorModel(**values["translation_error"]),
-            ErrorModel(**values["focal_error"]),
         )
-        for kind, values in json.loads(text)["models"].items()
+        for kind, values in data["models"].items()
     }
+    return FittedModels(models, ErrorModel(**data["focal_error"]))
+
+
+def calibrated_focal_std(std: float) -> float:
+    """The standard deviation of ln f, from that by the jackknife."""
+    return std * shipped_models().focal_error.factor(100 * NORMAL_90 * std)

@@ -17,7 +17,12 @@ from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.poselib_calls import sampled_models
-from dgc_pose.estimation.probability import ProbabilityModel, match_kind, shipped_models
+from dgc_pose.estimation.probability import (
+    ProbabilityModel,
+    calibrated_focal_std,
+    match_kind,
+    shipped_models,
+)
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.refine import best_planar_model, planar_share, refine, refit
 from dgc_pose.estimation.result import Alternative, RelativePose
@@ -86,7 +91,7 @@ def estimate_pose(
             map_problem=map_problem,
             focal_contradiction=check.contradiction,
         )
-        logistic = shipped_models().get(match_kind(evidence))
+        logistic = shipped_models().by_kind.get(match_kind(evidence))
         return _Assessed(model, evidence, covariance, logistic)
 
     best = assess(model, others)
@@ -182,10 +187,7 @@ class _Assessed:
         """A fitted camera with the standard deviation that is left; an exact one as it is."""
         if not camera.focal_std or self.covariance is None:
             return camera
-        factor = 1.0
-        if self.logistic is not None:
-            factor = self.logistic.focal_error.factor(self.evidence.jackknife_focal_90_percent)
-        std = factor * self.covariance.focal_stds[number]
+        std = calibrated_focal_std(self.covariance.focal_stds[number])
         return replace(camera, focal_std=std, focal_source="matches")
 
 

@@ -27,16 +27,15 @@ MODEL = {
     "reference": {name: feature.value(GOOD_EVIDENCE) for name, feature in FEATURES.items()},
     "rotation_error": ERROR,
     "translation_error": ERROR,
-    "focal_error": ERROR,
 }
 
 
 def _text(**changes: object) -> str:
-    return json.dumps({"format": 1, "models": {"network": MODEL | changes}})
+    return json.dumps({"focal_error": ERROR, "models": {"network": MODEL | changes}})
 
 
 def _model():
-    return parse_models(_text())["network"]
+    return parse_models(_text()).by_kind["network"]
 
 
 def _worse(**changes: object) -> Evidence:
@@ -126,7 +125,7 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
 
 
 def test_the_package_s_own_file_can_be_read() -> None:
-    for model in shipped_models().values():
+    for model in shipped_models().by_kind.values():
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
 
 

@@ -129,7 +129,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
 def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
     out, sources = stored
     found = fit_all(out, ["sift"], sources, OPTIONS)
-    models = parse_models(found.models)
+    models = parse_models(found.models).by_kind
     assert set(models) == {"key_points"}
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
@@ -174,9 +174,10 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
 
 def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
     data = _records(1000, 0, "fit")
-    text = json.dumps({"format": 1, "models": {"network": fit_model(data, "network", FOCAL_ERROR)}})
-    model = parse_models(text)["network"]
-    fresh = [judged(one, model) for one in _records(1500, 2, "report")]
+    models = {"network": fit_model(data, "network")}
+    fitted = parse_models(json.dumps({"focal_error": FOCAL_ERROR, "models": models}))
+    model = fitted.by_kind["network"]
+    fresh = [judged(one, model, fitted.focal_error) for one in _records(1500, 2, "report")]
     probability = np.array([one.probability for one in fresh])
     right = np.array([one.record.right for one in fresh])
     for low, high in ((0.0, 0.3), (0.3, 0.7), (0.7, 1.01)):
@@ -190,7 +191,7 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
 def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
     data = [one for one in _records(300, 0, "fit") if one.right]
     with pytest.raises(InputError, match="0 wrong poses of 5 scenes to fit on"):
-        fit_model(data, "network", FOCAL_ERROR)
+        fit_model(data, "network")
 
 
 def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
@@ -200,7 +201,7 @@ def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
     monkeypatch.setattr("importlib.import_module", missing)
     data = _records(400, 0, "fit")
     with pytest.raises(InputError, match="dgc-pose\\[fit\\]"):
-        fit_model(data, "network", FOCAL_ERROR)
+        fit_model(data, "network")
 
 
 def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:

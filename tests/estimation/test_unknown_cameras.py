@@ -1,0 +1,122 @@
+"""Poses of cameras that are not exact, and the check of a K that was given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.matches import Matches
+from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from two_view import K1, SIZE1, two_view_scene
+
+
+def _unknown(camera: Camera, identity: str | None = None, factor: float = 1.3) -> Camera:
+    """A camera whose focal length is off, as that of an image without a K is."""
+    width, height = camera.size
+    f = factor * camera.focal
+    K = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
+    size = camera.size
+    return Camera(K, size, focal_std=0.4, centre_std=0.01 * max(size), identity=identity)
+
+
+def _scaled(camera: Camera, factor: float) -> Camera:
+    return replace(camera, K=camera.K * np.array([[factor, factor, 1.0]]))
+
+
+def _error(pose, scene) -> float:
+    return max(rotation_error_deg(pose.R, scene.R), translation_error_deg(pose.t, scene.t))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.7])
+def test_the_matches_tell_the_focal_length_of_one_camera(seed, factor):
+    scene = two_view_scene("skew", seed=seed, same_camera=True, count=1500)
+    cameras = (_unknown(camera, "a", factor) for camera in scene.cameras)
+    pose = estimate_pose(scene.matches, *cameras)
+    assert pose.success and _error(pose, scene) < 1
+    for camera in (pose.camera1, pose.camera2):
+        assert camera.focal_source == "matches"
+        error = abs(np.log(camera.focal / scene.cameras[0].focal))
+        assert error < 0.03 and error < 3 * camera.focal_std < 0.15
+    np.testing.assert_array_equal(pose.camera1.K, pose.camera2.K)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_focal_lengths_of_two_cameras_are_as_far_off_as_they_say(seed):
+    scene = two_view_scene("skew", seed=seed, count=1500)
+    pose = estimate_pose(scene.matches, *(_unknown(camera) for camera in scene.cameras))
+    assert pose.success and _error(pose, scene) < 5
+    for camera, true in zip((pose.camera1, pose.camera2), scene.cameras, strict=True):
+        assert abs(np.log(camera.focal / true.focal)) < 3 * camera.focal_std < 1.0
+
+
+def test_a_camera_that_is_known_stays_as_it_is():
+    scene = two_view_scene("skew", count=1500)
+    camera1, camera2 = scene.cameras
+    pose = estimate_pose(scene.matches, camera1, _unknown(camera2))
+    assert pose.camera1 is camera1
+    assert abs(np.log(pose.camera2.focal / camera2.focal)) < 0.05
+    assert _error(pose, scene) < 1
+
+
+def test_where_the_axes_meet_the_focal_length_is_said_to_be_uncertain():
+    scene = two_view_scene("orbit", same_camera=True, count=1500, outliers=0.1)
+    pose = estimate_pose(scene.matches, *(_unknown(camera, "a") for camera in scene.cameras))
+    assert pose.camera1.focal_std > 0.1
+    assert any(warning.startswith("the matches hardly tell") for warning in pose.warnings)
+    assert pose.rotation_error_90_deg > 1
+
+
+def test_the_same_seed_gives_the_same_cameras_to_the_bit():
+    scene = two_view_scene("skew", same_camera=True)
+    cameras = [_unknown(camera, "a") for camera in scene.cameras]
+    first, again = (estimate_pose(scene.matches, *cameras) for _ in range(2))
+    np.testing.assert_array_equal(first.camera1.K, again.camera1.K)
+    np.testing.assert_array_equal(first.R, again.R)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
+def test_a_wrong_K_is_told_with_the_focal_length_that_fits(factor):
+    scene = two_view_scene("skew", same_camera=True, count=1500)
+    pose = estimate_pose(scene.matches, *(_scaled(camera, factor) for camera in scene.cameras))
+    (warning,) = (w for w in pose.warnings if w.startswith("the matches suggest f"))
+    suggested = float(warning.split("=")[1].split()[0])
+    true = scene.cameras[0].focal
+    assert suggested == pytest.approx(true, rel=0.03)
+    assert f"K says {factor * true:.0f}" in warning
+    assert pose.evidence.focal_contradiction > 4
+
+
+@pytest.mark.parametrize("kind", ["general", "skew", "forward", "planar"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_right_K_is_not_doubted(kind, seed):
+    pose = estimate_pose(two_view_scene(kind, seed=seed).matches, *two_view_scene(kind).cameras)
+    assert not any("suggest" in warning for warning in pose.warnings)
+    assert pose.camera1.focal_source == "given"
+
+
+def test_the_deviation_of_K_widens_the_expected_error():
+    scene = two_view_scene("orbit", same_camera=True, count=1500, sigma_px=0.3)
+    exact = estimate_pose(scene.matches, *scene.cameras)
+    loose = estimate_pose(
+        scene.matches, *(replace(c, focal_std=0.05, identity="a") for c in scene.cameras)
+    )
+    assert loose.rotation_error_90_deg > 1.5 * exact.rotation_error_90_deg
+    assert _error(loose, scene) < 3 * max(
+        loose.rotation_error_90_deg, loose.translation_error_90_deg
+    )
+
+
+def test_random_matches_of_unknown_cameras_are_no_pose():
+    scene = two_view_scene("random", same_camera=True)
+    pose = estimate_pose(scene.matches, *(_unknown(camera, "a") for camera in scene.cameras))
+    assert not pose.success and pose.camera1 is None
+
+
+def test_matches_of_one_place_are_no_pose_and_no_error():
+    points = np.full((40, 2), 300.0) + np.arange(40)[:, None] * 1e-3
+    matches = Matches(points, points, np.ones(40), 1.0)
+    camera = _unknown(Camera(K1, SIZE1), "a")
+    assert not estimate_pose(matches, camera, camera, EstimationOptions(runs=2)).success
