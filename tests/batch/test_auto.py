@@ -18,6 +18,7 @@ from dgc_pose.batch.pooling import with_focal
 from dgc_pose.batch.run import read_batch
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import SIZE_STD
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 
@@ -165,6 +166,6 @@ def test_what_no_pair_tells(tmp_path: Path, views: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(work, "pose_of_matches", unfitted)
     batch = run_sift(views, tmp_path / "out", K="auto")
     (camera,) = batch.summary["cameras"]
-    assert (camera["focal_px"], camera["focal_std"]) == (pytest.approx(264), 0.4)
+    assert (camera["focal_px"], camera["focal_std"]) == (pytest.approx(264), SIZE_STD)
     assert (camera["focal_source"], camera["pairs"]) == ("size", 0)
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["cameras"] == [camera]
