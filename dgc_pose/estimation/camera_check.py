@@ -45,24 +45,33 @@ class FocalCheck:
         return abs(math.log(self.factor)) / self.std
 
 
-def focal_warnings(cameras: Sequence[Camera], check: FocalCheck) -> tuple[str, ...]:
-    """What the user is to know of the focal lengths, each a line. cameras: of the pose, with the
-    standard deviations that are left."""
-    std = calibrated_focal_std(check.std) if math.isfinite(check.std) else check.std
-    lengths = {round(camera.focal, 1): camera for camera in cameras}
-    error = abs(math.log(check.factor))
-    if error >= max(_LEAST_ERROR, _CONTRADICTED * std):
-        parts = (
-            f"f = {check.factor * f:.0f} +- {std * check.factor * f:.0f} px, and K says {f:.0f}"
-            for f in lengths
-        )
-        return (f"the matches suggest {', '.join(parts)}",)
-    loose = [f for f, camera in lengths.items() if camera.focal_std > _HARDLY_TOLD]
-    return tuple(
-        f"the matches hardly tell the focal length: f = {f:.0f} px within "
-        f"{100 * lengths[f].focal_std:.0f} %"
-        for f in loose
+def focal_warnings(
+    stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck
+) -> tuple[str, ...]:
+    """What the user is to know of the focal lengths, each a line.
+
+    stated: the cameras before the estimation; fitted: those of the pose, with the standard
+    deviations that are left; check: of exact cameras.
+    """
+    told: dict[str, None] = {}
+    for before, after in zip(stated, fitted, strict=True):
+        if not before.focal_std:
+            f, std = check.factor * before.focal, calibrated_focal_std(check.std)
+            allowed = std
+        else:
+            f, std, allowed = after.focal, after.focal_std, before.focal_std
+        error = abs(math.log(f / before.focal))
+        if before.focal_source == "given" and error >= max(_LEAST_ERROR, _CONTRADICTED * allowed):
+            told[f"f = {f:.0f} +- {std * f:.0f} px, and K says {before.focal:.0f}"] = None
+    if told:
+        return (f"the matches suggest {'; '.join(told)}",)
+    loose = dict.fromkeys(
+        f"the matches hardly tell the focal length: f = {camera.focal:.0f} px within "
+        f"{100 * camera.focal_std:.0f} %"
+        for camera in fitted
+        if camera.focal_std > _HARDLY_TOLD
     )
+    return tuple(loose)
 
 
 def check_focals(

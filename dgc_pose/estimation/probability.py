@@ -216,5 +216,5 @@ def parse_models(text: str) -> FittedModels:
 
 
 def calibrated_focal_std(std: float) -> float:
-    """The standard deviation of ln f, from that by the jackknife."""
+    """The standard deviation of ln f, from that by the jackknife, which may be infinite."""
     return std * shipped_models().focal_error.factor(100 * NORMAL_90 * std)

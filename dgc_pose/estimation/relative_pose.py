@@ -62,6 +62,7 @@ def estimate_pose(
     if len(problem) < options.verdict.min_matches:
         reason = f"only {len(problem)} matches; a verdict needs {options.verdict.min_matches}"
         return failure("too_few_matches", reason)
+    stated = camera1, camera2
     hypotheses = _hypotheses(problem, matches, camera1, camera2, options)
     problem, camera1, camera2 = hypotheses.problem, hypotheses.camera1, hypotheses.camera2
     spread, runs = CameraSpread.of(camera1, camera2), hypotheses.runs
@@ -123,7 +124,7 @@ def estimate_pose(
         warnings=(
             *problem.warnings,
             *verdict.warnings,
-            *(focal_warnings(cameras, check) if verdict.status in _OF_CAMERAS else ()),
+            *(focal_warnings(stated, cameras, check) if verdict.status in _OF_CAMERAS else ()),
             *_warnings(len(alternatives)),
         ),
     )

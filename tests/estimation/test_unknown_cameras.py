@@ -89,6 +89,13 @@ def test_a_wrong_K_is_told_with_the_focal_length_that_fits(factor):
     assert pose.evidence.focal_contradiction > 4
 
 
+def test_a_wrong_K_is_told_although_it_has_a_deviation():
+    scene = two_view_scene("skew", same_camera=True, count=1500)
+    cameras = (replace(_scaled(c, 1.3), focal_std=0.02, identity="a") for c in scene.cameras)
+    pose = estimate_pose(scene.matches, *cameras)
+    assert any(warning.startswith("the matches suggest f") for warning in pose.warnings)
+
+
 @pytest.mark.parametrize("kind", ["general", "skew", "forward", "planar"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_right_K_is_not_doubted(kind, seed):
