@@ -141,9 +141,12 @@ def pose_of_matches(
     options: EstimationOptions,
     *,
     map_matches: Matches | None,
+    fit_cameras: bool = True,
 ) -> RelativePose:
     """`estimate_pose` of what a matcher made of two images; the pose carries the warnings of the
     cameras too."""
-    pose = estimate_pose(matches, camera1, camera2, options, map_matches=map_matches)
+    pose = estimate_pose(
+        matches, camera1, camera2, options, map_matches=map_matches, fit_cameras=fit_cameras
+    )
     warnings = (*camera1.warnings, *camera2.warnings, *pose.warnings)
     return replace(pose, warnings=tuple(dict.fromkeys(warnings)))

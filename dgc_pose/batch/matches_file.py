@@ -4,8 +4,8 @@ A group `name1/name2` ("/" inside a name becomes "-") holds `keypoints0`, `keypo
 float32, pixels of the images, (0, 0) the centre of the top-left pixel, `scores` (N,) float32, and
 `inliers` (N,) bool, which hloc passes over. Where the pose can be estimated again, with another
 camera, there is a group `again` with what that needs besides: the attributes `error_px` and
-`key_points`, and of a matcher with a map its even sample: `keypoints0`, `keypoints1`, `scores`, and
-the attribute `map_error_px`.
+`key_points`, `cameras` that the pair tells, and of a matcher with a map its even sample:
+`keypoints0`, `keypoints1`, `scores`, and the attribute `map_error_px`.
 """
 
 from collections.abc import Iterator
@@ -31,6 +31,9 @@ class Again:
     error_px: float  # expected error of a good match, pixels of the originals
     key_points: bool  # whether the matches are independent detections
     map_matches: Matches | None  # even sample of the map, float32; None without a map
+    # (2, 4, 3) float64, what this pair alone tells of its cameras, once it is estimated: ln f and
+    # the principal point, pixels, and below their covariance. None without a pose.
+    cameras: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +98,8 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
     again, sample = group.create_group(AGAIN), matches.again.map_matches
     again.attrs["error_px"] = matches.again.error_px
     again.attrs["key_points"] = matches.again.key_points
+    if matches.again.cameras is not None:
+        again["cameras"] = matches.again.cameras
     if sample is not None:
         again.attrs["map_error_px"] = sample.error_px
         for dataset, field in _MAP.items():
@@ -158,10 +163,13 @@ def _read_again(group: Any) -> Again:
         if not all(np.isfinite(array).all() for array in (points1, points2, scores)):
             raise ValueError("numbers that are not finite")
         sample = Matches(points1, points2, scores, float(group.attrs["map_error_px"]))
+    cameras = _array(group, "cameras") if "cameras" in group else None
+    if cameras is not None and not (cameras.shape == (2, 4, 3) and np.isfinite(cameras).all()):
+        raise ValueError("no cameras of a pair")
     error_px = float(group.attrs["error_px"])
     if not error_px > 0:
         raise ValueError("no error of a match")
-    return Again(error_px, bool(group.attrs["key_points"]), sample)
+    return Again(error_px, bool(group.attrs["key_points"]), sample, cameras)
 
 
 def _member(group: Any, name: str, kind: type) -> Any:

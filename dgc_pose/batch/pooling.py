@@ -1,7 +1,9 @@
-"""The cameras of a folder: what all of their pairs say of a focal length, as one number.
+"""The cameras of a folder: what all of their pairs say of a camera, as one.
 
-Each pair has fitted the focal lengths of its own cameras, with a prior. The fits of one camera are
-pooled here: robustly, weighted by their deviations, and with the prior once instead of once a pair.
+Each pair has fitted the focal lengths and the principal points of its own cameras, with a prior.
+The fits of one camera are pooled here: robustly, weighted by their covariances, and with the prior
+once instead of once a pair. Dozens of pairs tell the principal point, of which one says next to
+nothing.
 """
 
 import csv
@@ -13,16 +15,20 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import RelativePose
 from dgc_pose.files.outputs import write_text
 
 CAMERAS = "cameras.csv"
+TOLD_STD = 0.05  # of ln f: below, all pairs together tell a camera better than one does with them
 _CAUCHY = 2.385  # deviations at which a fit's weight is halved; 95 % efficient for normal errors
-_STARTS, _FOR_STARTS, _STEPS = 101, 4096, 50
+_STARTS, _STEPS = 101, 50
 # A pair whose fit is hardly narrower than the prior says nothing of the focal length.
 _LEAST_TOLD = 0.9
-_COLUMNS = ("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "camera")
+_LEAST_VARIANCE = 1e-9  # of the prior's: keeps an information finite
+_COLUMNS = "name,fx,fy,cx,cy,width,height,focal_std,centre_std_px,camera".split(",")
 
 
 @dataclass(frozen=True)
@@ -34,75 +40,118 @@ class PooledCamera:
     pairs: int  # that told its focal length
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True, eq=False)
 class Told:
-    """What one pair says of a camera: the logarithm of its focal length over the prior's."""
+    """What one pair says of D parameters of a camera, as differences from the prior's."""
 
-    value: float
-    std: float
+    value: np.ndarray  # (D,)
+    covariance: np.ndarray  # (D, D)
     weight: float = 1.0  # the probability that the pair's pose is right
 
 
-def pool(
-    cameras: Mapping[str, Camera], rows: Iterable[PairRow]
-) -> tuple[dict[str, Camera], list[PooledCamera]]:
-    """The cameras by image name with the focal lengths pooled over the rows, and one by one those
-    that had a deviation.
+def cameras_told(pose: RelativePose) -> np.ndarray | None:
+    """(2, 4, 3), see `Again`."""
+    if pose.camera_covariance is None or pose.camera1 is None or pose.camera2 is None:
+        return None
+    told = np.empty((2, 4, 3))
+    for side, camera in enumerate((pose.camera1, pose.camera2)):
+        rows = slice(3 * side, 3 * side + 3)
+        told[side, 0] = np.log(camera.focal), *camera.K[:2, 2]
+        told[side, 1:] = pose.camera_covariance[rows, rows]
+    return told
 
-    cameras: by name, as the pairs had them; those without a deviation stay as they are. The same
-    for the rows in any order.
+
+def pool(
+    cameras: Mapping[str, Camera], pairs: Iterable[tuple[PairRow, PairMatches]]
+) -> tuple[dict[str, Camera], list[PooledCamera]]:
+    """The cameras by image name as all pairs tell them, and one by one those that had a deviation.
+
+    cameras: by name, as the pairs had them; those without a deviation stay as they are. Images of
+    several sizes share a focal length and no principal point. The same for any order of the pairs.
     """
     groups: dict[tuple[str, str], list[str]] = defaultdict(list)
     for name, camera in cameras.items():
         if camera.focal_std > 0:
             groups[_key(camera, name)].append(name)
     told: dict[tuple[str, str], list[Told]] = defaultdict(list)
-    for row in rows:
-        for key, value in _told_by(row, cameras).items():
-            told[key].append(value)
+    for row, matches in pairs:
+        for key, fit in _told_by(row, matches, cameras).items():
+            told[key].append(fit)
     pooled, listed = dict(cameras), []
     for key, names in groups.items():
-        prior = cameras[names[0]].focal_std
-        useful = [fit for fit in told[key] if fit.std < _LEAST_TOLD * prior and fit.weight > 0]
-        log_ratio, std = pooled_focal(useful, prior, len(names))
+        first = cameras[names[0]]
+        prior = np.array([first.focal_std, first.centre_std, first.centre_std])
+        sizes = {cameras[name].size for name in names}
+        known = 3 if first.centre_std > 0 and len(sizes) == 1 else 1
+        useful = [
+            Told(fit.value[:known], fit.covariance[:known, :known], fit.weight)
+            for fit in told[key]
+            if fit.covariance[0, 0] ** 0.5 < _LEAST_TOLD * prior[0] and fit.weight > 0
+        ]
+        value, std = pooled_fit(useful, prior[:known], len(names))
         for name in names:
-            camera = with_focal(cameras[name], cameras[name].focal * np.exp(log_ratio))
-            source = "matches" if useful else camera.focal_source
-            pooled[name] = replace(camera, focal_std=std, focal_source=source)
+            pooled[name] = _moved(cameras[name], value, std, told=bool(useful))
         listed.append(PooledCamera(tuple(names), pooled[names[0]], len(useful)))
     return pooled, listed
 
 
-def pooled_focal(told: list[Told], prior_std: float, images: int) -> tuple[float, float]:
-    """The logarithm of the focal length over the prior's, and its deviation.
+def pooled_fit(told: list[Told], prior: np.ndarray, images: int) -> tuple[np.ndarray, np.ndarray]:
+    """The parameters (D,), as differences from the prior's, and their deviations (D,).
 
-    told: of pairs whose fits contain the prior, of mean 0 and deviation `prior_std`. images: that
-    the camera took. Fits of pairs that share an image err alike: as many count as there are pairs
-    without an image in common. Fits that scatter more than their deviations say widen the result.
+    told: of pairs whose fits contain the prior, of the deviations `prior` (D,). images: that the
+    camera took. Fits of pairs that share an image err alike: as many count as there are pairs
+    without an image in common. Fits that scatter more than their covariances say widen the result.
     """
+    count = len(prior)
     if not told:
-        return 0.0, prior_std
-    prior = prior_std**-2
-    told = sorted(told)  # sums to the last digit whatever the order of the rows
-    value, std, weight = np.array([(fit.value, fit.std, fit.weight) for fit in told]).T
-    precision = std**-2 - prior  # of the pairs' matches alone
-    value = value * std**-2 / precision
-    # From the value that most pairs agree with: a few of great precision may be wrong.
-    starts = np.quantile(value, np.linspace(0, 1, _STARTS), method="nearest")
-    some = slice(None, None, 1 + len(told) // _FOR_STARTS)
-    distances = (value[some] - starts[:, None]) ** 2 * precision[some]
-    middle = starts[(weight[some] * np.log1p(distances / _CAUCHY**2)).sum(1).argmin()]
+        return np.zeros(count), prior
+    told = sorted(told, key=lambda fit: tuple(fit.value))  # the same sums for any order
+    weight = np.array([fit.weight for fit in told])
+    # In deviations of the prior, whose information is then 1 along each axis.
+    values = np.array([fit.value for fit in told]) / prior
+    covariances = np.array([fit.covariance for fit in told]) / np.outer(prior, prior)
+    variances, axes = np.linalg.eigh(covariances)
+    information = 1 / np.maximum(variances, _LEAST_VARIANCE)
+    of_matches = np.maximum(information - 1, 0)  # along the axes, without the prior
+    along = np.einsum("nij,ni->nj", axes, values) * information * (of_matches > 0)
+    matrices = (axes * of_matches[:, None]) @ axes.transpose(0, 2, 1)
+    vectors = np.einsum("nij,nj->ni", axes, along)
+    means = np.einsum("nij,nj->ni", axes, along / np.maximum(of_matches, 1e-9))
+
+    def distances(middle: np.ndarray) -> np.ndarray:
+        """Squared, of each fit, over the number of parameters."""
+        offset = means - middle
+        return np.einsum("ni,nij,nj->n", offset, matrices, offset).clip(min=0) / count
+
+    def cost(middle: np.ndarray) -> float:
+        return float((weight * np.log1p(distances(middle) / _CAUCHY**2)).sum())
+
+    # From the fit that most pairs agree with: a few of great precision may be wrong.
+    middle = min(values[:: 1 + len(values) // _STARTS], key=cost)
     for _ in range(_STEPS):
-        distance = (value - middle) ** 2 * precision
+        distance = distances(middle)
         robust = weight / (1 + distance / _CAUCHY**2)
-        trusted = robust * precision
-        before, middle = middle, (trusted * value).sum() / (trusted.sum() + prior)
-        if abs(middle - before) < 1e-9:
+        total = (robust[:, None, None] * matrices).sum(0)
+        before = middle
+        middle = np.linalg.solve(total + np.eye(count), (robust[:, None] * vectors).sum(0))
+        if np.abs(middle - before).max() < 1e-9:
             break
     scatter = max(1.0, float((robust * distance).sum() / robust.sum()))
     alike = min(max(1.0, 2 * len(told) / images), len(told))
-    of_pairs = float(trusted.sum()) / (scatter * alike)
-    return float(middle), float((of_pairs + prior) ** -0.5)
+    covariance = np.linalg.inv(total / (scatter * alike) + np.eye(count))
+    return middle * prior, np.sqrt(np.diag(covariance)) * prior
+
+
+def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, told: bool) -> Camera:
+    """The camera with pooled differences from it, and their deviations."""
+    moved = replace(with_focal(camera, camera.focal * np.exp(value[0])), focal_std=float(std[0]))
+    if told:
+        moved = replace(moved, focal_source="matches")
+    if len(value) > 1:
+        K = moved.K.copy()
+        K[:2, 2] += value[1:]
+        moved = replace(moved, K=K, centre_std=float(np.sqrt((std[1:] ** 2).mean())))
+    return moved
 
 
 def with_focal(camera: Camera, focal: float) -> Camera:
@@ -119,11 +168,9 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
     lines.writerow(_COLUMNS)
     for name, camera in cameras.items():
         K = camera.K
-        centre = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-        size = camera.size or ("", "")
-        lines.writerow(
-            [name, *map(float, centre), *size, float(camera.focal_std), camera.identity or ""]
-        )
+        numbers = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(camera.size or ("", "")))
+        stds = (camera.focal_std, camera.centre_std)
+        lines.writerow([name, *numbers, *stds, camera.identity or ""])
     text = table.getvalue().encode(errors="backslashreplace")  # names need be no UTF-8
     write_text(out / CAMERAS, text.decode())
 
@@ -133,15 +180,17 @@ def _key(camera: Camera, name: str) -> tuple[str, str]:
     return ("image", name) if camera.identity is None else ("camera", camera.identity)
 
 
-def _told_by(row: PairRow, cameras: Mapping[str, Camera]) -> dict[tuple[str, str], Told]:
+def _told_by(
+    row: PairRow, matches: PairMatches, cameras: Mapping[str, Camera]
+) -> dict[tuple[str, str], Told]:
     """What a pair says of its cameras; one camera of both images once."""
+    if not row.success or matches.again is None or matches.again.cameras is None:
+        return {}
     told = {}
-    for name, focal, std in (
-        (row.name1, row.focal1, row.focal_std1),
-        (row.name2, row.focal2, row.focal_std2),
-    ):
-        if row.success and focal is not None and std is not None and std > 0:
-            ratio = float(np.log(focal / cameras[name].focal))
+    for name, fit in zip((row.name1, row.name2), matches.again.cameras, strict=True):
+        camera = cameras[name]
+        if camera.focal_std > 0:
+            value = fit[0] - (np.log(camera.focal), *camera.K[:2, 2])
             weight = 1.0 if row.probability is None else row.probability
-            told[_key(cameras[name], name)] = Told(ratio, std, weight)
+            told[_key(camera, name)] = Told(value, fit[1:], weight)
     return told

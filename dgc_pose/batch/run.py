@@ -82,8 +82,9 @@ def run_batch(
     choice: how pairs are chosen; None for those of the source. start_workers: None for those of
     `options.engine`.
 
-    Where a focal length has a deviation, each pair fits its own. They are pooled over the pairs of
-    a camera, and the poses are estimated again with the pooled cameras, from the same matches.
+    Where a focal length has a deviation, each pair fits its own, and the principal point. They are
+    pooled over the pairs of a camera, and the poses are estimated again with the pooled cameras,
+    from the same matches.
 
     A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
     have changed since.
@@ -271,15 +272,16 @@ def _estimate(
     total = len(plan.pairs)
 
     def estimate(
-        blocks: Iterator[Matched], cameras: Mapping[str, Camera], into: PartStore, done: int
+        blocks: Iterator[Matched], cameras: Mapping[str, Camera], into: PartStore, fit: bool
     ) -> None:
+        done = total - len(into.left) - (len(store.result_alone) if into is store else 0)
         while chunk := list(islice(blocks, _BLOCKS_HELD * options.worker_count)):
             tasks = []
             for block in chunk:
                 names = {name for row in block.rows for name in (row.name1, row.name2)}
                 of_block = {name: cameras[name] for name in names & cameras.keys()}
                 rows, matches = tuple(block.rows), tuple(block.matches)
-                tasks.append(Estimate(block.indices, rows, matches, of_block))
+                tasks.append(Estimate(block.indices, rows, matches, of_block, fit))
             for outcome in run(tasks):
                 assert isinstance(outcome, Matched)
                 into.add(outcome)
@@ -287,13 +289,15 @@ def _estimate(
                 progress("poses", done, total)
 
     if before is not None:
-        # The focal lengths of each pair alone, which the result does not have.
-        alone = store.result_blocks(before, BLOCK)
-        estimate(alone, plan.cameras, store, total - len(store.result_alone))
-    cameras, pooled = pool(plan.cameras, store.rows())
+        # As if they had just been matched: the result has the poses by the pooled cameras.
+        estimate(store.result_blocks(before, BLOCK), plan.cameras, store, True)
+    told = (
+        pair for block in store.blocks() for pair in zip(block.rows, block.matches, strict=True)
+    )
+    cameras, pooled = pool(plan.cameras, told)
     left = set(whole.left)
     blocks = (block for block in store.blocks() if not left.isdisjoint(block.indices))
-    estimate(blocks, cameras, whole, total - len(left))
+    estimate(blocks, cameras, whole, False)
     return replace(plan, pooled=cameras), pooled
 
 
@@ -324,6 +328,8 @@ def _summarise(
                 "focal_px": pooled.camera.focal,
                 "focal_std": pooled.camera.focal_std,
                 "focal_source": pooled.camera.focal_source,
+                "centre_px": pooled.camera.K[:2, 2].tolist(),
+                "centre_std_px": pooled.camera.centre_std,
                 "pairs": pooled.pairs,
             }
             for pooled in cameras

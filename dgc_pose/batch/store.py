@@ -132,12 +132,6 @@ class PartStore:
         """The pairs that are done in the result, and in no part."""
         return self._in_result - self._part_of.keys()
 
-    def rows(self) -> Iterator[PairRow]:
-        """The rows in the parts."""
-        for path, pairs in self._pairs_of_parts():
-            part = read_part(path)
-            yield from (part.rows[pair] for pair in pairs)
-
     def blocks(self) -> Iterator[Matched]:
         """The pairs in the parts, a block for each part."""
         for path, pairs in self._pairs_of_parts():

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, pair_matches
+from dgc_pose.batch.pooling import TOLD_STD, cameras_told
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
@@ -52,12 +53,13 @@ class Match:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """A task: the poses of pairs that are matched, with other cameras than the job's."""
+    """A task: the poses of pairs that are matched, with other cameras than before."""
 
     indices: tuple[int, ...]  # of the pairs in the batch
     rows: tuple[PairRow, ...]  # as they are; a pair that cannot be estimated again keeps its own
     matches: tuple[PairMatches, ...]
     cameras: Mapping[str, Camera]  # of their images, by name
+    fit_cameras: bool  # whether each pair fits them anew, also those that are told already
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,13 @@ class Worker:
             if stored.again is None:
                 return row, stored
             names = (row.name1, row.name2)
-            return self._posed(names, stored, stored.estimable(), task.cameras)
+            return self._posed(
+                names,
+                stored,
+                stored.estimable(),
+                task.cameras,
+                task.fit_cameras or any(task.cameras[n].focal_std > TOLD_STD for n in names),
+            )
 
         pairs = list(zip(task.rows, task.matches, strict=True))
         done = [_attempt((row.name1, row.name2), partial(again, row, m)) for row, m in pairs]
@@ -157,6 +165,7 @@ class Worker:
         stored: PairMatches,
         matches: tuple[Matches, Matches | None],
         cameras: Mapping[str, Camera],
+        fit_cameras: bool = True,
     ) -> tuple[PairRow, PairMatches]:
         """The row, and the matches with the inliers of the pose.
 
@@ -168,8 +177,13 @@ class Worker:
             cameras[names[1]],
             self.job.estimation,
             map_matches=matches[1],
+            fit_cameras=fit_cameras,
         )
-        return row_of(names, pose, matches[0].error_px), replace(stored, inliers=pose.inliers)
+        again = stored.again
+        if again is not None and pose.camera_covariance is not None:
+            again = replace(again, cameras=cameras_told(pose))
+        posed = replace(stored, inliers=pose.inliers, again=again)
+        return row_of(names, pose, matches[0].error_px), posed
 
     def _image(self, name: str) -> Image | str:
         """An image, or the reason why it cannot be used."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.batch.pooling import TOLD_STD
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
@@ -20,8 +21,6 @@ from dgc_pose.system.stderr import quiet
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
-# Of the logarithm of a focal length; below, COLMAP is told that it is known.
-_KNOWN_STD = 0.05
 
 
 def write_database(
@@ -106,7 +105,7 @@ def _write_images(
     for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
         std, identity = cameras[name].focal_std, cameras[name].identity
-        camera.has_prior_focal_length = std < _KNOWN_STD
+        camera.has_prior_focal_length = std < TOLD_STD
         alone = name if std > 0 and identity is None else None
         size = (camera.width, camera.height)
         key = (alone, camera.model.name, *size, *camera.params.tolist())

@@ -47,19 +47,23 @@ class Covariance:
 
 
 def pose_covariance(
-    problem: TwoViewProblem, model: Model, spread: CameraSpread = EXACT
+    problem: TwoViewProblem, model: Model, spread: CameraSpread = EXACT, *, fitted: bool = True
 ) -> Covariance | None:
     """Covariance (6, 6), rad^2, of the rotation vector and of the unit translation.
 
     Of the pose that minimises the Cauchy loss, at the errors' own scale, of the Sampson errors of
     the inliers in front of both cameras. In camera 2's axes: the true pose is exp([w]x) R and t + d
     for a (w, d) of this covariance. d is perpendicular to t, so the rank is 5. None if the inliers
-    do not determine the pose. spread: of the cameras that normalised the problem.
+    do not determine the pose. spread: of the cameras that normalised the problem. fitted: whether
+    these were fitted to the matches together with the pose, or are known that well from elsewhere.
     """
     inliers = problem.subset(model.inliers_in_front)
     if len(inliers) <= MINIMAL:
         return None
     error, slopes, tangent = error_slopes(inliers, model.R, model.t, spread)
+    by_cameras = slopes[:, 5:]
+    if not fitted:
+        slopes = slopes[:, :5]
     scale = pose_error_scale(inliers, model.R, model.t)
     squared = (error / scale) ** 2
     # Negative for errors beyond the loss's inflection; a match must not count as negative evidence.
@@ -71,7 +75,7 @@ def pose_covariance(
     total = information.sum(0)
     prior = np.zeros((count, count))
     variance = (scale / EFFICIENT) ** 2  # of a match: the information is in its unit
-    if len(spread):
+    if count > 5:
         prior[5:, 5:] = variance * np.eye(len(spread))
         total = total + prior
     covariances = []
@@ -84,15 +88,19 @@ def pose_covariance(
             moves = np.linalg.solve((1 + _RIDGE) * total - left_out, gradient)[:, :, 0]
             covariances.append((blocks - 1) / blocks * moves.T @ moves)
         covariance = np.mean(covariances, axis=0)
-        if len(spread):
+        if count > 5:
             inverse = np.linalg.inv(total)
             covariance += variance * inverse @ prior @ inverse
+        elif len(spread):  # the pose moves with the cameras
+            moved = np.linalg.solve(total, (slopes * curvature[:, None]).T @ by_cameras)
+            covariance += moved @ moved.T
     except np.linalg.LinAlgError:
         return None
     expand = np.zeros((6, 5))
     expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
     pose = expand @ covariance[:5, :5] @ expand.T
-    cameras = spread.basis @ covariance[5:, 5:] @ spread.basis.T
+    of_cameras = covariance[5:, 5:] if fitted else np.eye(len(spread))
+    cameras = spread.basis @ of_cameras @ spread.basis.T
     if not (np.isfinite(pose).all() and np.isfinite(cameras).all()):
         return None
     return Covariance(pose, cameras)

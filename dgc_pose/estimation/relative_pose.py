@@ -43,13 +43,15 @@ def estimate_pose(
     options: EstimationOptions = _DEFAULTS,
     *,
     map_matches: Matches | None = None,
+    fit_cameras: bool = True,
 ) -> RelativePose:
     """The pose x2 = R x1 + t of camera 2 relative to camera 1, translation up to scale.
 
     `TwoViewProblem.of` describes how matches and threshold are normalised. map_matches: an even
     sample of the dense map that the matches come from (`MatchResult.map_matches`), as evidence for
-    the probability. The same seed gives the same answer to the bit. Raises InputError if `matches`
-    is not Matches.
+    the probability. fit_cameras: whether the focal lengths of cameras that are not exact are
+    fitted; without, their deviations only widen the errors. The same seed gives the same answer to
+    the bit. Raises InputError if `matches` is not Matches.
     """
     check_type(options, EstimationOptions, "options")
     check_type(camera1, Camera, "camera1")
@@ -63,7 +65,8 @@ def estimate_pose(
         reason = f"only {len(problem)} matches; a verdict needs {options.verdict.min_matches}"
         return failure("too_few_matches", reason)
     stated = camera1, camera2
-    hypotheses = _hypotheses(problem, matches, camera1, camera2, options)
+    fits = fit_cameras and len(CameraSpread.of(camera1, camera2)) > 0
+    hypotheses = _hypotheses(problem, matches, camera1, camera2, options, fits)
     problem, camera1, camera2 = hypotheses.problem, hypotheses.camera1, hypotheses.camera2
     spread, runs = CameraSpread.of(camera1, camera2), hypotheses.runs
     if not runs:
@@ -81,7 +84,7 @@ def estimate_pose(
     check = FocalCheck() if len(spread) else check_focals(matches, camera1, camera2, model, options)
 
     def assess(model: Model, rivals: Sequence[Model]) -> _Assessed:
-        covariance = pose_covariance(problem, model, spread)
+        covariance = pose_covariance(problem, model, spread, fitted=fits)
         evidence = gather(
             problem,
             model,
@@ -107,7 +110,7 @@ def estimate_pose(
         [assess(other, [model]) for other in others if other.count_in_front >= least],
         best.probability,
     )
-    cameras = best.camera(camera1, 0), best.camera(camera2, 1)
+    cameras = (best.camera(camera1, 0), best.camera(camera2, 1)) if fits else (camera1, camera2)
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
@@ -116,6 +119,7 @@ def estimate_pose(
         R=model.R if known.has_t else rotation,
         t=model.t if known.has_t else None,
         covariance=best.calibrated_covariance if known.has_t else None,
+        camera_covariance=best.camera_covariance(*cameras) if known.has_t and fits else None,
         camera1=cameras[0] if known.has_t else None,
         camera2=cameras[1] if known.has_t else None,
         evidence=best.evidence,
@@ -146,12 +150,13 @@ def _hypotheses(
     camera1: Camera,
     camera2: Camera,
     options: EstimationOptions,
+    fits: bool,
 ) -> _Hypotheses:
-    """RANSAC, with the focal lengths of cameras that are not exact among the unknowns.
+    """RANSAC, if `fits` with the focal lengths of cameras that are not exact among the unknowns.
 
     problem: of the matches, normalised by the two cameras.
     """
-    if not len(CameraSpread.of(camera1, camera2)):
+    if not fits:
         return _Hypotheses(problem, camera1, camera2, sampled_models(problem, options))
     fit = fit_cameras(problem, camera1, camera2, options)
     if fit is None:
@@ -190,6 +195,16 @@ class _Assessed:
             return camera
         std = calibrated_focal_std(self.covariance.focal_stds[number])
         return replace(camera, focal_std=std, focal_source="matches")
+
+    def camera_covariance(self, camera1: Camera, camera2: Camera) -> np.ndarray | None:
+        """That of fitted cameras, see `RelativePose`."""
+        if self.covariance is None:
+            return None
+        unit = []
+        for camera, std in zip((camera1, camera2), self.covariance.focal_stds, strict=True):
+            factor = calibrated_focal_std(std) / std if std else 1.0
+            unit += [factor, factor * camera.focal, factor * camera.focal]
+        return self.covariance.cameras * np.outer(unit, unit)
 
 
 def _alternatives(

@@ -47,6 +47,9 @@ class RelativePose:
     # matches tell, if theirs had a deviation. None without a pose.
     camera1: Camera | None = None
     camera2: Camera | None = None
+    # (6, 6) of ln f and the principal point, pixels, of camera 1 and then of camera 2, which the
+    # matches tell; None for cameras that were not fitted.
+    camera_covariance: np.ndarray | None = None
     evidence: Evidence | None = None  # what the verdict rests on; None without a model
     # That R and t are both within 10 degrees; 0 without a model, and with "rotation_only". None
     # if no model of the probability is fitted for such matches.

@@ -7,54 +7,80 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgc_pose.batch.pooling import Told, pool, pooled_focal, write_cameras
+from dgc_pose.batch.matches_file import NO_MATCHES, Again, PairMatches
+from dgc_pose.batch.pooling import Told, pool, pooled_fit, write_cameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 
-PRIOR = 0.4
+PRIOR, CENTRE = 0.4, 5.0
 SIZE = (100, 80)
 K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
 
 
+def _told(value: float, std: float, weight: float = 1.0) -> Told:
+    return Told(np.array([value]), np.array([[std**2]]), weight)
+
+
+def _pooled(told: list[Told], images: int) -> tuple[float, float]:
+    (value,), (std,) = pooled_fit(told, np.array([PRIOR]), images)
+    return float(value), float(std)
+
+
 def test_without_a_pair_the_prior_stays() -> None:
-    assert pooled_focal([], PRIOR, 3) == (0.0, PRIOR)
+    assert _pooled([], 3) == (0.0, PRIOR)
 
 
 def test_one_pair_says_what_it_says() -> None:
     """Its prior is taken out and put in again."""
-    value, std = pooled_focal([Told(0.1, 0.01)], PRIOR, 2)
+    value, std = _pooled([_told(0.1, 0.01)], 2)
     assert value == pytest.approx(0.1, abs=1e-6) and std == pytest.approx(0.01, rel=1e-3)
 
 
 def test_the_prior_enters_once() -> None:
     """Four pairs of a precision of 25, of which 6.25 is the prior's: 4 * 18.75 + 6.25 together."""
-    value, std = pooled_focal([Told(0.1, 0.2)] * 4, PRIOR, 8)
+    value, std = _pooled([_told(0.1, 0.2)] * 4, 8)
     assert value == pytest.approx(4 * 0.1 * 25 / 81.25, rel=1e-3)
     assert std == pytest.approx(81.25**-0.5, rel=1e-3)
 
 
+def test_parameters_that_are_correlated() -> None:
+    """Equal fits of four pairs: four times the information of the matches, and that of the prior.
+    In the first axis the matches say nothing."""
+    prior = np.array([PRIOR, 8.0, 8.0])
+    sines = np.array([[1, 0.2, 0], [-0.2, 1, 0.5], [0.1, -0.5, 1]])
+    axes = np.linalg.qr(sines)[0]
+    of_matches = (axes * [0.0, 40, 900]) @ axes.T / np.outer(prior, prior)
+    covariance = np.linalg.inv(of_matches + np.diag(prior**-2))
+    true = np.array([0.01, 0.3, -0.2])
+    value = covariance @ of_matches @ true
+    pooled, std = pooled_fit([Told(value, covariance)] * 4, prior, 8)
+    together = np.linalg.inv(4 * of_matches + np.diag(prior**-2))
+    np.testing.assert_allclose(pooled, together @ (4 * of_matches @ true), rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(together)), rtol=1e-3)
+
+
 @pytest.mark.parametrize("outlier", [0.5, -1.2])
 def test_outliers_do_not_move_it(outlier: float) -> None:
-    right = [Told(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
-    wrong = [Told(outlier, 0.005), Told(outlier, 0.005), Told(outlier - 0.2, 0.001, weight=0.01)]
-    value, std = pooled_focal(right + wrong, PRIOR, 24)
+    right = [_told(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
+    wrong = [_told(outlier, 0.005), _told(outlier, 0.005), _told(outlier - 0.2, 0.001, weight=0.01)]
+    value, std = _pooled(right + wrong, 24)
     assert abs(value - 0.1) < 0.004 and std < 0.02
 
 
 def test_errors_of_an_image_are_shared_by_its_pairs() -> None:
     """Ten pairs of five images count as two and a half."""
-    told = [Told(0.0, 0.01)] * 10
-    assert pooled_focal(told, PRIOR, 20)[1] == pytest.approx(0.01 / 10**0.5, rel=1e-3)
-    assert pooled_focal(told, PRIOR, 5)[1] == pytest.approx(0.01 / 2.5**0.5, rel=1e-3)
-    assert pooled_focal(told, PRIOR, 1)[1] == pytest.approx(0.01, rel=1e-3)
+    told = [_told(0.0, 0.01)] * 10
+    assert _pooled(told, 20)[1] == pytest.approx(0.01 / 10**0.5, rel=1e-3)
+    assert _pooled(told, 5)[1] == pytest.approx(0.01 / 2.5**0.5, rel=1e-3)
+    assert _pooled(told, 1)[1] == pytest.approx(0.01, rel=1e-3)
 
 
 def test_scatter_widens() -> None:
     """Eight fits two deviations away: each of the weight w = 1 / (1 + 4 / 2.385^2), and 4 times
     the variance that they state."""
-    told = [Told(0.02 * sign, 0.01) for sign in (-1, 1) * 4]
-    value, std = pooled_focal(told, PRIOR, 16)
+    told = [_told(0.02 * sign, 0.01) for sign in (-1, 1) * 4]
+    value, std = _pooled(told, 16)
     weight = 1 / (1 + 4 / 2.385**2)
     assert abs(value) < 1e-4
     assert std == pytest.approx(0.02 / (8 * weight) ** 0.5, rel=0.01)
@@ -66,43 +92,65 @@ def test_the_deviation_holds_where_images_err() -> None:
     count, ratios = 8, []
     for _ in range(200):
         of_image = rng.normal(0, 0.01 / 2**0.5, count)
-        told = [Told(float(of_image[i] + of_image[j]), 0.01) for i, j in combinations(range(8), 2)]
-        value, std = pooled_focal(told, PRIOR, count)
+        told = [_told(float(of_image[i] + of_image[j]), 0.01) for i, j in combinations(range(8), 2)]
+        value, std = _pooled(told, count)
         ratios.append(value / std)
     assert 0.85 < np.std(ratios) < 1.2
 
 
 def _camera(identity: str | None) -> Camera:
-    return Camera(K, SIZE, focal_std=PRIOR, focal_source="size", identity=identity)
+    return Camera(
+        K, SIZE, focal_std=PRIOR, centre_std=CENTRE, focal_source="size", identity=identity
+    )
 
 
-def _row(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> PairRow:
-    focals = {"focal1": focal1, "focal2": focal2, "focal_std1": std, "focal_std2": std}
-    return PairRow(name1, name2, "ok", True, "a pose", probability=1.0, **focals)
+def _pair(
+    name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01
+) -> tuple[PairRow, PairMatches]:
+    """A pair that tells focal lengths and the principal point (51.5, 39.5), each alone."""
+    fit = np.zeros((2, 4, 3))
+    fit[:, 0] = [(np.log(focal), 51.5, 39.5) for focal in (focal1, focal2)]
+    fit[:, 1:] = np.diag([std**2, 0.25, 0.25])
+    row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
+    return row, replace(NO_MATCHES, again=Again(0.5, False, None, fit))
 
 
 def test_each_camera_has_its_pairs() -> None:
     """One of two images, one of an image alone, one that no pair tells, and one that is exact."""
     cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
     cameras["e"] = replace(_camera("y"), focal_std=0.0, focal_source="given")
-    rows = [
-        _row("a", "b", 121, 121),
-        _row("a", "c", 121, 99),
-        _row("c", "b", 99, 121),
-        _row("a", "d", 121, 300, std=0.39),
-        replace(_row("a", "c", 500, 500), success=False),
-        PairRow("a", "e", "bad_input", False, "too small"),
+    failed = _pair("a", "c", 500, 500)
+    pairs = [
+        _pair("a", "b", 121, 121),
+        _pair("a", "c", 121, 99),
+        _pair("c", "b", 99, 121),
+        _pair("a", "d", 121, 300, std=0.39),
+        (replace(failed[0], success=False), failed[1]),
+        (PairRow("a", "e", "bad_input", False, "too small"), NO_MATCHES),
     ]
-    pooled, listed = pool(cameras, rows)
+    pooled, listed = pool(cameras, pairs)
     assert [one.names for one in listed] == [("a", "b"), ("c",), ("d",)]
     assert [one.pairs for one in listed] == [3, 2, 0]
     assert pooled["a"].focal == pooled["b"].focal == pytest.approx(121, rel=1e-3)
     assert pooled["c"].focal == pytest.approx(99, rel=1e-3)
     assert pooled["a"].focal_std < 0.011 and pooled["a"].focal_source == "matches"
+    np.testing.assert_allclose(pooled["a"].K[:2, 2], (51.5, 39.5), atol=0.05)
+    assert pooled["a"].centre_std < 0.6
     assert (pooled["d"].focal, pooled["d"].focal_std) == (110, PRIOR)
-    assert pooled["d"].focal_source == "size"
+    assert pooled["d"].focal_source == "size" and pooled["d"].centre_std == CENTRE
     assert pooled["e"] is cameras["e"]
-    np.testing.assert_array_equal(pooled["a"].K[:2, 2], K[:2, 2])
+    backwards, _ = pool(cameras, pairs[::-1])
+    for name, camera in pooled.items():
+        np.testing.assert_array_equal(backwards[name].K, camera.K)
+
+
+def test_images_of_two_sizes_share_no_principal_point() -> None:
+    cameras = {"a": _camera("x"), "b": replace(_camera("x"), size=SIZE[::-1])}
+    pooled, _ = pool(cameras, [_pair("a", "b", 121, 121)])
+    for name in "ab":
+        assert pooled[name].focal == pytest.approx(121, rel=1e-3)
+        np.testing.assert_array_equal(pooled[name].K[:2, 2], K[:2, 2])
+        assert pooled[name].centre_std == CENTRE
 
 
 def test_the_cameras_are_read_back(tmp_path: Path) -> None:
@@ -114,3 +162,4 @@ def test_the_cameras_are_read_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(again[name].K, camera.K)
         assert again[name].size == SIZE and again[name].identity == camera.identity
         assert again[name].focal_std == camera.focal_std
+        assert again[name].centre_std == CENTRE

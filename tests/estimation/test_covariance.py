@@ -1,9 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation.camera_spread import CameraSpread
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.model import Model, pose_error_scale
 from dgc_pose.estimation.poselib_calls import refine_pose
@@ -95,6 +98,31 @@ def test_the_covariance_is_that_of_poses_from_other_noise():
         ratio = np.trace(mean[part, part]) / np.trace(drawn[part, part])
         assert 0.8 < ratio < 2.0  # leaving out a block in ten is on the careful side
     np.testing.assert_allclose(mean[3:, 3:] @ clean.t, 0, atol=0.05 * np.trace(mean[3:, 3:]))
+
+
+def test_a_camera_that_is_not_fitted_moves_the_pose():
+    """What it adds is the covariance of poses by other focal lengths, of matches without noise."""
+    scene, points1, points2 = normalised(800, sigma_px=0.0)
+    std = 0.004
+    camera = replace(scene.cameras[0], focal_std=std, identity="one")
+    spread = CameraSpread.of(camera, camera)
+    rng = np.random.default_rng(0)
+    noise = 1e-5 * rng.standard_normal(points2.shape)
+    rotations, shifts, said = [], [], []
+    for k in std * np.sqrt(2) * np.sin(np.arange(20) * np.pi / 10):
+        points = points1 * np.exp(-k), (points2 + noise) * np.exp(-k)
+        problem = normalised_problem(*points, 4 * SCALE)
+        scale = pose_error_scale(problem, scene.R, scene.t)
+        model = Model.of_pose(problem, *refine_pose(*points, scene.R, scene.t, scale))
+        covariance = pose_covariance(problem, model, spread, fitted=False)
+        rotations.append(Rotation.from_matrix(model.R @ scene.R.T).as_rotvec())
+        shifts.append(model.t - scene.t)
+        said.append(covariance.pose - pose_covariance(problem, model).pose)
+        assert covariance.focal_stds == pytest.approx((std, std))
+    drawn = np.cov(np.column_stack([rotations, shifts]).T, bias=True)
+    mean = np.mean(said, axis=0)
+    for part in (slice(0, 3), slice(3, 6)):
+        assert 0.8 < np.trace(mean[part, part]) / np.trace(drawn[part, part]) < 1.25
 
 
 def test_errors_that_neighbours_share_make_the_pose_less_certain():

@@ -61,8 +61,13 @@ def read_table(text: str, path: Path) -> FileCameras:
         try:
             size = (int(row["width"]), int(row["height"])) if row.get("width") else None
             K = matrix(*(float(row[key]) for key in ("fx", "fy", "cx", "cy")))
-            std, identity = float(row.get("focal_std") or 0), row.get("camera") or None
-            cameras[row["name"]] = Camera(K, size, focal_std=std, identity=identity)
+            cameras[row["name"]] = Camera(
+                K,
+                size,
+                focal_std=float(row.get("focal_std") or 0),
+                centre_std=float(row.get("centre_std_px") or 0),
+                identity=row.get("camera") or None,
+            )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{path}:{number}: expected the columns name,fx,fy,cx,cy[,width,height] "
