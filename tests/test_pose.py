@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import dense_scene
 import numpy as np
 import PIL.Image
 import pytest
@@ -127,6 +128,28 @@ def test_an_orientation_that_is_not_applied_is_told_once_and_of_a_K_that_was_giv
         pose = match_and_estimate(first, second, *cameras, SiftMatcher()).pose
         told = [text for text in pose.warnings if "EXIF orientation 6 is not applied" in text]
         assert len(told) == count
+
+
+@pytest.mark.parametrize(
+    "values",
+    [(), ("auto:shared",), ("auto:two",), (dense_scene.K, "auto"), ("auto", dense_scene.K)],
+)
+def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
+    matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
+    trace = trace_relative_pose(*dense_scene.pictures(), *values, matcher=matcher)
+    pose, truth = trace.pose, dense_scene.K[0, 0]
+    assert pose.success
+    cameras = (trace.camera1, trace.camera2), (trace.prior1, trace.prior2)
+    for camera, prior in zip(*cameras, strict=True):
+        if prior.focal_std == 0:
+            np.testing.assert_array_equal(camera.K, dense_scene.K)
+            continue
+        assert abs(prior.focal / truth - 1) > 0.15
+        error = abs(camera.focal / truth - 1)
+        assert error < 0.01 and error < 2 * camera.focal_std < 0.1
+        assert camera.focal_source == "matches"
+    error_90 = pose.rotation_error_90_deg
+    assert error_90 is not None and rotation_error_deg(pose.R, dense_scene.R) < error_90 < 1
 
 
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])

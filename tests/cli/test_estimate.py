@@ -178,6 +178,7 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
     camera = data["camera2"]
     assert camera["size"] == [320, 240] and camera["focal_std"] > 0
     focal = camera["K"][0][0]
+    assert focal == pytest.approx(dense_scene.K[0, 0], rel=0.02)
     assert f"f = {focal:.1f} +- {focal * camera['focal_std']:.1f} px" in told[-1]
     # The JSON is a camera of the next pair, as uncertain as it was.
     assert estimate("--json", "q.json", k=("--K", "p.json")).exit_code == 0
