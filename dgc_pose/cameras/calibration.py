@@ -77,13 +77,10 @@ class Calibration:
             if self.auto == "files":
                 return camera
             return replace(camera, identity="shared" if self.auto == "shared" else None)
-        if self.parts:
-            *_, last = self.parts
-            raise InputError(
-                f"{self.where} has {' and '.join(self.parts)}: say which, as {self.where}:{last}"
-            )
-        if self.by_name:
-            raise InputError(f"{self.where} has no camera for {name}")
+        if self.parts or self.by_name:
+            *_, last = ("", *self.parts)
+            which = f": say which, as {self.where}:{last}" if last else ""
+            raise InputError(f"{self.where} has no camera for {name}{which}")
         raise InputError(f"no camera for {name}: give --K, or --K auto")
 
     def says_nothing_of(self, name: str) -> bool:
@@ -122,8 +119,9 @@ class Calibration:
         if part is not None and part in self.parts:
             return self.parts[part]
         for folder in reversed(path.absolute().parts):
-            if match := _PART_FOLDER.fullmatch(folder):
-                return self.parts.get(f"{match[1]}{int(match[2])}")
+            match = _PART_FOLDER.fullmatch(folder)
+            if match and (key := f"{match[1]}{int(match[2])}") in self.parts:
+                return self.parts[key]
         if self.common is None or len({_numbers(camera) for camera in self.parts.values()}) == 1:
             return self.common
         first, *_, last = self.parts

@@ -68,8 +68,9 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     with pytest.raises(InputError, match="no camera for e.jpg"):
         _K(calibration, "e.jpg")
     (tmp_path / f"images.{ending}").unlink()
-    with pytest.raises(InputError, match="2 cameras, and no images.txt"):
-        read_calibration(str(source))
+    with pytest.raises(InputError, match=f"has no camera for d/1.jpg: say which, as {source}:2"):
+        _K(read_calibration(str(source)), "d/1.jpg")
+    assert _K(read_calibration(f"{source}:2"), "d/1.jpg") == [600, 600, 320, 240]
 
 
 def test_a_single_colmap_camera_serves_all(tmp_path: Path) -> None:

@@ -55,8 +55,8 @@ def read_model(folder: Path, name: str) -> FileCameras:
 
 
 def read_cameras(path: Path) -> FileCameras:
-    """The cameras of a cameras.txt or cameras.bin, of the images in the images.txt or images.bin
-    beside it, or else a single one for all.
+    """The cameras of a cameras.txt or cameras.bin by their ids, and by the images in the images.txt
+    or images.bin beside it; without one a single camera is that of all images.
 
     Raises InputError, with the path, if a file cannot be read.
     """
@@ -65,6 +65,7 @@ def read_cameras(path: Path) -> FileCameras:
     if not cameras:
         raise InputError(f"{path}: no cameras in this file")
     cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
+    parts = {str(key): camera for key, camera in cameras.items()}
     images = find_file(path.parent, f"images{ending}")
     if images is not None:
         data = read_bytes(images)
@@ -72,13 +73,8 @@ def read_cameras(path: Path) -> FileCameras:
             ids = _text_images(data) if ending == ".txt" else _binary_images(data)
         by_name = {name: cameras[key] for name, key in ids.items() if key in cameras}
         if by_name:
-            return FileCameras(by_name)
-    if len(cameras) != 1:
-        raise InputError(
-            f"{path}: {len(cameras)} cameras, and no images.txt or images.bin beside it to say "
-            "which is whose"
-        )
-    return FileCameras(common=next(iter(cameras.values())))
+            return FileCameras(by_name, parts)
+    return FileCameras(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
 
 
 def find_file(folder: Path, name: str) -> Path | None:

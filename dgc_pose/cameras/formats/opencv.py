@@ -1,8 +1,8 @@
 """OpenCV's cv::FileStorage: YAML, XML or JSON with a camera matrix and distortion coefficients.
 
-Names of the camera matrix, the coefficients and the size as OpenCV's own programs write them. The
-fisheye model is told by `fisheye_model: 1`, which OpenCV's sample writes, alone: a file with four
-coefficients does not say it.
+Names of the camera matrix, the coefficients and the size are those of OpenCV's own programs. The
+fisheye model is told by `fisheye_model: 1`, as OpenCV's sample writes. Four coefficients alone do
+not say it: as the part "fisheye" they are of that model.
 """
 
 from typing import Any
@@ -23,6 +23,7 @@ _COEFFICIENTS = (
     "Distortion_Coefficients",
     "D",
 )
+_FISHEYE_COUNT = 4
 _MAX_TEXT = 2**20  # characters: a calibration with its views has some thousand
 _SIZES = ("image_size", "imageSize", "cameraResolution")
 _WIDTHS = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
@@ -34,7 +35,7 @@ def is_storage(text: str) -> bool:
 
 
 def read_storage(text: str) -> FileCameras:
-    """The camera of a text of cv::FileStorage.
+    """The camera of a text of cv::FileStorage, and the same as a fisheye.
 
     Raises InputError if it has none, and for a lens that COLMAP has no model of.
     """
@@ -54,7 +55,10 @@ def read_storage(text: str) -> FileCameras:
         raise InputError("an omnidirectional camera (xi), which no COLMAP model is")
     coefficients = [] if values is None else values.ravel().tolist()
     lens = fisheye_lens(coefficients) if is_fisheye else opencv_lens(coefficients)
-    return FileCameras(common=Camera(K, size, lens))
+    parts = {}
+    if len(coefficients) == _FISHEYE_COUNT:
+        parts["fisheye"] = Camera(K, size, fisheye_lens(coefficients))
+    return FileCameras(parts=parts, common=Camera(K, size, lens))
 
 
 def _matrix(storage: cv2.FileStorage, names: tuple[str, ...]) -> np.ndarray | None:

@@ -137,5 +137,8 @@ def test_an_image_of_a_model_by_its_name_or_file_name(
     camera = calibration.camera(Path(), image, header)
     assert camera.K[0, 0] == 500 + number
     assert camera.identity == calibration.camera(Path("x"), image, header).identity
+    assert parse_camera(f"{tmp_path}:3").K[0, 0] == 503
+    with pytest.raises(InputError, match=r"has no camera for x\.jpg: say which, as .*:4$"):
+        calibration.camera(Path(), "x.jpg", header)
     with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
         calibration.camera(Path(), "2.jpg", header)

@@ -55,6 +55,11 @@ def test_opencv_fisheye(tmp_path: Path) -> None:
     expected = cv2.fisheye.undistortPoints(pixels()[:, None], K, coefficients)[:, 0]
     np.testing.assert_allclose(camera.normalise(pixels()), expected, atol=1e-6)
     assert camera.distortion is not None and camera.distortion.model == "OPENCV_FISHEYE"
+    path = write_storage(tmp_path / "silent.yml", K=K, D=coefficients)
+    assert parse_camera(f"{path}:fisheye").distortion == camera.distortion
+    silent = parse_camera(path)
+    assert silent.distortion is not None and silent.distortion.model == "OPENCV"
+    assert silent.warnings == ()
 
 
 @pytest.mark.parametrize(

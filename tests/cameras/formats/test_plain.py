@@ -91,7 +91,9 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path, keys: tuple[str, str]) ->
     if keys[0] == "camera1":
         assert (camera1.focal_std, camera1.centre_std, camera2.distortion) == (0.02, 3.0, lens)
     assert parse_camera(f"{path}:K2").K[0, 0] == 1000
-    with pytest.raises(InputError, match=r"has K1 and K2: say which, as .*pose\.json:K2$"):
+    with pytest.raises(
+        InputError, match=r"has no camera for a\.jpg: say which, as .*pose\.json:K2$"
+    ):
         read_calibration(str(path)).camera(Path(), "a.jpg", Header("JPEG", SIZE))
 
 

@@ -158,10 +158,11 @@ def test_which_camera_of_a_rig(tmp_path: Path) -> None:
     for image, focal in (("mav0/cam0/data/1.png", 500), ("mav0/cam1/data/1.png", 400)):
         camera = calibration.camera(tmp_path, image, header)
         assert (camera.K[0, 0], camera.warnings) == (focal, ())
-    camera = calibration.camera(tmp_path, "1.png", header)
-    (warning,) = camera.warnings
-    assert camera.K[0, 0] == 500
-    assert "has 2 cameras" in warning and f"cam0 is taken; {path}:cam1 is another" in warning
+    for image in ("1.png", "cam2/1.png"):
+        camera = calibration.camera(tmp_path, image, header)
+        (warning,) = camera.warnings
+        assert camera.K[0, 0] == 500
+        assert "has 2 cameras" in warning and f"cam0 is taken; {path}:cam1 is another" in warning
     second = parse_camera(f"{path}:cam1")
     assert second.distortion is not None
     assert (second.distortion.model, second.distortion.coefficients) == ("EUCM", (0.6, 1.1))
