@@ -114,8 +114,10 @@ class CameraTrial:
 def suggested_focal(pose: RelativePose) -> tuple[float, float]:
     """The focal length that the matches suggest over that of K, and the deviation of its logarithm;
     NaN if the pose does not say."""
-    ratio, std = (getattr(pose.evidence, name, None) for name in ("focal_ratio", "focal_ratio_std"))
-    return (math.nan, math.nan) if ratio is None or std is None else (ratio, std)
+    evidence = pose.evidence
+    if evidence is None or evidence.focal_ratio is None or evidence.focal_ratio_std is None:
+        return math.nan, math.nan
+    return evidence.focal_ratio, evidence.focal_ratio_std
 
 
 def doubts_camera(pose: RelativePose) -> bool:

@@ -7,7 +7,7 @@ right one; where it does not, the six-point solver has a better start.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import solved_start
 from dgc_pose.estimation.camera_spread import CameraSpread, deviating
 from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.joint_fit import JointFit, JointPose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
@@ -32,21 +33,8 @@ _MORE = 1.2  # of the inliers that another focal length must have to be a start
 _AGREEING = 0.03  # of ln f: if the first step of the fit is shorter, the focal lengths are right
 
 
-@dataclass(frozen=True)
-class FocalCheck:
-    """What the matches say of the focal lengths of both cameras."""
-
-    factor: float = 1.0  # that the matches suggest, of those of K
-    std: float = math.inf  # of its logarithm, by the jackknife; infinite if it was not fitted
-
-    @property
-    def contradiction(self) -> float:
-        """By how many standard deviations K is off; 0 if it was not fitted."""
-        return abs(math.log(self.factor)) / self.std
-
-
 def focal_warnings(
-    stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck
+    stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck | None
 ) -> tuple[str, ...]:
     """What the user is to know of the focal lengths, each a line.
 
@@ -55,11 +43,10 @@ def focal_warnings(
     """
     told: dict[str, None] = {}
     for before, after in zip(stated, fitted, strict=True):
-        if not before.focal_std:
+        f, std, allowed = after.focal, after.focal_std, before.focal_std
+        if check is not None:
             f, std = check.factor * before.focal, calibrated_focal_std(check.std)
             allowed = std
-        else:
-            f, std, allowed = after.focal, after.focal_std, before.focal_std
         error = abs(math.log(f / before.focal))
         if before.focal_source == "given" and error >= max(_LEAST_ERROR, _CONTRADICTED * allowed):
             told[f"f = {f:.0f} +- {std * f:.0f} px, and K says {before.focal:.0f}"] = None
@@ -76,8 +63,8 @@ def focal_warnings(
 
 def check_focals(
     matches: Matches, camera1: Camera, camera2: Camera, model: Model, options: EstimationOptions
-) -> FocalCheck:
-    """The factor of the focal lengths that the matches suggest.
+) -> FocalCheck | None:
+    """The factor of the focal lengths that the matches suggest; None if it is 1 or not told.
 
     model: of the pose that the cameras give, as if they were exact.
     """
@@ -99,7 +86,7 @@ def check_focals(
     if not start.z.any():
         step = joint.fitted(start, rounds=1, iterations=1)
         if abs(joint.deviations(step)[0]) < _AGREEING:
-            return FocalCheck()
+            return None
     pose = joint.fitted(start)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
@@ -107,5 +94,5 @@ def check_focals(
     refitted = Model.of_pose(problem, pose.R, pose.t)
     covariance = pose_covariance(problem, refitted, CameraSpread.of(fitted1, fitted2))
     if covariance is None:
-        return FocalCheck()
+        return None
     return FocalCheck(math.exp(deviations[0]), covariance.focal_stds[0])

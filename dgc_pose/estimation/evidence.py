@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -30,6 +31,13 @@ _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there ar
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
+class FocalCheck(NamedTuple):
+    """What the matches say of the focal lengths of exact cameras."""
+
+    factor: float  # of both that they suggest
+    std: float  # of its logarithm, by the jackknife
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What the verdict rests on."""
@@ -54,9 +62,10 @@ class Evidence:
     jackknife_translation_90_deg: float | None
     # The same of the logarithm of the focal length, per cent; None if K is exact.
     jackknife_focal_90_percent: float | None
-    # By how many standard deviations the focal lengths that the matches suggest are off those of an
-    # exact K; 0 if they agree.
-    focal_contradiction: float
+    # Of an exact K: the focal lengths that the matches suggest over those of K, and the jackknife's
+    # deviation of the logarithm; None if they agree.
+    focal_ratio: float | None
+    focal_ratio_std: float | None
     residual: float  # median epipolar error of the inliers, over the threshold
     threshold_cells: float  # the threshold over the side of a grid cell, mean of both images
     hull_cells: float  # area of the inliers' convex hull in grid cells, the smaller of both images
@@ -70,6 +79,13 @@ class Evidence:
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None
+
+    @property
+    def focal_contradiction(self) -> float:
+        """By how many standard deviations the matches contradict an exact K; 0 if they agree."""
+        if self.focal_ratio is None or not self.focal_ratio_std:
+            return 0.0
+        return abs(math.log(self.focal_ratio)) / self.focal_ratio_std
 
     @property
     def over_chance(self) -> float:
@@ -96,13 +112,13 @@ def gather(
     runs: Sequence[Model] = (),
     rivals: Sequence[Model] = (),
     map_problem: TwoViewProblem | None = None,
-    focal_contradiction: float = 0.0,
+    check: FocalCheck | None = None,
 ) -> Evidence:
     """The evidence for and against a model of the problem's matches.
 
     covariance: of its pose, see `pose_covariance`. runs: the models of the RANSAC runs. rivals:
     other models that explain matches. map_problem: an even sample of the dense map.
-    focal_contradiction: see `FocalCheck`.
+    check: of the focal lengths of exact cameras, if it does not agree with them.
     """
     threshold, is_inlier = problem.threshold, model.inliers
     inliers = problem.subset(is_inlier)
@@ -141,7 +157,8 @@ def gather(
         jackknife_rotation_90_deg=rotation_90,
         jackknife_translation_90_deg=translation_90,
         jackknife_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
-        focal_contradiction=focal_contradiction,
+        focal_ratio=None if check is None else check.factor,
+        focal_ratio_std=None if check is None else check.std,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         hull_cells=min(_hull_area(cells) for cells in in_cells),

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_check import FocalCheck, check_focals, focal_warnings
+from dgc_pose.estimation.camera_check import check_focals, focal_warnings
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, fit_cameras
 from dgc_pose.estimation.camera_spread import CameraSpread
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
@@ -81,7 +81,7 @@ def estimate_pose(
         map_problem = TwoViewProblem.of(map_matches, camera1, camera2, map_options)
 
     # A spread says what K may be; without it K is to be right.
-    check = FocalCheck() if len(spread) else check_focals(matches, camera1, camera2, model, options)
+    check = None if len(spread) else check_focals(matches, camera1, camera2, model, options)
 
     def assess(model: Model, rivals: Sequence[Model]) -> _Assessed:
         covariance = pose_covariance(problem, model, spread, fitted=fits)
@@ -93,7 +93,7 @@ def estimate_pose(
             runs=runs,
             rivals=rivals,
             map_problem=map_problem,
-            focal_contradiction=check.contradiction,
+            check=check,
         )
         logistic = shipped_models().by_kind.get(match_kind(evidence))
         return _Assessed(model, evidence, covariance, logistic)
