@@ -83,18 +83,21 @@ class CameraRequest:
             # A name without a folder, which keeps the ending: that may tell the format.
             path = folder / (re.sub(r"[^\w.-]", "_", self.file_name)[-50:].lstrip(".") or "K")
             path.write_bytes(self.content)
+
+            def as_named(text: str) -> str:
+                return text.replace(str(path), self.file_name)
+
+            def renamed(camera: Camera) -> Camera:
+                identity = None if camera.identity is None else as_named(camera.identity)
+                return replace(
+                    camera, warnings=tuple(map(as_named, camera.warnings)), identity=identity
+                )
+
             try:
-                cameras = pair_cameras(str(path), str(path), image1, image2, ("K", "K"))
+                camera1, camera2 = pair_cameras(str(path), str(path), image1, image2, ("K", "K"))
             except InputError as error:
-                raise InputError(str(error).replace(str(path), self.file_name)) from None
-        camera1, camera2 = (
-            replace(
-                camera,
-                warnings=tuple(text.replace(str(path), self.file_name) for text in camera.warnings),
-            )
-            for camera in cameras
-        )
-        return camera1, camera2
+                raise InputError(as_named(str(error))) from None
+        return renamed(camera1), renamed(camera2)
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:

@@ -333,7 +333,9 @@ def test_a_bad_camera_is_told_in_one_line(client, pair, camera, words):
 def test_the_name_of_a_file_is_text_alone(client, pair, tmp_path):
     for name in ("../../K.txt", "/etc/passwd", "..", "", "a\0b", 300 * "ü", str(tmp_path)):
         camera = {"kind": "file", "name": name, "content": in_base64(K_FILE)}
-        assert poses(client, *pair, camera)["result"]["pose"]["success"], name
+        result = poses(client, *pair, camera)["result"]
+        assert result["pose"]["success"], name
+        assert "dgc-pose." not in json.dumps(result), "the folder that it was written to"
 
 
 def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):
