@@ -23,7 +23,9 @@ class Lens:
     @cached_property
     def distortion(self) -> Distortion | None:
         """None for a pinhole."""
-        return None if self.model == "PINHOLE" else Distortion(self.model, self.coefficients)
+        if self.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+            return None
+        return Distortion(self.model, self.coefficients)
 
     def before(self, cameras: Cameras) -> Cameras:
         """Cameras in the same places, and of the same size and principal point, with this lens."""
@@ -40,11 +42,14 @@ class Lens:
 # OPENCV: EuRoC's camera; FULL_OPENCV: an Azure Kinect; OPENCV_FISHEYE: TUM-VI; FOV: TUM's monocular
 # odometry; RAD_TAN_THIN_PRISM_FISHEYE: Project Aria. The others are about as strong. Fields of view
 # from corner to corner: 83 to 90 degrees with radial distortion, 99 to 120 of OPENCV, FULL_OPENCV
-# and the division models, 130 to 160 of the fisheyes, FOV and EUCM.
+# and the division models, 130 to 160 of the fisheyes, FOV and EUCM. The pinholes are what to compare
+# with: PINHOLE for the radial distortion, SIMPLE_PINHOLE for the others, whose focal lengths are as
+# short.
 LENSES = {
     lens.model: lens
     for lens in (
         Lens("PINHOLE", 0.8),
+        Lens("SIMPLE_PINHOLE", 0.55),
         Lens("SIMPLE_RADIAL", 0.8, (-0.1,)),
         Lens("RADIAL", 0.8, (-0.15, 0.03)),
         Lens("OPENCV", 0.61, (-0.2834, 0.074, 0.0002, 0.00002)),

@@ -36,7 +36,7 @@ def colmap_camera(lens: Lens, K: np.ndarray) -> pycolmap.Camera:
 
 
 def test_there_is_a_lens_of_every_model():
-    others = {"INVALID", "SIMPLE_PINHOLE", "EQUIRECTANGULAR"}
+    others = {"INVALID", "EQUIRECTANGULAR"}
     assert set(LENSES) | others == set(pycolmap.CameraModelId.__members__)
 
 
