@@ -42,8 +42,8 @@ class Lens:
 # OPENCV: EuRoC's camera; FULL_OPENCV: an Azure Kinect; OPENCV_FISHEYE: TUM-VI; FOV: TUM's monocular
 # odometry; RAD_TAN_THIN_PRISM_FISHEYE: Project Aria. The others are about as strong. Fields of view
 # from corner to corner: 83 to 90 degrees with radial distortion, 99 to 120 of OPENCV, FULL_OPENCV
-# and the division models, 130 to 160 of the fisheyes, FOV and EUCM. The pinholes are what to compare
-# with: PINHOLE for the radial distortion, SIMPLE_PINHOLE for the others, whose focal lengths are as
+# and the division models, 130 to 160 of the fisheyes, FOV and EUCM. The pinholes are there to
+# compare with: PINHOLE for the radial models, SIMPLE_PINHOLE for the others, of focal lengths as
 # short.
 LENSES = {
     lens.model: lens

@@ -4,6 +4,7 @@ Axes are in original pixels, (0, 0) the centre of the top-left one; large images
 a figure can show. What is drawn later, such as points on an image, does not move the axes.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -86,6 +87,12 @@ def draw_lines(axes: Axes, lines: np.ndarray) -> None:
         foot = np.array([-a * c, -b * c]) / norm**2
         along = np.array([b, -a]) / norm
         axes.axline(tuple(foot), tuple(foot + along), color=colour, linewidth=1.2)
+
+
+def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
+    """Draw curves (M, 2) in pixels, broken where they are NaN, on axes whose limits are set."""
+    for curve, colour in zip(curves, _line_colours(len(curves)), strict=True):
+        axes.plot(*curve.T, color=colour, linewidth=1.2, scalex=False, scaley=False)
 
 
 def draw_matchability(

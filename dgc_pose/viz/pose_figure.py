@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.geometry.epipolar import fundamental_from_essential, homogeneous
+from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
@@ -16,6 +17,7 @@ from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
     GAP,
     draw_colour_bar,
+    draw_curves,
     draw_image,
     draw_lines,
     draw_matchability,
@@ -27,6 +29,7 @@ from dgc_pose.viz.panels import (
 
 DRAWN_MATCHES = 150
 DRAWN_LINES = 12
+_CURVE_POINTS = 500  # of an epipolar line through a lens
 _MAX_HEIGHT = 16.0  # inches of panels; beyond, all of them stand in one row
 _NARROW = 7.0  # inches; the width of a figure of upright images
 
@@ -37,7 +40,7 @@ def plot_pose(trace: Trace) -> Figure:
 
     The residual is the symmetric epipolar distance in pixels. Only an even subsample of the matches
     is drawn. Without an essential matrix matches are coloured by confidence, and there are no
-    lines. Epipolar lines are those of the pinhole cameras K, without lens distortion.
+    lines. Through a lens with distortion an epipolar line is a curve.
     """
     pose = trace.pose
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
@@ -108,10 +111,28 @@ def _draw_epipolar(left: Axes, right: Axes, trace: Trace, drawn: np.ndarray) -> 
     draw_image(left, trace.image1.pixels)
     draw_image(right, trace.image2.pixels)
     if trace.pose.E is not None:
-        F = fundamental_from_essential(trace.pose.E, trace.camera1.K, trace.camera2.K)
-        draw_lines(right, homogeneous(matches.points1) @ F.T)
+        lines = homogeneous(trace.camera1.normalise(matches.points1)) @ trace.pose.E.T
+        if trace.camera2.distortion is None:
+            draw_lines(right, lines @ np.linalg.inv(trace.camera2.K))
+        else:
+            draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
     draw_points(left, matches.points1)
     draw_points(right, matches.points2)
+
+
+def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
+    """The pixels (M, 2) of a line (3,) of normalised points; NaN where the lens shows none."""
+    angles = np.radians(np.linspace(-88, 88, _CURVE_POINTS))[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # of an epipole, and of a line at infinity
+        normal = line / np.linalg.norm(line)
+        towards = np.array([0, 0, 1]) - normal[2] * normal  # the ray nearest to the optical axis
+        towards /= np.linalg.norm(towards)
+        rays = np.cos(angles) * towards + np.sin(angles) * np.cross(normal, towards)
+        points = np.where(rays[:, 2:] > 0, rays[:, :2] / rays[:, 2:], np.nan)
+    pixels = camera.project(points)
+    # A model folds rays from outside of its range back into the image.
+    near = np.abs(camera.normalise(pixels) - points) < 1e-3 * (1 + np.abs(points))
+    return np.where(near.all(axis=1, keepdims=True), pixels, np.nan)
 
 
 def _spread(matches: Matches, chosen: np.ndarray, count: int) -> np.ndarray:

@@ -5,6 +5,7 @@ import dense_scene
 import numpy as np
 import pytest
 
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
@@ -54,6 +55,34 @@ def test_each_match_in_image_2_lies_on_its_epipolar_line():
         along = np.array([x2 - x1, y2 - y1])
         across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
         assert abs(across @ (point - (x1, y1))) < 0.5
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("OPENCV_FISHEYE", (0.1,) * 4)],
+)
+def test_each_match_through_a_lens_lies_on_its_epipolar_curve(lens):
+    trace = trace_of(dense_scene.true_map())
+    camera = replace(trace.camera1, distortion=lens)
+    points = [
+        camera.project(trace.camera1.normalise(points))
+        for points in (trace.matches.points1, trace.matches.points2)
+    ]
+    moved = replace(trace.matches, points1=points[0], points2=points[1])
+    figure = plot_pose(replace(trace, camera1=camera, camera2=camera, matches=moved))
+    axes = figure.axes[2]
+    drawn = axes.collections[0].get_offsets()
+    assert len(drawn) == len(axes.lines) == DRAWN_LINES
+    assert axes.get_xlim() == (-0.5, 319.5)
+    bends = []
+    for point, line in zip(drawn, axes.lines, strict=True):
+        curve = line.get_xydata()
+        curve = curve[np.isfinite(curve).all(axis=1)]
+        assert np.linalg.norm(curve - point, axis=1).min() < 2  # they are up to 2 px apart
+        first, last = curve[0], curve[-1]
+        along = (last - first) / np.linalg.norm(last - first)
+        bends.append(np.abs((curve - first) @ (-along[1], along[0])).max())
+    assert max(bends) > 10
 
 
 def test_without_a_map_its_panels_are_left_out():
