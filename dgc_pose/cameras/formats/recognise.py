@@ -54,13 +54,14 @@ def _read_file(path: Path) -> FileCameras:
     text = read_text(path, "a file of cameras")
     if not text.strip():
         raise InputError(f"{path} is empty")
-    if opencv.is_storage(text):
-        return opencv.read_storage(text)
+    if "<opencv_storage>" in text:
+        with read_as("XML", path):
+            return _of_mapping(opencv.xml_data(text), path)
     if ending == ".json" or text.lstrip().startswith("{"):
         with read_as("JSON", path):
-            return _of_mapping(json.loads(text), text, path)
-    if ending in (".yaml", ".yml"):
-        return _of_mapping(yaml_data(text, path), text, path)
+            return _of_mapping(json.loads(text), path)
+    if ending in (".yaml", ".yml") or text.startswith("%YAML"):
+        return _of_mapping(yaml_data(text, path), path)
     if kitti.is_kitti(text):
         return kitti.read_kitti(text, path)
     lines = [line.split("#")[0] for line in text.splitlines()]
@@ -73,21 +74,21 @@ def _read_file(path: Path) -> FileCameras:
     return _of_numbers(text, lines, path)
 
 
-def _of_mapping(data: Any, text: str, path: Path) -> FileCameras:
-    """The cameras of what JSON or YAML holds."""
-    if not isinstance(data, dict):
-        return FileCameras(common=plain.numbers_camera(data))
+def _of_mapping(data: Any, path: Path) -> FileCameras:
+    """The cameras of what JSON, YAML or XML holds."""
     with read_as("a file of cameras", path):
+        if not isinstance(data, dict):
+            return FileCameras(common=plain.numbers_camera(data))
         if ros.is_camera_info(data) and "intrinsics" not in data:
             return ros.camera_info(data)
         if kalibr.is_camchain(data):
             return kalibr.camchain(data, path)
         if nerf.is_transforms(data):
             return nerf.transforms(data, str(path))
+        if opencv.is_storage(data):
+            return opencv.storage_camera(data)
         if plain.is_cameras_json(data):
             return plain.json_cameras(data)
-    if text.startswith("%YAML:"):
-        return opencv.read_storage(text)
     raise InputError(
         f"no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys "
         f"({shortened(', '.join(map(str, data)))})"
