@@ -10,6 +10,7 @@ import numpy as np
 from dgc_pose.batch.pooling import TOLD_STD
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
@@ -81,13 +82,17 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 
 
 def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
-    """A camera with its size as COLMAP's: PINHOLE, or the model of its distortion.
+    """A camera with its size as COLMAP's: PINHOLE, or the model of its distortion; SIMPLE_RADIAL
+    where the focal length is not exact, since the lens is not known either then.
 
     Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
     """
     assert camera.size is not None
+    lens = camera.distortion
+    if lens is None and camera.focal_std > 0 and camera.K[0, 0] == camera.K[1, 1]:
+        lens = Distortion("SIMPLE_RADIAL", (0.0,))
     try:
-        model, parameters = colmap_parameters(camera.K, camera.distortion)
+        model, parameters = colmap_parameters(camera.K, lens)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)

@@ -49,6 +49,25 @@ def test_key_points_are_half_a_pixel_more(tmp_path: Path) -> None:
     np.testing.assert_allclose(stored.cam_from_img(points[1:2, :2].astype(float)), ours)
 
 
+@pytest.mark.parametrize(
+    ("identity", "std", "count"), [("x", 0.01, 1), (None, 0.01, 2), (None, 0, 1)]
+)
+def test_images_of_one_camera_share_it(
+    tmp_path: Path, identity: str | None, std: float, count: int
+) -> None:
+    """Those that have a focal length of their own, not known, do not, though it is the same."""
+    K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
+    one = Camera(K, (100, 80), focal_std=std, identity=identity)
+    cameras, path = dict.fromkeys(NAMES, one), tmp_path / "database.db"
+    write_database(path, NAMES, cameras, SharedMatches({}, {}), {})
+    with pycolmap.Database.open(path) as database:
+        stored = database.read_all_cameras()
+    assert len(stored) == count and all(camera.has_prior_focal_length for camera in stored)
+    # The lens of a camera that is not known may be one with distortion.
+    expected = ("SIMPLE_RADIAL", [110, 50, 40, 0]) if std else ("PINHOLE", [110, 110, 50, 40])
+    assert (stored[0].model.name, stored[0].params.tolist()) == expected
+
+
 def test_matches_and_geometry_in_the_order_of_the_ids(tmp_path: Path) -> None:
     """b.png has the larger id: COLMAP stores the pair the other way round, and inverts the pose."""
     path = tmp_path / "database.db"

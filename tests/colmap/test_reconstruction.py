@@ -13,7 +13,7 @@ import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
 from command_line import assert_refused, run
-from multi_view import K_text, View
+from multi_view import K, K_text, View
 
 from dgc_pose.batch.run import Batch, read_batch
 from dgc_pose.colmap.mapping import MappingError
@@ -24,7 +24,7 @@ from dgc_pose.colmap.options import (
     Sharing,
     SharingOptions,
 )
-from dgc_pose.colmap.reconstruction import SparseModel, reconstruct
+from dgc_pose.colmap.reconstruction import SparseModel, reconstruct, sparse_model
 from dgc_pose.errors import InputError
 from dgc_pose.metrics.pose import rotation_error_deg
 
@@ -92,6 +92,24 @@ def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_pa
     assert {path.name for path in out.iterdir()} == expected
     assert_refused(run(*arguments), "is there already")
     assert f"{COUNT} of {COUNT} images" in run(*arguments, "--resume").output
+
+
+def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -> None:
+    """The camera is that of the rendering, also in the summary, and so are the positions."""
+    out = tmp_path / "out"
+    result = run("reconstruct", views[0], "--out", out, "--K", "auto", *SIFT, "--workers", 1)
+    assert result.exit_code == 0
+    assert f"camera 1 ({COUNT} images): f = 22" in result.output and " pairs\n" in result.output
+    (camera,) = json.loads((out / "summary.json").read_text())["cameras"]
+    assert (camera["model"], camera["images"]) == ("SIMPLE_RADIAL", COUNT)
+    assert (
+        camera["focal_px"]
+        == camera["params"][0]
+        == pytest.approx(K.diagonal()[:2].mean(), rel=0.01)
+    )
+    assert f"SIMPLE_RADIAL, f = {camera['focal_px']:.1f} px after bundle" in result.output
+    model = sparse_model(pycolmap.Reconstruction(out / "sparse"))
+    _assert_true(model, views[1], 0.3, 0.02)
 
 
 def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
