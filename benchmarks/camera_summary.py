@@ -81,7 +81,10 @@ def summarise_cameras(scores: Sequence[CameraScore]) -> CameraSummary:
     rotation, translation = column["rotation_error_deg"], column["translation_error_deg"]
     right = claimed & (np.maximum(rotation, translation) <= RIGHT_DEG)
     expected = right & np.isfinite(column["rotation_90_deg"])
-    probable = np.isfinite(column["probability"])
+    probability = column["probability"]
+    if not np.isfinite(probability[claimed]).any():  # that of a pair without a pose is 0
+        probability = np.full(len(scores), np.nan)
+    probable = np.isfinite(probability)
     error, std = (
         np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
         for name in ("error", "std")
@@ -95,7 +98,7 @@ def summarise_cameras(scores: Sequence[CameraScore]) -> CameraSummary:
         doubted=int(doubted.sum()),
         told_percent=_share(doubted | ~claimed),
         probability_error_percent=100
-        * Reliability.of(column["probability"][probable], right[probable]).calibration_error,
+        * Reliability.of(probability[probable], right[probable]).calibration_error,
         rotation_within_percent=_share((rotation <= column["rotation_90_deg"])[expected]),
         translation_within_percent=_share((translation <= column["translation_90_deg"])[expected]),
         median_focal_error_percent=_median_percent(error),

@@ -64,7 +64,7 @@ def test_the_figures_of_known_records():
 
 
 def test_no_pose_has_no_figures_and_no_word_of_them():
-    summary = summarise_cameras([score(math.inf, math.nan, math.nan, math.nan)])
+    summary = summarise_cameras([score(math.inf, math.nan, math.nan, 0.0)])
     assert (summary.claimed, summary.wrong, summary.told_percent) == (0, 0, 100)
     assert math.isnan(summary.median_focal_error_percent)
     line = table(CAMERA_COLUMNS, [summary]).splitlines()[1]
