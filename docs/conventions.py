@@ -1,6 +1,6 @@
-"""Draw docs/conventions.svg: pixels, K and the pose in one picture.
+"""Draw docs/conventions.png: pixels, K and the pose in one picture.
 
-python docs/conventions.py docs/conventions.svg
+python docs/conventions.py docs/conventions.png
 """
 
 import sys
@@ -79,13 +79,13 @@ def draw_pose(axes: Axes) -> None:
 
 
 def main() -> None:
-    plt.rcParams.update({"svg.hashsalt": "conventions", "svg.fonttype": "path", "text.color": INK})
+    plt.rcParams.update({"text.color": INK})
     figure, panels = plt.subplots(1, 3, figsize=(11, 3.7), layout="constrained")
     for axes, draw in zip(panels, (draw_pixels, draw_camera, draw_pose), strict=True):
         draw(axes)
         axes.set_aspect("equal")
         axes.axis("off")
-    figure.savefig(sys.argv[1], metadata={"Date": None} if sys.argv[1].endswith("svg") else None)
+    figure.savefig(sys.argv[1], dpi=130)
 
 
 if __name__ == "__main__":
