@@ -27,6 +27,7 @@ _CAUCHY = 2.385  # deviations at which a fit's weight is halved; 95 % efficient 
 _STARTS, _STEPS = 101, 50
 # A pair whose fit is hardly narrower than the prior says nothing of the focal length.
 _LEAST_TOLD = 0.9
+_FAR = 1.5  # standard deviations of a principal point
 _LEAST_VARIANCE = 1e-9  # of the prior's: keeps an information finite
 _COLUMNS = "name,fx,fy,cx,cy,width,height,focal_std,centre_std_px,camera".split(",")
 
@@ -93,6 +94,16 @@ def pool(
             pooled[name] = _moved(cameras[name], value, std, told=bool(useful))
         listed.append(PooledCamera(tuple(names), pooled[names[0]], len(useful)))
     return pooled, listed
+
+
+def centre_moved(before: Mapping[str, Camera], after: Mapping[str, Camera]) -> bool:
+    """Whether a pooled principal point is so far from the prior's that fits with this prior are
+    off, and are better made again around the pooled camera."""
+    return any(
+        np.abs(after[name].K[:2, 2] - camera.K[:2, 2]).max() > _FAR * camera.centre_std
+        for name, camera in before.items()
+        if camera.focal_std > 0
+    )
 
 
 def pooled_fit(told: list[Told], prior: np.ndarray, images: int) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -18,7 +18,7 @@ from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, r
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
 from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
-from dgc_pose.batch.pooling import PooledCamera, pool, write_cameras
+from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
 from dgc_pose.batch.ray_engine import ray_workers
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, require_pyarrow
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
@@ -271,10 +271,9 @@ def _estimate(
     """
     total = len(plan.pairs)
 
-    def estimate(
-        blocks: Iterator[Matched], cameras: Mapping[str, Camera], into: PartStore, fit: bool
-    ) -> None:
-        done = total - len(into.left) - (len(store.result_alone) if into is store else 0)
+    def estimated(
+        blocks: Iterator[Matched], cameras: Mapping[str, Camera], done: int, *, fit: bool
+    ) -> Iterator[Matched]:
         while chunk := list(islice(blocks, _BLOCKS_HELD * options.worker_count)):
             tasks = []
             for block in chunk:
@@ -284,21 +283,31 @@ def _estimate(
                 tasks.append(Estimate(block.indices, rows, matches, of_block, fit))
             for outcome in run(tasks):
                 assert isinstance(outcome, Matched)
-                into.add(outcome)
+                yield outcome
                 done += len(outcome.indices)
                 progress("poses", done, total)
 
     if before is not None:
         # As if they had just been matched: the result has the poses by the pooled cameras.
-        estimate(store.result_blocks(before, BLOCK), plan.cameras, store, True)
-    told = (
-        pair for block in store.blocks() for pair in zip(block.rows, block.matches, strict=True)
-    )
-    cameras, pooled = pool(plan.cameras, told)
+        done = total - len(store.result_alone)
+        for outcome in estimated(store.result_blocks(before, BLOCK), plan.cameras, done, fit=True):
+            store.add(outcome)
+    cameras, pooled = pool(plan.cameras, _pairs(store.blocks()))
+    if centre_moved(plan.cameras, cameras):
+        middle = {name: replace(c, K=cameras[name].K) for name, c in plan.cameras.items()}
+        again = estimated(store.blocks(), middle, 0, fit=True)
+        cameras, pooled = pool(middle, _pairs(again))
     left = set(whole.left)
     blocks = (block for block in store.blocks() if not left.isdisjoint(block.indices))
-    estimate(blocks, cameras, whole, False)
+    for outcome in estimated(blocks, cameras, total - len(left), fit=False):
+        whole.add(outcome)
     return replace(plan, pooled=cameras), pooled
+
+
+def _pairs(blocks: Iterable[Matched]) -> Iterator[tuple[PairRow, PairMatches]]:
+    """The rows and matches one by one."""
+    for block in blocks:
+        yield from zip(block.rows, block.matches, strict=True)
 
 
 def _capacity(plan: Plan, options: BatchOptions) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.batch.matches_file import NO_MATCHES, Again, PairMatches
-from dgc_pose.batch.pooling import Told, pool, pooled_fit, write_cameras
+from dgc_pose.batch.pooling import Told, centre_moved, pool, pooled_fit, write_cameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -142,6 +142,12 @@ def test_each_camera_has_its_pairs() -> None:
     backwards, _ = pool(cameras, pairs[::-1])
     for name, camera in pooled.items():
         np.testing.assert_array_equal(backwards[name].K, camera.K)
+
+
+@pytest.mark.parametrize(("shift", "far"), [(7.4, False), (-7.6, True)])
+def test_a_principal_point_far_from_its_prior(shift: float, far: bool) -> None:
+    moved = replace(_camera("x"), K=K + [[0, 0, 0], [0, 0, shift], [0, 0, 0]])
+    assert centre_moved({"a": _camera("x")}, {"a": moved}) == far
 
 
 def test_images_of_two_sizes_share_no_principal_point() -> None:
