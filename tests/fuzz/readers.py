@@ -16,7 +16,7 @@ import pycolmap
 import torch
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.batch.matches_file import PairMatches
+from dgc_pose.batch.matches_file import Again, PairMatches
 from dgc_pose.batch.plan import Plan, write_plan
 from dgc_pose.batch.rows import BAD_INPUT, PairRow
 from dgc_pose.batch.run import read_batch
@@ -307,7 +307,9 @@ def _store(folder: Path) -> PartStore:
 
 def _matches(count: int) -> PairMatches:
     points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
-    return PairMatches(points, points + 1, np.ones(count, np.float32), np.ones(count, bool))
+    scores, every = np.ones(count, np.float32), np.ones(count, bool)
+    again = Again(0.5, False, Matches(points, points + 1, scores, 2.0), np.zeros((2, 4, 3)))
+    return PairMatches(points, points + 1, scores, every, again)
 
 
 def _read_part(folder: Path, path: Path) -> None:
