@@ -53,12 +53,11 @@ def focal_warnings(
     if told:
         return (f"the matches suggest {'; '.join(told)}",)
     loose = dict.fromkeys(
-        f"the matches hardly tell the focal length: f = {camera.focal:.0f} px within "
-        f"{100 * camera.focal_std:.0f} %"
+        f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
         for camera in fitted
         if camera.focal_std > _HARDLY_TOLD
     )
-    return tuple(loose)
+    return (f"the matches hardly tell the focal length: {'; '.join(loose)}",) if loose else ()
 
 
 def check_focals(

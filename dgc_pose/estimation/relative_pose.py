@@ -191,9 +191,11 @@ class _Assessed:
 
     def camera(self, camera: Camera, number: int) -> Camera:
         """A fitted camera with the standard deviation that is left; an exact one as it is."""
-        if not camera.focal_std or self.covariance is None:
+        if not camera.focal_std:
             return camera
-        std = calibrated_focal_std(self.covariance.focal_stds[number])
+        std = camera.focal_std
+        if self.covariance is not None:
+            std = calibrated_focal_std(self.covariance.focal_stds[number])
         return replace(camera, focal_std=std, focal_source="matches")
 
     def camera_covariance(self, camera1: Camera, camera2: Camera) -> np.ndarray | None:
