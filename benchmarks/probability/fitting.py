@@ -8,7 +8,6 @@ on right poses of scenes whose reference is exact.
 
 import importlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,7 +20,6 @@ from dgc_pose.estimation.probability import (
     FEATURES,
     FORMAT,
     OF_AUTO,
-    OF_EXACT,
     OF_MAPS,
     MatchKind,
     log_error,
@@ -42,7 +40,11 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
-    samples = [(row, row.evidence) for row in rows if row.part == "fit" and row.evidence]
+    samples = [
+        (row, row.evidence)
+        for row in rows
+        if row.part == "fit" and row.evidence and row.cameras != "wrong"
+    ]
     right = np.array([row.right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
@@ -53,7 +55,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
         )
     left_out = (
         *(() if kind.startswith("network") else OF_MAPS),
-        *(OF_EXACT if kind.endswith("auto") else OF_AUTO),
+        *(() if kind.endswith("auto") else OF_AUTO),
     )
     names = [name for name in FEATURES if name not in left_out]
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
@@ -67,7 +69,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     accurate = [
         (row, evidence)
         for row, evidence in samples
-        if row.exact and row.cameras != "wrong" and row.right
+        if row.exact and row.right and (row.cameras == "exact" or row.exact_cameras)
     ]
     return {
         "weights": {names[k]: round(slope * weights[k], 6) for k in used},
@@ -88,7 +90,7 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
         and row.exact
         and row.evidence
         and row.evidence.jackknife_focal_90_percent is not None
-        and math.isfinite(row.focal_error_percent)
+        and row.exact_cameras
         and row.pair_error_deg < _ALTOGETHER_WRONG_DEG
     ]
     if len(samples) < _LEAST:

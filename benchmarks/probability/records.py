@@ -45,6 +45,7 @@ _SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken b
 # Principal points farther from the middle, over the longer side, are of no photograph: of drawn
 # cameras. They say nothing of what the deviation of a focal length is worth.
 _USUAL_CENTRE = 0.03
+_EQUAL_FOCAL = 1e-4  # difference of ln f of the K of one camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +60,11 @@ class Record:
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
     cameras: CameraCase = "exact"
-    # Of ln f of the less certain camera, per cent; NaN if it was not fitted, without a pose, and if
-    # the principal point is off as that of no photograph.
+    # Of ln f of the less certain camera, per cent; NaN if it was not fitted, and without a pose.
     focal_error_percent: float = math.nan
+    # Whether the true K say what an error of a focal length is: not if they are of no photograph,
+    # and not if they differ a little between images of one camera, since they are estimates then.
+    exact_cameras: bool = True
 
     @property
     def right(self) -> bool:
@@ -98,14 +101,15 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, truth.t)
     scene = (pair.entry, pair.scene, pair.part, pair.exact)
-    errors = (rotation, translation, cameras, _focal_error(pose, truth))
+    errors = (rotation, translation, cameras, _focal_error(pose, truth), _exact(truth))
     return Record(*scene, pose.evidence, *errors)
 
 
 def _cases(pair: StoredPair) -> list[CameraCase]:
     if pair.matches.key_points:
         return ["exact"]
-    wrong = pair.truth.R is not None and _draw(pair.name, _WRONG_SHARE) == 0
+    reported = pair.part == "report" and pair.truth.R is not None
+    wrong = reported and _draw(pair.name, _WRONG_SHARE) == 0
     return ["exact", "auto", "wrong"] if wrong else ["exact", "auto"]
 
 
@@ -140,10 +144,16 @@ def _draw(name: str, count: int) -> int:
 def _focal_error(pose: RelativePose, truth: Truth) -> float:
     fitted = [(pose.camera1, truth.camera1), (pose.camera2, truth.camera2)]
     pairs = [(camera, true) for camera, true in fitted if camera is not None and camera.focal_std]
-    if not pairs or any(_offset(true) > _USUAL_CENTRE for _, true in pairs):
+    if not pairs:
         return math.nan
     camera, true = max(pairs, key=lambda item: item[0].focal_std)
     return 100 * abs(math.log(camera.focal / true.focal))
+
+
+def _exact(truth: Truth) -> bool:
+    difference = abs(math.log(truth.camera1.focal / truth.camera2.focal))
+    centres = max(_offset(camera) for camera in (truth.camera1, truth.camera2))
+    return centres < _USUAL_CENTRE and not _EQUAL_FOCAL < difference < _SAME_FOCAL
 
 
 def _offset(camera: Camera) -> float:

@@ -14,23 +14,22 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import solved_start
 from dgc_pose.estimation.camera_spread import CameraSpread, deviating
-from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.joint_fit import JointFit, JointPose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.probability import calibrated_focal_std
+from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 
 _STD = 0.5  # of ln f: a focal length that is hardly known
 _CENTRE_STD = 0.005  # of the principal point, over the focal length
 _HARDLY_TOLD = 0.1  # standard deviation of ln f, beyond which there is a warning
-_CONTRADICTED = 4.0  # standard deviations that K may be off without a warning
-_LEAST_ERROR = 0.08  # of ln f, below which there is none
 _EXPLAINED = 0.8  # share of inliers beyond which no other focal length explains many more
 _MORE = 1.2  # of the inliers that another focal length must have to be a start
-_AGREEING = 0.03  # of ln f: if the first step of the fit is shorter, the focal lengths are right
+_SAMPLED = 400  # matches that are fitted first
+_AGREEING = 0.05  # of ln f: if these suggest no more, the focal lengths are right
 
 
 def focal_warnings(
@@ -47,8 +46,7 @@ def focal_warnings(
         if check is not None:
             f, std = check.factor * before.focal, calibrated_focal_std(check.std)
             allowed = std
-        error = abs(math.log(f / before.focal))
-        if before.focal_source == "given" and error >= max(_LEAST_ERROR, _CONTRADICTED * allowed):
+        if before.focal_source == "given" and is_contradicted(f / before.focal, allowed):
             told[f"f = {f:.0f} +- {std * f:.0f} px, and K says {before.focal:.0f}"] = None
     if told:
         return (f"the matches suggest {'; '.join(told)}",)
@@ -75,18 +73,16 @@ def check_focals(
     )
     spread = CameraSpread.of(loose1, loose2)
     joint = JointFit(TwoViewProblem.of(matches, camera1, camera2, options), spread)
-    start = JointPose(model.R, model.t, np.zeros(len(spread)))
+    pose = JointPose(model.R, model.t, np.zeros(len(spread)))
+    other = None
     if model.count_in_front < _EXPLAINED * len(joint.problem):
         # The pose of a wrong K may lie in a valley of its own.
         other = solved_start(joint.problem, spread, options, options.seed)
-        least = _MORE * model.count_in_front
-        if other is not None and joint.inliers_in_front(other).sum() >= least:
-            start = other
-    if not start.z.any():
-        step = joint.fitted(start, rounds=1, iterations=1)
-        if abs(joint.deviations(step)[0]) < _AGREEING:
-            return None
-    pose = joint.fitted(start)
+    if other is not None and joint.inliers_in_front(other).sum() >= _MORE * model.count_in_front:
+        pose = other
+    elif abs(joint.deviations(_sampled(joint).fitted(pose, rounds=1))[0]) < _AGREEING:
+        return None
+    pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
     problem = TwoViewProblem.of(matches, fitted1, fitted2, options)
@@ -94,4 +90,18 @@ def check_focals(
     covariance = pose_covariance(problem, refitted, CameraSpread.of(fitted1, fitted2))
     if covariance is None:
         return None
-    return FocalCheck(math.exp(deviations[0]), covariance.focal_stds[0])
+    radii = (error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3))
+    return FocalCheck(
+        math.exp(deviations[0]),
+        covariance.focal_stds[0],
+        model.angle_to(pose.R, pose.t),
+        max(radii),
+    )
+
+
+def _sampled(joint: JointFit) -> JointFit:
+    """The least squares of some of the matches, drawn at random: K is right as a rule."""
+    count = len(joint.problem)
+    chosen = np.zeros(count, bool)
+    chosen[np.random.default_rng(joint.problem.seed).permutation(count)[:_SAMPLED]] = True
+    return JointFit(joint.problem.subset(chosen), joint.spread)

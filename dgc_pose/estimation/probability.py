@@ -21,6 +21,9 @@ RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 2  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MOST_REASONS = 3
+_CONTRADICTED = 4.0  # standard deviations that a focal length may be off
+_LEAST_ERROR = 0.08  # of its logarithm, that is worth telling
+_LEAST_DEVIATION_DEG = 1.0  # of a pose
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
 
 
@@ -116,12 +119,8 @@ FEATURES: Mapping[str, Feature] = {
     "focal_error": Feature(
         "jackknife_focal_90_percent", -1, "the matches hardly tell the focal length", (0.3, 100)
     ),
-    "focal_contradiction": Feature(
-        "focal_contradiction", -1, "the matches contradict the focal length of K", (2, 50)
-    ),
 }
 OF_AUTO = ("focal_error",)  # of focal lengths that are fitted
-OF_EXACT = ("focal_contradiction",)  # of those that are not
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 
 
@@ -159,11 +158,15 @@ class ProbabilityModel:
     translation_error: ErrorModel
 
     def probability(self, evidence: Evidence) -> float:
-        """That R and t are both within 10 degrees."""
+        """That R and t are both within 10 degrees.
+
+        The model is fitted on poses with a right K. If the matches contradict K, the pose is as
+        right as it is near to that of the focal lengths that they suggest.
+        """
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
-        return 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
+        return _nearness(evidence) / (1 + math.exp(-min(max(total, -30.0), 30.0)))
 
     def against(self, evidence: Evidence) -> list[str]:
         """What speaks against the pose: the features that cost most log-odds, compared with their
@@ -218,3 +221,22 @@ def parse_models(text: str) -> FittedModels:
 def calibrated_focal_std(std: float) -> float:
     """The standard deviation of ln f, from that by the jackknife, which may be infinite."""
     return std * shipped_models().focal_error.factor(100 * NORMAL_90 * std)
+
+
+def is_contradicted(ratio: float, std: float) -> bool:
+    """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
+    the standard deviation `std`, calibrated."""
+    return abs(math.log(ratio)) >= max(_LEAST_ERROR, _CONTRADICTED * std)
+
+
+def _nearness(evidence: Evidence) -> float:
+    """The probability that a pose with a K that is contradicted is within 10 degrees, if that of
+    the focal lengths suggested is; 1 if K is not contradicted."""
+    ratio, std = evidence.focal_ratio, evidence.focal_ratio_std
+    angle, radius = evidence.focal_angle_deg, evidence.focal_angle_90_deg
+    if ratio is None or std is None or angle is None or radius is None:
+        return 1.0
+    if not is_contradicted(ratio, calibrated_focal_std(std)):
+        return 1.0
+    deviation = max(radius / NORMAL_90, _LEAST_DEVIATION_DEG)
+    return 0.5 * math.erfc((angle - RIGHT_DEG) / deviation / math.sqrt(2))
