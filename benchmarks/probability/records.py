@@ -100,9 +100,18 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     if truth.R is not None and truth.t is not None and pose.R is not None and pose.t is not None:
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, truth.t)
-    scene = (pair.entry, pair.scene, pair.part, pair.exact)
-    errors = (rotation, translation, cameras, _focal_error(pose, truth), _exact(truth))
-    return Record(*scene, pose.evidence, *errors)
+    return Record(
+        pair.entry,
+        pair.scene,
+        pair.part,
+        pair.exact,
+        pose.evidence,
+        rotation,
+        translation,
+        cameras,
+        _focal_error(pose, truth),
+        _exact(truth),
+    )
 
 
 def _cases(pair: StoredPair) -> list[CameraCase]:
