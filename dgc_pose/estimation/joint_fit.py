@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.estimation.camera_spread import CameraSpread, normaliser
+from dgc_pose.estimation.lens_deviation import deviated
 from dgc_pose.estimation.model import EFFICIENT, error_scale
 from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -115,21 +116,29 @@ class JointFit:
         return float(EFFICIENT**2 * squares + pose.z @ pose.z) / 2
 
     def _errors(self, pose: JointPose) -> np.ndarray:
-        """Sampson errors (N,), in the problem's unit."""
+        """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
+        if any(self.problem.lenses):
+            points1, points2 = self._points(pose)
+            E = essential_from_pose(pose.R, pose.t)
+            growth = np.exp(self.deviations(pose)[[0, 3]].mean())
+            return np.nan_to_num(sampson_distance(points1, points2, E) * growth, nan=np.inf)
         A1, A2 = self._normalisers(pose)
         F = A2.T @ essential_from_pose(pose.R, pose.t) @ A1
         return sampson_distance(self.problem.points1, self.problem.points2, F)
 
     def _in_front(self, pose: JointPose) -> np.ndarray:
         """Whether the points are in front of both cameras, (N,)."""
-        points1, points2 = (
-            points @ A[:2, :2].T + A[:2, 2]
-            for points, A in zip(
-                (self.problem.points1, self.problem.points2), self._normalisers(pose), strict=True
-            )
-        )
+        points1, points2 = self._points(pose)
         depth1, depth2 = depths(points1, points2, pose.R, pose.t)
         return (depth1 > 0) & (depth2 > 0)
+
+    def _points(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
+        """The points (N, 2) of both images as the deviating cameras normalise them."""
+        problem, deviations = self.problem, self.deviations(pose)
+        return (
+            deviated(problem.points1, problem.lenses[0], deviations[:3]),
+            deviated(problem.points2, problem.lenses[1], deviations[3:]),
+        )
 
     def _normalisers(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
         deviations = self.deviations(pose)

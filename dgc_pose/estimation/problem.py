@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.matches import Matches
@@ -28,6 +29,7 @@ class TwoViewProblem:
     confidence: np.ndarray  # (N,) of each match, 0 to 1
     key_points: bool = False  # whether the matches are independent detections
     warnings: tuple[str, ...] = ()  # what was dropped, and why
+    lenses: tuple[Distortion | None, Distortion | None] = (None, None)  # whose distortion is undone
 
     @classmethod
     def of(
@@ -67,6 +69,7 @@ class TwoViewProblem:
             index=index,
             confidence=matches.confidence[index],
             key_points=matches.key_points,
+            lenses=(camera1.distortion, camera2.distortion),
             warnings=tuple(
                 f"{count} matches dropped: {why}" for why, count in dropped.items() if count
             ),
