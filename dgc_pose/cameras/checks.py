@@ -33,7 +33,7 @@ def check_size(camera: Camera, size: Size, name: str) -> tuple[str, ...]:
     is far from the middle; and if the field of view is below `MIN_FIELD_OF_VIEW_DEG`.
     """
     if camera.size is not None and camera.size != size:
-        raise InputError(f"{name} {_other_size(camera.size, size)}")
+        raise InputError(f"{name} {_other_size(camera.size, size, name)}")
     x, y = float(camera.K[0, 2]), float(camera.K[1, 2])
     is_inside = -0.5 < x < size[0] - 0.5 and -0.5 < y < size[1] - 0.5
     said = f"{name} has its principal point at ({x:g}, {y:g})"
@@ -41,7 +41,7 @@ def check_size(camera: Camera, size: Size, name: str) -> tuple[str, ...]:
     is_far_off = other is not None and not _alike(max(other), max(size), _FAR_OTHER_SCALE)
     if other is not None:
         middle = f"{said}, the middle of an image of about {_times(other)}, and"
-        said = f"{middle} {_turned_or_scaled(other, size)}"
+        said = f"{middle} {_turned_or_scaled(other, size, name)}"
     elif not is_inside:
         said = f"{said}, outside the image of {_times(size)}"
     elif _offset(x, y, size) > _USUAL_OFFSET:
@@ -82,17 +82,22 @@ def _size_by_centre(x: float, y: float, size: Size) -> Size | None:
     return (round(2 * x + 1), round(2 * y + 1)) if is_scaled or is_turned else None
 
 
-def _other_size(of_K: Size, size: Size) -> str:
+def _other_size(of_K: Size, size: Size, name: str) -> str:
     said = f"is for an image of {of_K[0]} x {of_K[1]} pixels, the image has {size[0]} x {size[1]}"
     if _alike(of_K[0] * size[1], of_K[1] * size[0], _SAME_RATIO):
-        return f"{said}: --K-size {_times(of_K)} scales it"
+        return said + _scaling(of_K, name)
     return f"{said}: it is of the image turned by 90 degrees" if of_K[::-1] == size else said
 
 
-def _turned_or_scaled(of_K: Size, size: Size) -> str:
+def _turned_or_scaled(of_K: Size, size: Size, name: str) -> str:
     if _alike(of_K[0] * size[1], of_K[1] * size[0], 2 * _SAME_RATIO):
-        return f"the image has {_times(size)}: --K-size {_times(of_K)} scales it"
+        return f"the image has {_times(size)}" + _scaling(of_K, name)
     return f"the image has {_times(size)}: K is of the image turned by 90 degrees"
+
+
+def _scaling(of_K: Size, name: str) -> str:
+    """What to do, where the camera is that of an option."""
+    return f": --K-size {_times(of_K)} scales it" if name.startswith("--") else ""
 
 
 def _alike(first: float, second: float, tolerance: float) -> bool:

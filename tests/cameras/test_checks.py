@@ -24,7 +24,7 @@ SIZE = (1600, 1200)
     ],
 )
 def test_a_usual_K_passes_without_a_word(text: str) -> None:
-    assert check_size(parse_camera(text), SIZE, "K1") == ()
+    assert check_size(parse_camera(text), SIZE, "--K1") == ()
 
 
 @pytest.mark.parametrize(
@@ -32,29 +32,29 @@ def test_a_usual_K_passes_without_a_word(text: str) -> None:
     [
         (
             "1100,1100,639.5,479.5",
-            "K1 has its principal point at (639.5, 479.5), the middle of an image of about "
+            "--K1 has its principal point at (639.5, 479.5), the middle of an image of about "
             "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
         ),
         (
             "1400,1400,599.5,799.5",
-            "K1 has its principal point at (599.5, 799.5), the middle of an image of about "
+            "--K1 has its principal point at (599.5, 799.5), the middle of an image of about "
             "1200x1600, and the image has 1600x1200: K is of the image turned by 90 degrees",
         ),
         (
             "1400,1400,300,599.5",
-            "K1 has its principal point at (300, 599.5), far from the middle of the image of "
+            "--K1 has its principal point at (300, 599.5), far from the middle of the image of "
             "1600x1200",
         ),
         (
             "95000,95000,799.5,599.5",
-            "K1 has a focal length of 95000 pixels, which is a field of view of 0.965 degrees in "
+            "--K1 has a focal length of 95000 pixels, which is a field of view of 0.965 degrees in "
             "the image of 1600x1200; K is in pixels of the image",
         ),
     ],
 )
 def test_a_K_that_may_be_of_another_image_is_a_warning(text: str, said: str) -> None:
-    assert check_size(parse_camera(text), SIZE, "K1") == (said,)
-    assert checked_camera(parse_camera(text), SIZE, "K1").warnings == (said,)
+    assert check_size(parse_camera(text), SIZE, "--K1") == (said,)
+    assert checked_camera(parse_camera(text), SIZE, "--K1").warnings == (said,)
 
 
 @pytest.mark.parametrize(
@@ -62,52 +62,52 @@ def test_a_K_that_may_be_of_another_image_is_a_warning(text: str, said: str) -> 
     [
         (
             "2800,2800,1599.5,1199.5",
-            "K1 has its principal point at (1599.5, 1199.5), the middle of an image of about "
+            "--K1 has its principal point at (1599.5, 1199.5), the middle of an image of about "
             "3200x2400, and the image has 1600x1200: --K-size 3200x2400 scales it",
         ),
         (
             "700,700,399.5,299.5",
-            "K1 has its principal point at (399.5, 299.5), the middle of an image of about "
+            "--K1 has its principal point at (399.5, 299.5), the middle of an image of about "
             "800x600, and the image has 1600x1200: --K-size 800x600 scales it",
         ),
         (
             "1400,1400,1700,300",
-            "K1 has its principal point at (1700, 300), outside the image of 1600x1200",
+            "--K1 has its principal point at (1700, 300), outside the image of 1600x1200",
         ),
-        ("1400,1400,-10,600", "K1 has its principal point at (-10, 600), outside the image"),
+        ("1400,1400,-10,600", "--K1 has its principal point at (-10, 600), outside the image"),
         (
             "35,35,799.5,599.5",
-            "K1 has a focal length of 35 pixels, which is a field of view of 175 degrees in the "
+            "--K1 has a focal length of 35 pixels, which is a field of view of 175 degrees in the "
             "image of 1600x1200; K is in pixels of the image",
         ),
-        ("1.2,1.2,0.5,0.5", "K1 has a focal length of 1.2 pixels"),
+        ("1.2,1.2,0.5,0.5", "--K1 has a focal length of 1.2 pixels"),
         (
             "PINHOLE,800,600,700,700,400,300",
-            "K1 is for an image of 800 x 600 pixels, the image has 1600 x 1200: "
+            "--K1 is for an image of 800 x 600 pixels, the image has 1600 x 1200: "
             "--K-size 800x600 scales it",
         ),
         (
             "PINHOLE,1200,1600,1400,1400,600,800",
-            "K1 is for an image of 1200 x 1600 pixels, the image has 1600 x 1200: "
+            "--K1 is for an image of 1200 x 1600 pixels, the image has 1600 x 1200: "
             "it is of the image turned by 90 degrees",
         ),
         (
             "PINHOLE,1600,900,1400,1400,800,450",
-            "K1 is for an image of 1600 x 900 pixels, the image has 1600 x 1200",
+            "--K1 is for an image of 1600 x 900 pixels, the image has 1600 x 1200",
         ),
     ],
 )
 def test_a_K_that_cannot_be_of_the_image_is_refused(text: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
-        check_size(parse_camera(text), SIZE, "K1")
+        check_size(parse_camera(text), SIZE, "--K1")
     assert str(caught.value).startswith(said)
 
 
 def test_a_K_that_states_the_images_size_is_of_that_image() -> None:
     """A part of a photograph may have its principal point anywhere inside."""
-    (said,) = check_size(parse_camera("PINHOLE,1600,1200,700,700,400,300"), SIZE, "K1")
+    (said,) = check_size(parse_camera("PINHOLE,1600,1200,700,700,400,300"), SIZE, "--K1")
     assert said == (
-        "K1 has its principal point at (399.5, 299.5), far from the middle of the image of "
+        "--K1 has its principal point at (399.5, 299.5), far from the middle of the image of "
         "1600x1200"
     )
 
@@ -122,7 +122,7 @@ def test_every_scale_of_a_right_K_is_told_with_its_size(seed: int) -> None:
         K[:2, 2] = (size - 1) / 2 * (1 + rng.uniform(-0.01, 0.01, 2))
         K[0, 0] = K[1, 1] = 1400 * scale
         try:
-            (said,) = check_size(Camera(K), SIZE, "K")
+            (said,) = check_size(Camera(K), SIZE, "--K")
         except InputError as error:
             said = str(error)
         width, height = map(int, said.split("--K-size ")[1].split()[0].split("x"))
