@@ -53,11 +53,6 @@ class CameraSpread:
         focal = self.basis[[0, 3]]
         return bool((focal[0] == focal[1]).all() and focal.any())
 
-    @property
-    def focal_std(self) -> float:
-        """The larger deviation of ln f of the two cameras."""
-        return float(np.linalg.norm(self.basis[[0, 3]], axis=1).max(initial=0))
-
 
 EXACT = CameraSpread(np.zeros((6, 0)))
 
