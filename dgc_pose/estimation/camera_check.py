@@ -29,6 +29,7 @@ _HARDLY_TOLD = 0.1  # standard deviation of ln f, beyond which there is a warnin
 _EXPLAINED = 0.8  # share of inliers beyond which no other focal length explains many more
 _MORE = 1.2  # of the inliers that another focal length must have to be a start
 _SAMPLED = 400  # matches that are fitted first
+_ITERATIONS = 30  # of their fit
 _AGREEING = 0.05  # of ln f: if these suggest no more, the focal lengths are right
 
 
@@ -80,7 +81,7 @@ def check_focals(
         other = solved_start(joint.problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * model.count_in_front:
         pose = other
-    elif abs(joint.deviations(_sampled(joint).fitted(pose, rounds=1))[0]) < _AGREEING:
+    elif abs(_of_sample(joint, pose)) < _AGREEING:
         return None
     pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
@@ -99,9 +100,10 @@ def check_focals(
     )
 
 
-def _sampled(joint: JointFit) -> JointFit:
-    """The least squares of some of the matches, drawn at random: K is right as a rule."""
+def _of_sample(joint: JointFit, pose: JointPose) -> float:
+    """ln of the factor that some of the matches, drawn at random, suggest: K is right as a rule."""
     count = len(joint.problem)
     chosen = np.zeros(count, bool)
     chosen[np.random.default_rng(joint.problem.seed).permutation(count)[:_SAMPLED]] = True
-    return JointFit(joint.problem.subset(chosen), joint.spread)
+    sample = JointFit(joint.problem.subset(chosen), joint.spread)
+    return float(sample.deviations(sample.fitted(pose, rounds=1, iterations=_ITERATIONS))[0])

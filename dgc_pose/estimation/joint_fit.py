@@ -22,7 +22,7 @@ from dgc_pose.geometry.triangulation import depths
 
 _ROUNDS = 3  # of choosing inliers and fitting
 _FIRST_LIMIT = 3.0  # thresholds that matches of the first round may be off
-_ITERATIONS = 30  # of a fit
+_ITERATIONS = 100  # of a fit, which converges in 10 as a rule
 _CONVERGED = 1e-6  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
 
