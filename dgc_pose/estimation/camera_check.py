@@ -60,11 +60,16 @@ def focal_warnings(
 
 
 def check_focals(
-    matches: Matches, camera1: Camera, camera2: Camera, model: Model, options: EstimationOptions
+    problem: TwoViewProblem,
+    model: Model,
+    matches: Matches,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions,
 ) -> FocalCheck | None:
     """The factor of the focal lengths that the matches suggest; None if it is 1 or not told.
 
-    model: of the pose that the cameras give, as if they were exact.
+    problem: of the matches, normalised by the cameras. model: of the pose that these give.
     """
     loose1, loose2 = (
         replace(
@@ -73,12 +78,12 @@ def check_focals(
         for camera in (camera1, camera2)
     )
     spread = CameraSpread.of(loose1, loose2)
-    joint = JointFit(TwoViewProblem.of(matches, camera1, camera2, options), spread)
+    joint = JointFit(problem, spread)
     pose = JointPose(model.R, model.t, np.zeros(len(spread)))
     other = None
-    if model.count_in_front < _EXPLAINED * len(joint.problem):
+    if model.count_in_front < _EXPLAINED * len(problem):
         # The pose of a wrong K may lie in a valley of its own.
-        other = solved_start(joint.problem, spread, options, options.seed)
+        other = solved_start(problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * model.count_in_front:
         pose = other
     elif abs(_of_sample(joint, pose)) < _AGREEING:
@@ -86,9 +91,9 @@ def check_focals(
     pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
-    problem = TwoViewProblem.of(matches, fitted1, fitted2, options)
-    refitted = Model.of_pose(problem, pose.R, pose.t)
-    covariance = pose_covariance(problem, refitted, CameraSpread.of(fitted1, fitted2))
+    fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
+    refitted = Model.of_pose(fitted, pose.R, pose.t)
+    covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
     if covariance is None:
         return None
     radii = (error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3))

@@ -25,6 +25,7 @@ from dgc_pose.estimation.poselib_calls import (
     essential_and_focal,
     essential_and_focals,
     essential_matrix,
+    run_on,
     run_seeds,
     sampled_models,
 )
@@ -117,13 +118,7 @@ def _run(
 ) -> Result:
     """A run of RANSAC on at most `options.max_sampled` matches."""
     order = np.random.default_rng(seed).permutation(len(problem))[: options.max_sampled]
-    return estimate(
-        problem.points1[order],
-        problem.points2[order],
-        threshold=problem.threshold,
-        iterations=options.iterations,
-        seed=seed,
-    )
+    return run_on(order, estimate, problem, options, seed)
 
 
 def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProblem:

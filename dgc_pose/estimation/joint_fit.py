@@ -66,9 +66,8 @@ class JointFit:
         for turn in range(rounds):
             error, in_front = self._errors(pose), self._in_front(pose)
             near = error < threshold
-            if (near & ~in_front).sum() > (
-                near & in_front
-            ).sum():  # the errors do not tell t's sign
+            # The errors do not tell the sign of t.
+            if (near & ~in_front).sum() > (near & in_front).sum():
                 pose = replace(pose, t=-pose.t)
                 in_front = self._in_front(pose)
             chosen = (error < threshold * (_FIRST_LIMIT if turn == 0 else 1.0)) & in_front

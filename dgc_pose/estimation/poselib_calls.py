@@ -1,5 +1,8 @@
 """PoseLib: seeded runs of LO-RANSAC on the five-point solver, and the refinement of a pose."""
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 import poselib
 
@@ -8,6 +11,8 @@ from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.system.threads import in_threads
+
+Result = TypeVar("Result")
 
 MINIMAL = 5  # matches that determine an essential matrix
 _LEAST_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
@@ -30,17 +35,28 @@ def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[
         sampled = np.arange(len(problem))
         if len(problem) > options.max_sampled:
             sampled = np.random.default_rng(seed).permutation(sampled)[: options.max_sampled]
-        return essential_matrix(
-            problem.points1[sampled],
-            problem.points2[sampled],
-            threshold=problem.threshold,
-            iterations=options.iterations,
-            seed=seed,
-        )
+        return run_on(sampled, essential_matrix, problem, options, seed)
 
     matrices = in_threads(run, run_seeds(options))
     models = [Model.of_essential(problem, E) for E in matrices if E is not None]
     return sorted(models, key=lambda model: -model.count)  # of equals the first run's
+
+
+def run_on(
+    sampled: np.ndarray,
+    estimate: Callable[..., Result],
+    problem: TwoViewProblem,
+    options: EstimationOptions,
+    seed: int,
+) -> Result:
+    """A run of RANSAC, by one of the solvers below, on some of the matches. sampled: indices."""
+    return estimate(
+        problem.points1[sampled],
+        problem.points2[sampled],
+        threshold=problem.threshold,
+        iterations=options.iterations,
+        seed=seed,
+    )
 
 
 def run_seeds(options: EstimationOptions) -> list[int]:

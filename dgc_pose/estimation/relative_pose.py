@@ -81,7 +81,9 @@ def estimate_pose(
         map_problem = TwoViewProblem.of(map_matches, camera1, camera2, map_options)
 
     # A spread says what K may be; without it K is to be right.
-    check = None if len(spread) else check_focals(matches, camera1, camera2, model, options)
+    check = None
+    if not len(spread):
+        check = check_focals(problem, model, matches, camera1, camera2, options)
 
     def assess(model: Model, rivals: Sequence[Model]) -> _Assessed:
         covariance = pose_covariance(problem, model, spread, fitted=fits)

@@ -29,7 +29,6 @@ def error_slopes(
         return _lens_slopes(problem, R, t, spread, deviations)
     tangent = np.linalg.svd(t[None])[2][1:].T
     E = essential_from_pose(R, t)
-    A1, A2 = normaliser(deviations[:3]), normaliser(deviations[3:])
     of_pose = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
     of_pose += [essential_from_pose(R, axis) for axis in tangent.T]
     F, changes = E, of_pose
