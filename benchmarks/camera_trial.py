@@ -103,8 +103,7 @@ class CameraTrial:
         )
 
     def _told(self, name: str, camera: Camera, image: Image, factor: float, shared: bool) -> Camera:
-        K = camera.K.copy()
-        K[:2, :2] *= factor
+        K = camera.with_focal(factor * camera.focal).K.copy()
         K[0, 2] += self.k_shift * image.size[0]
         identity = "list" if shared and self.k_std else None
         told = replace(camera, K=K, focal_std=self.k_std, identity=identity)

@@ -129,11 +129,8 @@ def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
     if case == "exact":
         return camera1, camera2
     if case == "wrong":
-        scale = np.array([_WRONG_FACTORS[_draw(pair.name, len(_WRONG_FACTORS))]] * 2 + [1.0])
-        first, second = (
-            replace(camera, K=np.column_stack([camera.K[:, :2] * scale[:2], camera.K[:, 2]]))
-            for camera in (camera1, camera2)
-        )
+        factor = _WRONG_FACTORS[_draw(pair.name, len(_WRONG_FACTORS))]
+        first, second = (c.with_focal(factor * c.focal) for c in (camera1, camera2))
         return first, second
     assert camera1.size is not None and camera2.size is not None
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL

@@ -155,7 +155,7 @@ def pooled_fit(told: list[Told], prior: np.ndarray, images: int) -> tuple[np.nda
 
 def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, told: bool) -> Camera:
     """The camera with pooled differences from it, and their deviations."""
-    moved = replace(with_focal(camera, camera.focal * np.exp(value[0])), focal_std=float(std[0]))
+    moved = replace(camera.with_focal(camera.focal * np.exp(value[0])), focal_std=float(std[0]))
     if told:
         moved = replace(moved, focal_source="matches")
     if len(value) > 1:
@@ -163,13 +163,6 @@ def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, told: bool) -> Ca
         K[:2, 2] += value[1:]
         moved = replace(moved, K=K, centre_std=float(np.sqrt((std[1:] ** 2).mean())))
     return moved
-
-
-def with_focal(camera: Camera, focal: float) -> Camera:
-    """The camera with another focal length, pixels."""
-    K = camera.K.copy()
-    K[:2, :2] *= focal / camera.focal
-    return replace(camera, K=K)
 
 
 def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:

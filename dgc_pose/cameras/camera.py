@@ -71,6 +71,12 @@ class Camera:
         distorted = points if self.distortion is None else self.distortion.apply(points)
         return distorted @ self.K[:2, :2].T + self.K[:2, 2]
 
+    def with_focal(self, focal: float) -> Camera:
+        """The camera with another mean focal length, pixels; the ratio of both stays."""
+        K = self.K.copy()
+        K[:2, :2] *= focal / self.focal
+        return replace(self, K=K)
+
     def resized(self, size: tuple[int, int]) -> Camera:
         """The camera of the image resized to (width, height), each side by its own factor.
 

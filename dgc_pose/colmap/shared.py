@@ -11,7 +11,6 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from dgc_pose.batch.pooling import with_focal
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
@@ -73,7 +72,7 @@ def epipolar_error_px(
     if row.R is None or row.t is None:
         return np.zeros(len(points1))
     camera1, camera2 = (
-        cameras[name] if focal is None else with_focal(cameras[name], focal)
+        cameras[name] if focal is None else cameras[name].with_focal(focal)
         for name, focal in ((row.name1, row.focal1), (row.name2, row.focal2))
     )
     E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
