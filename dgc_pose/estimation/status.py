@@ -15,6 +15,7 @@ Status = Literal[
     "behind_cameras",
     "undetermined",
     "improbable",
+    "ambiguous",
 ]
 
 
@@ -44,6 +45,9 @@ STATUSES: Mapping[Status, StatusFacts] = {
     "behind_cameras": StatusFacts("many points would lie behind a camera"),
     "undetermined": StatusFacts("the inliers do not determine the rotation"),
     "improbable": StatusFacts("the evidence altogether speaks against the pose"),
+    "ambiguous": StatusFacts(
+        "two or more poses explain the matches, and which of them is right does not show"
+    ),
 }
 CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, of the pairs that have one
     status: facts.colmap for status, facts in STATUSES.items() if facts.colmap is not None
