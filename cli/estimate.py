@@ -70,7 +70,7 @@ def estimate(
     """Estimate the relative pose of two photographs.
 
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 and the reason
-    if there is no pose.
+    if there is no pose, and with all of them if several explain the matches alike.
     """
     check_picture(outputs.plot)
     json_file = None if outputs.json == STDOUT else outputs.json

@@ -18,7 +18,8 @@ from dgc_pose.matches import Matches
 def pose_data(pose: RelativePose) -> dict[str, Any]:
     """A pose for JSON: cam2_from_cam1, x2 = R x1 + t, t of unit length.
 
-    Unknown values are null. Without a pose, the reason is the first of the warnings.
+    Unknown values are null. Without a pose, the reason is the first of the warnings. If it is
+    ambiguous, the alternatives are all the poses, the likeliest first.
     """
     return {
         "status": pose.status,
@@ -57,12 +58,7 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     if pose.success:
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
-        lines += [f"  R  {line}" for line in matrix_lines(pose.R)]
-        lines.append(f"     rotation angle {rotation_angle_deg(pose.R):.2f} deg")
-    if pose.t is not None:
-        lines.append(f"  t  {vector_line(pose.t)}  (translation up to scale)")
-    elif pose.R is not None:
-        lines.append("  t  undefined: the images show a rotation alone")
+        lines += _pose_lines(pose.R, pose.t)
     lines += _camera_lines(pose, priors)
     lines.append(
         f"{pose.num_inliers} of {pose.num_matches} matches are inliers "
@@ -78,16 +74,23 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         )
     if pose.t is not None and pose.probability is not None:
         lines.append(f"probability {_percent(pose.probability)} that R and t are within 10 deg")
-    for alternative in pose.alternatives:
+    for number, alternative in enumerate(pose.alternatives, start=1):
         chance = alternative.probability
         likely = "" if chance is None else f", probability {_percent(chance)}"
-        lines.append(
-            f"alternative: rotation angle {rotation_angle_deg(alternative.R):.2f} deg, t "
-            f"{vector_line(alternative.t)}, {alternative.num_inliers} inliers{likely}"
-        )
+        lines.append(f"alternative {number}: {alternative.num_inliers} inliers{likely}")
+        lines += _pose_lines(alternative.R, alternative.t)
     lines += [f"warning: {warning}" for warning in pose.warnings]
     lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))
     return "\n".join(lines)
+
+
+def _pose_lines(R: np.ndarray, t: np.ndarray | None) -> list[str]:
+    """R and t, each row a line; t is None after a rotation alone."""
+    lines = [f"  R  {line}" for line in matrix_lines(R)]
+    lines.append(f"     rotation angle {rotation_angle_deg(R):.2f} deg")
+    if t is None:
+        return [*lines, "  t  undefined: the images show a rotation alone"]
+    return [*lines, f"  t  {vector_line(t)}  (translation up to scale)"]
 
 
 def matrix_lines(matrix: np.ndarray) -> list[str]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,17 @@ from dgc_pose.system.options import check_options, field_types
 # raised an error that is not about its input, after which --resume matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
 _PER_WRITE = 4096  # rows of a Parquet table held in memory
+
+
+@dataclass(frozen=True)
+class AlternativeRow:
+    """A pose that explains the matches about as well as that of the row, or of the others if the
+    row is ambiguous."""
+
+    R: tuple[float, ...]  # 9 numbers, row by row
+    t: tuple[float, ...]  # 3 numbers, unit length
+    num_inliers: int
+    probability: float | None  # as of the row
 
 
 @dataclass(frozen=True)
@@ -51,6 +62,7 @@ class PairRow:
     focal2: float | None = None
     focal_std1: float | None = None
     focal_std2: float | None = None
+    alternatives: tuple[AlternativeRow, ...] = ()  # if ambiguous all poses, the likeliest first
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
 
@@ -63,8 +75,8 @@ def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairR
         success=pose.success,
         reason=pose.reason,
         probability=pose.probability,
-        R=_numbers(pose.R),
-        t=_numbers(pose.t),
+        R=None if pose.R is None else _numbers(pose.R),
+        t=None if pose.t is None else _numbers(pose.t),
         rotation_error_90_deg=finite_or_none(pose.rotation_error_90_deg),
         translation_error_90_deg=finite_or_none(pose.translation_error_90_deg),
         num_matches=pose.num_matches,
@@ -76,26 +88,39 @@ def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairR
         focal2=None if camera2 is None else camera2.focal,
         focal_std1=None if camera1 is None else camera1.focal_std,
         focal_std2=None if camera2 is None else camera2.focal_std,
+        alternatives=tuple(
+            AlternativeRow(
+                _numbers(other.R), _numbers(other.t), other.num_inliers, other.probability
+            )
+            for other in pose.alternatives
+        ),
         warnings=pose.warnings,
     )
 
 
 def parse_row(data: Any, where: str) -> PairRow:
-    """A row of JSON. Raises InputError, with `where`, if it is none."""
+    """A row of JSON; one of an earlier version has no alternatives. Raises InputError, with
+    `where`, if it is none."""
     try:
-        values: dict[str, Any] = {field.name: data[field.name] for field in fields(PairRow)}
-        for name, value in values.items():
-            if isinstance(value, list):
-                values[name] = tuple(value)
-        row = PairRow(**values)
-        check_options(row)
+        row: PairRow = _parsed(PairRow, {"alternatives": [], **data})
+        others = tuple(_parsed(AlternativeRow, other) for other in row.alternatives)
+        row = replace(row, alternatives=others)
+        for pose in (row, *others):
+            check_options(pose)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     except (KeyError, TypeError):
         raise InputError(f"{where}: not a row of a batch") from None
-    if (len(row.R or ()), len(row.t or ())) not in ((0, 0), (9, 0), (9, 3)):
+    lengths, *of_others = ((len(pose.R or ()), len(pose.t or ())) for pose in (row, *others))
+    if lengths not in ((0, 0), (9, 0), (9, 3)) or {*of_others} - {(9, 3)}:
         raise InputError(f"{where}: R has 9 numbers and t has 3")
     return row
+
+
+def _parsed(kind: Any, data: Any) -> Any:
+    """A dataclass of the values of its fields; lists become tuples."""
+    values = ((field.name, data[field.name]) for field in fields(kind))
+    return kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in values})
 
 
 def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
@@ -118,8 +143,12 @@ def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
         tuple[float, ...]: arrow.list_(arrow.float64()),
         tuple[str, ...]: arrow.list_(arrow.string()),
     }
-    types = field_types(PairRow).items()
-    schema = arrow.schema([(name, kinds[kind]) for name, (kind, _) in types])
+
+    def columns(rows: Any) -> list[tuple[str, Any]]:
+        return [(name, kinds[kind]) for name, (kind, _) in field_types(rows).items()]
+
+    kinds[tuple[AlternativeRow, ...]] = arrow.list_(arrow.struct(columns(AlternativeRow)))
+    schema = arrow.schema(columns(PairRow))
     data = map(asdict, rows)
     with parquet.ParquetWriter(path, schema) as writer:
         while some := list(islice(data, _PER_WRITE)):
@@ -161,5 +190,5 @@ def require_pyarrow() -> tuple[Any, Any]:
     return pyarrow, pyarrow.parquet
 
 
-def _numbers(array: np.ndarray | None) -> tuple[float, ...] | None:
-    return None if array is None else tuple(float(value) for value in array.ravel())
+def _numbers(array: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(value) for value in array.ravel())

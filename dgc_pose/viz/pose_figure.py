@@ -39,8 +39,8 @@ def plot_pose(trace: Trace) -> Figure:
     gives a map, the matchability and image 1 warped onto image 2.
 
     The residual is the symmetric epipolar distance in pixels. Only an even subsample of the matches
-    is drawn. Without an essential matrix matches are coloured by confidence, and there are no
-    lines. Through a lens with distortion an epipolar line is a curve.
+    is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
+    lens with distortion an epipolar line is a curve.
     """
     pose = trace.pose
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
@@ -79,7 +79,7 @@ def _headline(pose: RelativePose) -> str:
 def _rows(trace: Trace, counts: str) -> list[list[Panel]]:
     aspect1, aspect2 = (width / height for width, height in (trace.image1.size, trace.image2.size))
     kind = "inlier matches" if trace.pose.inliers.any() else "matches, no inliers"
-    no_lines = "image 2: no essential matrix, so no epipolar lines"
+    no_lines = "image 2: no pose, so no epipolar lines"
     lines = "their epipolar lines in image 2, and their matches"
     rows = [
         [Panel((1 + GAP) * aspect1 + aspect2, f"{counts} {kind}", bar=True)],

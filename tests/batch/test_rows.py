@@ -1,17 +1,77 @@
-"""Rows of a batch as JSON."""
+"""Rows of a batch, as JSON and as Parquet."""
 
+import json
 from dataclasses import asdict
+from pathlib import Path
 
+import numpy as np
 import pytest
+from ambiguous_pose import INLIERS, PROBABILITIES, ambiguous_pose
 
-from dgc_pose.batch.rows import BAD_INPUT, PairRow, parse_row
+from dgc_pose.batch.rows import (
+    BAD_INPUT,
+    PairRow,
+    parse_row,
+    read_rows,
+    row_of,
+    write_jsonl,
+    write_parquet,
+)
 from dgc_pose.errors import InputError
 
 ROW = PairRow("a.jpg", "b.jpg", BAD_INPUT, False, "corrupt")
+AMBIGUOUS = row_of(("a.jpg", "c.jpg"), ambiguous_pose(), 0.5)
 
 
-def test_a_row_comes_back() -> None:
-    assert parse_row(asdict(ROW), "rows") == ROW
+def test_an_ambiguous_row_has_all_its_poses() -> None:
+    assert not AMBIGUOUS.success and AMBIGUOUS.R is None and AMBIGUOUS.t is None
+    assert AMBIGUOUS.probability == 0
+    for row, pose in zip(AMBIGUOUS.alternatives, ambiguous_pose().alternatives, strict=True):
+        np.testing.assert_array_equal(np.reshape(row.R, (3, 3)), pose.R)
+        np.testing.assert_array_equal(row.t, pose.t)
+    assert tuple(row.num_inliers for row in AMBIGUOUS.alternatives) == INLIERS
+    assert tuple(row.probability for row in AMBIGUOUS.alternatives) == PROBABILITIES
+
+
+@pytest.mark.parametrize("row", [ROW, AMBIGUOUS], ids=["bad", "ambiguous"])
+def test_a_row_comes_back(row: PairRow) -> None:
+    assert parse_row(json.loads(json.dumps(asdict(row))), "rows") == row
+
+
+def test_rows_with_and_without_other_poses_come_back_from_both_formats(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    rows = [ROW, AMBIGUOUS, ROW]
+    for path, write in (("r.jsonl", write_jsonl), ("r.parquet", write_parquet)):
+        write(tmp_path / path, rows)
+        assert list(read_rows(tmp_path / path)) == rows
+
+
+def test_a_row_of_a_batch_that_stored_no_other_poses_is_read() -> None:
+    data = asdict(ROW)
+    del data["alternatives"]
+    assert parse_row(data, "rows") == ROW
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"t": [0.0, 1.0]}, "R has 9 numbers and t has 3"),
+        ({"R": None}, "R must be a tuple"),
+        ({"num_inliers": 2.5}, "num_inliers must be an integer"),
+        ({"probability": "high"}, "probability must be a number"),
+    ],
+)
+def test_an_alternative_that_is_no_pose_is_refused(changed: dict[str, object], words: str) -> None:
+    data = asdict(AMBIGUOUS)
+    data["alternatives"] = [data["alternatives"][0] | changed]
+    with pytest.raises(InputError, match=f"rows: .*{words}"):
+        parse_row(data, "rows")
+
+
+def test_alternatives_that_are_no_list_of_poses_are_refused() -> None:
+    for value in (3, None, [3], ["R"]):
+        with pytest.raises(InputError, match="rows: not a row of a batch"):
+            parse_row(asdict(ROW) | {"alternatives": value}, "rows")
 
 
 @pytest.mark.parametrize("field", ["name1", "status", "success", "num_matches", "inlier_ratio"])

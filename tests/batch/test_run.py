@@ -1,19 +1,25 @@
 """Batches: results, bad images, resuming after a kill, and unusable input."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pycolmap
 import pytest
+from ambiguous_pose import ambiguous_pose
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
 from multi_view import K_text, View
 
+from dgc_pose.batch import work
 from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import read_batch
+from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.matches import Matches
 
 BROKEN = "broken.png"
 COUNT = 4  # images, one of them broken
@@ -107,6 +113,30 @@ def test_parquet_holds_the_same_rows(
     (tmp_path / "pairs.parquet").write_bytes(data[:-10])
     with pytest.raises(InputError, match="not a whole Parquet file"):
         list(read_rows(tmp_path / "pairs.parquet"))
+
+
+def test_an_ambiguous_pair_is_counted_and_has_no_geometry(
+    photos: tuple[Path, list[View]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its poses are in the row."""
+    estimated = work.pose_of_matches
+    first = True
+
+    def some_ambiguous(matches: Matches, *others: Any, **more: Any) -> RelativePose:
+        nonlocal first
+        if not first:
+            return estimated(matches, *others, **more)
+        first = False
+        return ambiguous_pose(len(matches))
+
+    monkeypatch.setattr(work, "pose_of_matches", some_ambiguous)
+    batch = run_sift(photos[0], tmp_path / "out")
+    (ambiguous,) = (row for row in batch.rows if row.status == "ambiguous")
+    assert len(ambiguous.alternatives) == 2 and ambiguous.R is None
+    assert batch.summary["by_status"] == {"ambiguous": 1, "bad_input": 3, "ok": 2}
+    assert batch.summary["poses"] == 2
+    exported = [pair.names for pair in pair_geometries(batch)]
+    assert len(exported) == 2 and (ambiguous.name1, ambiguous.name2) not in exported
 
 
 def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_path: Path) -> None:

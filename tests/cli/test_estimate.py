@@ -5,6 +5,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
+from ambiguous_pose import ambiguous_pose
 from command_line import assert_refused, run
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -146,6 +147,27 @@ def test_a_pure_rotation_keeps_R_and_says_that_t_is_undefined(folder, network):
     text = estimate()
     assert text.exit_code == 3
     assert "t  undefined" in text.stdout
+
+
+def test_an_ambiguous_pair_exits_with_3_and_has_both_poses(folder, network, monkeypatch):
+    def estimated(matches, *others, **more):
+        return ambiguous_pose(len(matches))
+
+    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimated)
+    result = estimate("--json", "-", "--plot", "p.svg", "--matches", "m.npz")
+    pose = ambiguous_pose()
+    assert (result.exit_code, result.stderr) == (3, f"no pose: {pose.reason}\n")
+    data = json.loads(result.stdout)
+    assert list(data) == KEYS
+    assert data["status"] == "ambiguous" and data["R"] is None and data["t"] is None
+    for stored, other in zip(data["alternatives"], pose.alternatives, strict=True):
+        np.testing.assert_array_equal(stored["R"], other.R)
+        np.testing.assert_array_equal(stored["t"], other.t)
+    assert (folder / "p.svg").exists() and (folder / "m.npz").exists()
+    text = estimate()
+    assert text.exit_code == 3
+    assert text.stdout.startswith(f"no pose (ambiguous): {pose.reason}\n")
+    assert text.stdout.count("rotation angle") == text.stdout.count("  t  [") == 2
 
 
 def test_each_image_can_have_its_own_camera(folder, network):

@@ -1,13 +1,16 @@
 """What the commands print of a pose."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from ambiguous_pose import INLIERS, ambiguous_pose
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.output import pose_text
+from dgc_pose.cli.output import pose_data, pose_text
 from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.files.json_files import json_text
 from two_view import two_view_scene
 
 
@@ -20,6 +23,35 @@ def test_no_probability_is_printed_as_certain(probability, words) -> None:
     pose = estimate_pose(scene.matches, *scene.cameras, EstimationOptions(runs=1))
     lines = pose_text(replace(pose, probability=probability)).splitlines()
     assert f"probability {words} that R and t are within 10 deg" in lines
+
+
+def test_an_ambiguous_pair_has_no_pose_and_all_that_explain_it() -> None:
+    pose = ambiguous_pose()
+    lines = pose_text(pose).splitlines()
+    assert lines[0] == f"no pose (ambiguous): {pose.reason}"
+    heads = [line for line in lines if line.startswith("alternative ")]
+    assert heads == [
+        f"alternative 1: {INLIERS[0]} inliers, probability 52 %",
+        f"alternative 2: {INLIERS[1]} inliers, probability 45 %",
+    ]
+    for head, other in zip(heads, pose.alternatives, strict=True):
+        block = lines[lines.index(head) + 1 :][:5]
+        R = [[float(v) for v in line.strip(" R[]").split()] for line in block[:3]]
+        np.testing.assert_allclose(R, other.R, atol=1e-6)
+        t = block[4].removeprefix("  t  [").split("]")[0]
+        np.testing.assert_allclose([float(v) for v in t.split()], other.t, atol=1e-6)
+    # No R or t besides those of the two, and nothing that is known of one pose alone.
+    assert sum(line.startswith("  t  ") for line in lines) == 2
+    assert "expected error" not in pose_text(pose) and "camera " not in pose_text(pose)
+
+
+def test_an_ambiguous_pair_as_json() -> None:
+    data = json.loads(json_text(pose_data(ambiguous_pose())))
+    assert data["success"] is False and data["probability"] == 0
+    for name in ("R", "t", "E", "quaternion_wxyz", "covariance", "camera1", "camera2"):
+        assert data[name] is None
+    assert [other["probability"] for other in data["alternatives"]] == [0.52, 0.45]
+    np.testing.assert_array_equal(data["alternatives"][1]["R"], ambiguous_pose().alternatives[1].R)
 
 
 K = np.array([[1210.0, 0, 639.5], [0, 1210, 479.5], [0, 0, 1]])

@@ -4,6 +4,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
+from ambiguous_pose import ambiguous_pose
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
@@ -94,6 +95,16 @@ def test_without_a_pose_the_reason_is_the_headline():
     figure, pose = figure_of(dense_scene.noise_map())
     assert not pose.success
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
+
+
+def test_of_an_ambiguous_pair_neither_pose_is_drawn():
+    trace = trace_of(dense_scene.true_map())
+    pose = ambiguous_pose(len(trace.matches))
+    figure = plot_pose(replace(trace, pose=pose))
+    assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
+    matches, _, lines, *_ = figure.axes
+    assert not lines.lines and title(lines) == "image 2: no pose, so no epipolar lines"
+    assert any("confidence" in text.get_text() for text in matches.texts)  # not the residual
 
 
 def test_no_matches_can_be_drawn(tmp_path):

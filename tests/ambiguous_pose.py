@@ -1,0 +1,28 @@
+"""The result of a pair that two poses explain."""
+
+from dataclasses import replace
+
+import numpy as np
+from good_evidence import GOOD_EVIDENCE
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.result import Alternative
+
+PROBABILITIES = 0.52, 0.45
+INLIERS = 271, 270
+
+
+def ambiguous_pose(count: int = 300) -> RelativePose:
+    """Of so many matches."""
+    rotations = Rotation.from_rotvec([[0.0, 0.5, 0.0], [0.1, -0.3, 0.0]]).as_matrix()
+    directions = np.array([[0.6, 0.0, 0.8], [-0.8, 0.6, 0.0]])
+    poses = zip(rotations, directions, INLIERS, PROBABILITIES, strict=True)
+    return RelativePose(
+        status="ambiguous",
+        reason="two poses explain the matches: of probabilities 52 % and 45 %",
+        inliers=np.arange(count) < INLIERS[0],
+        num_matches=count,
+        evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),
+        alternatives=tuple(Alternative(*pose) for pose in poses),
+    )
