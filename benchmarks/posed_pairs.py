@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Generic
 import numpy as np
 
 from dgc_pose.benchmarks.lenses import Lens
-from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
+from dgc_pose.benchmarks.scores import MapScore, PairScore, PlaneScore, Score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import check_size
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError
@@ -25,9 +26,12 @@ if TYPE_CHECKING:
 
     from dgc_pose.synthesis.options import SceneOptions
     from dgc_pose.synthesis.render.bank import TextureBank
+    from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view
+PLANE_SIZE = 640  # the same of a plane
+_PLANE_PHOTO = 480  # pixels a side of a photograph on it, which a view shows a few of
 _IMAGE_BYTES = 2**29
 
 
@@ -159,6 +163,42 @@ class RenderedPosedPairs(PairSet[MapScore]):
                 yield pair
 
 
+class PlanePairs(PairSet[PlaneScore]):
+    """Seeded views of planes with a relief, whose homographies have two poses; see
+    `synthesis.render.plane_pairs`. The heights of the reliefs come in turn."""
+
+    def __init__(self, photos: Path, count: int, seed: int) -> None:
+        """Raises ImageError if training holds back no photographs of the folder."""
+        from dgc_pose.synthesis.photos import load_held_back
+        from dgc_pose.synthesis.render.plane_pairs import RELIEFS
+
+        reliefs = [RELIEFS[k % len(RELIEFS)] for k in range(count)]
+        names = [f"plane {seed} {k}, relief {100 * h:g} %" for k, h in enumerate(reliefs)]
+        super().__init__(
+            PlaneScore,
+            [
+                {"image1": f"{name}, 1", "image2": f"{name}, 2", "relief": relief}
+                for name, relief in zip(names, reliefs, strict=True)
+            ],
+        )
+        self._textures = load_held_back(photos, _PLANE_PHOTO).textures
+        self._seed = seed
+
+    def read(self, first: int = 0) -> Iterator[PosedPair]:
+        return (self.pair(number) for number in range(first, len(self.ids)))
+
+    def pair(self, number: int) -> PosedPair:
+        """A pair by its number, whatever the others are."""
+        from dgc_pose.synthesis.draw import seeded
+        from dgc_pose.synthesis.render.plane_pairs import render_plane_pair
+
+        ids = self.ids[number]
+        generator = seeded("planes", self._seed, number)
+        relief = float(ids["relief"])
+        views = render_plane_pair(self._textures, PLANE_SIZE, generator, relief)
+        return _posed(views, ids)
+
+
 def rendered_pair(
     textures: TextureBank,
     side: int,
@@ -171,14 +211,19 @@ def rendered_pair(
     from dgc_pose.synthesis.render.rendered_pairs import render_pairs
 
     seen_by, distortion = (None, None) if lens is None else (lens.before, lens.distortion)
-    views = render_pairs(textures, 1, side, generator, scenes, seen_by)
+    return _posed(render_pairs(textures, 1, side, generator, scenes, seen_by), ids, distortion)
+
+
+def _posed(views: RenderedPairs, ids: Ids, distortion: Distortion | None = None) -> PosedPair:
+    """The first pair of a batch."""
     pose = views.cam2_from_cam1[0].double().numpy()
-    camera1, camera2 = (
-        Camera(K[0].double().numpy(), (side, side), distortion) for K in (views.K1, views.K2)
-    )
     image1, image2 = (
         Image((255 * planes[0].permute(1, 2, 0)).round().byte().contiguous().numpy())
         for planes in (views.image1, views.image2)
+    )
+    camera1, camera2 = (
+        Camera(K[0].double().numpy(), image.size, distortion)
+        for K, image in ((views.K1, image1), (views.K2, image2))
     )
     return PosedPair(Truth(ids, camera1, camera2, pose[:, :3], pose[:, 3]), image1, image2)
 

@@ -11,6 +11,7 @@ never on both sides. Kinds:
 - `sparse`: a COLMAP text model with its images.
 - `dtu`: a folder of DTU in any layout; pairs up to 60 degrees apart.
 - `rendered`: `path` is a folder of photographs as textures.
+- `planes`: the same, of planes with a relief, whose homographies have two poses.
 - `unrelated`: `path` is a list of folders; two photographs of different prefixes or folders.
 - `textureless`: drawn images without structure, alone and beside photographs of `path`.
 """
@@ -26,7 +27,9 @@ from dgc_pose.files.inputs import read_text
 from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
-EntryKind = Literal["list", "rgbd", "sparse", "dtu", "rendered", "unrelated", "textureless"]
+EntryKind = Literal[
+    "list", "rgbd", "sparse", "dtu", "rendered", "planes", "unrelated", "textureless"
+]
 DEFAULT_PLAN = "plan.json"  # beside this file
 
 

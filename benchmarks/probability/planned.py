@@ -12,6 +12,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
+    PlanePairs,
     PosedPair,
     Truth,
     rendered_pair,
@@ -62,8 +63,13 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     """
     require_data([entry], data)
     folders = [data / path for path in entry.path]
-    if entry.kind in ("rendered", "unrelated", "textureless"):
-        makers = {"rendered": _rendered, "unrelated": _unrelated, "textureless": _textureless}
+    makers = {
+        "rendered": _rendered,
+        "planes": _planes,
+        "unrelated": _unrelated,
+        "textureless": _textureless,
+    }
+    if entry.kind in makers:
         made = makers[entry.kind](folders, entry)
         return [PlannedPair(entry, k, entry.name, make) for k, make in enumerate(made)]
     pairs = _listed(entry, folders[0], lists)
@@ -108,6 +114,11 @@ def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedP
         return rendered_pair(textures, _RENDERED_SIZE, generator, scenes, {})
 
     return [partial(make, k) for k in range(entry.pairs)]
+
+
+def _planes(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+    pairs = PlanePairs(folders[0], entry.pairs, entry.seed)
+    return [partial(pairs.pair, k) for k in range(entry.pairs)]
 
 
 def _unrelated(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:

@@ -10,7 +10,14 @@ from photos import write_photos
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import MatchingPass, Method
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPosedPairs, require_images
+from dgc_pose.benchmarks.posed_pairs import (
+    ListedPairs,
+    PlanePairs,
+    RenderedPosedPairs,
+    require_images,
+)
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.planned import planned
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import ImageError, InputError
@@ -76,6 +83,7 @@ def test_the_K_of_another_image_is_refused(pairs):
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     monkeypatch.setattr(posed_pairs, "RENDERED_SIZE", 160)
+    monkeypatch.setattr(posed_pairs, "PLANE_SIZE", 160)
     write_photos(tmp_path / "photos", 60)
     return tmp_path / "photos"
 
@@ -92,6 +100,19 @@ def test_rendered_pairs_are_the_same_from_any_of_them_on(photos):
         assert one.image1.size == one.truth.camera1.size == (160, 160)
         assert 5 <= rotation_error_deg(one.truth.R, np.eye(3)) <= 45
         assert np.linalg.norm(one.truth.t) > 0
+
+
+def test_planes_are_the_same_from_any_of_them_on_and_in_a_plan(photos, tmp_path):
+    pairs = PlanePairs(photos, 7, 5)
+    assert [ids["relief"] for ids in pairs.ids] == [0, 0.01, 0.02, 0.05, 0.1, 0.2, 0]
+    assert pairs.ids[2]["image1"] == "plane 5 2, relief 2 %, 1"
+    entry = PlanEntry("planes", "fit", "planes", (photos,), pairs=7, seed=5)
+    of_plan = planned(entry, tmp_path, tmp_path)
+    assert len({pair.image1.pixels.tobytes() for pair in pairs.read()}) == len(of_plan) == 7
+    for pair, again in zip(pairs.read(5), (one.make() for one in of_plan[5:]), strict=True):
+        assert pair.image1.size == pair.truth.camera1.size == (160, 160)
+        assert np.array_equal(pair.image2.pixels, again.image2.pixels)
+        assert np.array_equal(pair.truth.t, again.truth.t)
 
 
 def test_rendered_pairs_have_their_distances_from_the_epipolar_lines(photos, tmp_path):

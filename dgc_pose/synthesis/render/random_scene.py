@@ -7,10 +7,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.options import SceneOptions
+from dgc_pose.synthesis.options import Range, SceneOptions
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
 from dgc_pose.synthesis.render.scene import FACES, Layout, Scene
 
+_FOCAL = (0.7, 2.0)  # sides of the view
 _FIRST_ROLL_DEG = 5.0  # sigma
 _WILD_ROLL_SHARE = 0.1  # of pairs whose roll has 4 times the usual sigma
 _LOOK_ASIDE = 0.08  # sigma of the common point's distance from the second optical axis
@@ -23,10 +24,13 @@ _LARGE_SPAN = 1.5  # and their photos are so much larger, to be repeated less of
 
 
 def random_camera_pair(
-    draw: Draw, batch: int, size: int, options: SceneOptions
+    draw: Draw, batch: int, size: int, options: SceneOptions, focal: Range = _FOCAL
 ) -> tuple[Cameras, Cameras]:
-    """B pairs around the origin of the world, by the ranges of the options."""
-    first_K, second_K = (_intrinsics(draw, batch, size) for _ in range(2))
+    """B pairs around the origin of the world, by the ranges of the options.
+
+    focal: range of the focal lengths, sides of the view.
+    """
+    first_K, second_K = (_intrinsics(draw, batch, size, focal) for _ in range(2))
     focal1, focal2 = first_K[:, 0, 0] / size, second_K[:, 0, 0] / size
     distance1 = focal1 * draw.uniform(batch, low=0.8, high=1.5)
     centre1 = distance1[:, None] * random_viewpoints(draw, batch, (-5.0, 60.0))
@@ -72,9 +76,9 @@ def _about_z(angle: Tensor) -> Tensor:
     return axis_angle(angle.new_tensor((0.0, 0.0, 1.0)).expand(*angle.shape, 3), angle)
 
 
-def _intrinsics(draw: Draw, batch: int, size: int) -> Tensor:
+def _intrinsics(draw: Draw, batch: int, size: int, focal_range: Range) -> Tensor:
     """Calibration matrices (B, 3, 3) for square images of `size` pixels."""
-    focal = size * draw.log_uniform(batch, low=0.7, high=2.0)
+    focal = size * draw.log_uniform(batch, low=focal_range[0], high=focal_range[1])
     centre = (size - 1) / 2 + draw.uniform(batch, 2, low=-0.05 * size, high=0.05 * size)
     zero, one = torch.zeros_like(focal), torch.ones_like(focal)
     rows = (focal, zero, centre[:, 0], zero, focal, centre[:, 1], zero, zero, one)
@@ -133,7 +137,7 @@ def single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], phot
     return Scene(
         layout=Layout(0, 1, 0, 0),
         centre=torch.zeros_like(towards),
-        axes=_facing(draw, towards, math.radians(30.0)),
+        axes=facing(draw, towards, math.radians(30.0)),
         half_size=torch.full_like(towards, _PLANE_HALF_SIZE),
         active=torch.ones_like(towards[..., 0], dtype=torch.bool),
         photo=torch.full((batch, 1, FACES), photo, device=towards.device),
@@ -159,7 +163,7 @@ def _room(draw: Draw, centre1: Tensor, centre2: Tensor, table_height: Tensor) ->
 def _background(draw: Draw, centre1: Tensor) -> Parts:
     """A large rectangle behind the look-at point, tilted by up to 45 degrees to the first view."""
     towards = normalize(centre1, dim=-1)[:, None]
-    axes = _facing(draw, towards, math.radians(45.0))
+    axes = facing(draw, towards, math.radians(45.0))
     behind = draw.uniform(len(centre1), 1, 1, low=0.25, high=1.0)
     return -behind * towards, axes, draw.uniform(len(centre1), 1, 3, low=0.5, high=1.5)
 
@@ -169,13 +173,13 @@ def _table(draw: Draw, height: Tensor) -> Parts:
     centre = torch.stack((zero, height, zero), dim=-1)[:, None]
     up = torch.stack((zero, zero - 1, zero), dim=-1)[:, None]
     half_size = draw.uniform(len(height), 1, 3, low=0.5, high=1.2)
-    return centre, _facing(draw, up, 0.0), half_size
+    return centre, facing(draw, up, 0.0), half_size
 
 
 def _tilted_quads(draw: Draw, centre1: Tensor, count: int) -> Parts:
     batch = len(centre1)
     towards = normalize(centre1, dim=-1)[:, None].expand(batch, count, 3)
-    axes = _facing(draw, towards, math.radians(65.0))
+    axes = facing(draw, towards, math.radians(65.0))
     half_size = _object_size(draw, batch, count) * 1.5
     return _around(draw, batch, count), axes, half_size
 
@@ -214,7 +218,7 @@ def _around(draw: Draw, batch: int, count: int) -> Tensor:
     return points
 
 
-def _facing(draw: Draw, normal: Tensor, largest: float) -> Tensor:
+def facing(draw: Draw, normal: Tensor, largest: float) -> Tensor:
     """Axes (B, n, 3, 3) whose third is `normal` (B, n, 3), tilted by up to `largest` radians."""
     tilt = draw.uniform(*normal.shape[:-1]) * largest
     third = (axis_angle(_perpendicular(draw, normal), tilt) @ normal[..., None])[..., 0]
