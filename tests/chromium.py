@@ -40,8 +40,7 @@ class Page:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self._call(f"{domain}.enable")
-        size = {"width": 1400, "height": 1600, "deviceScaleFactor": 1, "mobile": False}
-        self._call("Emulation.setDeviceMetricsOverride", **size)
+        self.resize(1400, 1600)
         still = {"name": "prefers-reduced-motion", "value": "reduce"}
         self._call("Emulation.setEmulatedMedia", features=[still])
 
@@ -76,6 +75,11 @@ class Page:
         found = self._call("Runtime.evaluate", expression=f"document.querySelector({selector!r})")
         paths = [str(file) for file in files]
         self._call("DOM.setFileInputFiles", files=paths, objectId=found["result"]["objectId"])
+
+    def resize(self, width: int, height: int) -> None:
+        """The window's inner size, CSS pixels."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self._call("Emulation.setDeviceMetricsOverride", **size)
 
     def wait(self, expression: str, seconds: float = 60) -> None:
         """Until a JavaScript expression is true. Raises AssertionError after so many seconds."""

@@ -5,10 +5,13 @@ import subprocess
 import sys
 
 import cv2
+import numpy as np
 import pytest
+from ambiguous_pose import ambiguous_pose
 from chromium import chromium_page, find_chromium
 
 from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cli.output import pose_data
 
 DONE = "document.querySelector('#progress').textContent.startsWith('done')"
 PIXELS = """(() => {
@@ -76,7 +79,7 @@ def test_the_bundled_pair_gets_its_pose(example):
     assert text(example, "#verdict") == "A pose (ok)"
     assert "inliers" in text(example, "#numbers") and "expected error" in text(example, "#numbers")
     pair = bundled_pair()
-    first = [float(v) for v in text(example, "#matrix").split("\n")[-3].split()[1:4]]
+    first = [float(v) for v in text(example, "#poses table").split("\n")[-3].split()[1:4]]
     assert first == pytest.approx(pair.R[0], abs=0.01)
     assert str(pair.path1) in text(example, "#command")
     assert "--weights sift" in text(example, "#command")
@@ -84,15 +87,16 @@ def test_the_bundled_pair_gets_its_pose(example):
     assert example.evaluate("document.querySelector('#map-part').hidden")
 
 
-# The answer's pose with so much more.
+# The answer with so much more.
 CHANGED = """(() => {
-  const asked = window.fetch;
+  const asked = window.asked_of_the_server = window.fetch;
   window.fetch = async (path, ...rest) => {
     const answer = await asked(path, ...rest);
     if (path !== '/poses') return answer;
     const lines = (await answer.text()).split('\\n').map((line) => {
       const data = line && JSON.parse(line);
-      if (data.result) Object.assign(data.result.pose, %s);
+      const { pose, ...more } = %s;
+      if (data.result) Object.assign(data.result, more).pose = { ...data.result.pose, ...pose };
       return line && JSON.stringify(data);
     });
     return new Response(lines.join('\\n'));
@@ -106,7 +110,8 @@ def test_alternatives_and_the_probability_are_shown_if_there_are_any(example):
     assert page.evaluate("document.querySelector('#alternatives').hidden")
     turned = {"R": [[0, -1, 0], [1, 0, 0], [0, 0, 1]], "t": [0.6, 0, 0.8], "num_inliers": 77}
     others = [turned | {"probability": None}, turned | {"probability": 0.125}]
-    page.evaluate(CHANGED % json.dumps({"probability": 0.8, "alternatives": others}))
+    changes = {"pose": {"probability": 0.8, "alternatives": others}}
+    page.evaluate(CHANGED % json.dumps(changes))
     page.click("#example")
     page.wait("!document.querySelector('#alternatives').hidden")
     assert "80 %, that R and t are within 10°" in text(page, "#numbers")
@@ -115,6 +120,63 @@ def test_alternatives_and_the_probability_are_shown_if_there_are_any(example):
     first, second = text(page, "#alternatives ol").splitlines()
     assert first == "rotation angle 90.00°, t (0.6000, 0.0000, 0.8000), 77 inliers"
     assert second == first + ", probability 13 %"
+
+
+@pytest.fixture
+def ambiguous(page):
+    """The page with an answer of two poses."""
+    pose = pose_data(ambiguous_pose())
+    changes = {"pose": pose, "reason": pose["warnings"][0], "F": None}
+    page.evaluate(CHANGED % json.dumps(changes))
+    page.click("#example")
+    page.wait(DONE)
+    return page
+
+
+def test_both_poses_of_an_ambiguous_pair_are_shown(ambiguous):
+    page = ambiguous
+    assert not page.evaluate("document.querySelector('#undecided').hidden")
+    assert text(page, "#verdict") == "Two poses explain these photographs"
+    assert "do not show which of them is right" in text(page, "#undecided")
+    tables = "[...document.querySelectorAll('#poses table')].map((table) => table.innerText)"
+    shown = page.evaluate(tables)
+    captions = [table.split("\n")[0] for table in shown]
+    assert captions == [
+        "Pose 1: probability 52 %, 271 inliers, rotation 28.65°",
+        "Pose 2: probability 45 %, 270 inliers, rotation 18.12°",
+    ]
+    for table, pose in zip(shown, ambiguous_pose().alternatives, strict=True):
+        cells = [line.split() for line in table.split("\n")[-3:]]
+        R = [[float(cell) for cell in row[1:4]] for row in cells]
+        np.testing.assert_allclose(R, pose.R, atol=1e-6)
+        np.testing.assert_allclose([float(row[5]) for row in cells], pose.t, atol=1e-6)
+    # Nothing that is known of one pose alone.
+    assert page.evaluate("document.querySelector('#alternatives').hidden")
+    numbers = text(page, "#numbers")
+    assert "probability" not in numbers and "K1" not in numbers and "angle" not in numbers
+    assert text(page, "#pointed") == "There is no pose, so there are no epipolar lines."
+
+
+def test_the_next_pose_takes_the_place_of_two(ambiguous):
+    ambiguous.evaluate("window.fetch = asked_of_the_server")
+    ambiguous.click("#estimate")
+    ambiguous.wait("document.querySelector('#undecided').hidden")
+    assert text(ambiguous, "#verdict") == "A pose (ok)"
+    assert ambiguous.evaluate("document.querySelectorAll('#poses table').length") == 1
+
+
+def test_both_poses_fit_into_the_window(ambiguous):
+    right = "e.getBoundingClientRect().right"
+    try:
+        for width in (360, 800, 1400):
+            ambiguous.resize(width, 1600)
+            ends = ambiguous.evaluate(
+                f"[...document.querySelectorAll('#poses td, #poses caption')].map((e) => {right})"
+            )
+            edge = ambiguous.evaluate(f"((e) => {right})(document.querySelector('#result'))")
+            assert max(ends) < edge <= width
+    finally:
+        ambiguous.resize(1400, 1600)
 
 
 def test_the_pointer_brings_epipolar_lines(example):

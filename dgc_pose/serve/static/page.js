@@ -125,21 +125,11 @@ async function present(answer, shown) {
 }
 
 function verdict({ pose, reason }) {
-  at("verdict").textContent = pose.success ? `A pose (${pose.status})` : `No pose (${pose.status}): ${reason}`;
-  const rows = (pose.R ?? []).map((row, n) => [
-    ["R", ...row.map((value) => value.toFixed(6))],
-    ["t", pose.t ? pose.t[n].toFixed(6) : "unknown"],
-  ].flat());
-  at("matrix").hidden = rows.length === 0;
-  at("matrix").tBodies[0].replaceChildren(...rows.map((row) => {
-    const line = document.createElement("tr");
-    for (const text of row) {
-      const cell = line.insertCell();
-      cell.textContent = text;
-      cell.className = text === "R" || text === "t" ? "name" : "";
-    }
-    return line;
-  }));
+  const explanations = pose.status === "ambiguous" ? pose.alternatives : [];
+  at("verdict").textContent = headline(pose, reason);
+  at("undecided").hidden = explanations.length === 0;
+  at("poses").replaceChildren(...explanations.map(explanation));
+  if (pose.R) at("poses").append(matrix(pose, "cam2_from_cam1: x2 = R x1 + t"));
   const facts = [...numbers(pose), ...cameraNumbers(pose)].flatMap(([name, text]) => {
     const [term, value] = ["dt", "dd"].map((kind) => document.createElement(kind));
     term.textContent = name;
@@ -147,12 +137,39 @@ function verdict({ pose, reason }) {
     return [term, value];
   });
   at("numbers").replaceChildren(...facts);
-  alternatives(pose.alternatives);
+  alternatives(explanations.length ? [] : pose.alternatives);
   at("warnings").replaceChildren(...pose.warnings.filter((text) => text !== reason).map((text) => {
     const item = document.createElement("li");
     item.textContent = text;
     return item;
   }));
+}
+
+function headline({ status, success, alternatives: others }, reason) {
+  if (success) return `A pose (${status})`;
+  if (status !== "ambiguous") return `No pose (${status}): ${reason}`;
+  return `${others.length === 2 ? "Two" : others.length} poses explain these photographs`;
+}
+
+/** A table of R and t. */
+function matrix({ R, t }, caption) {
+  const table = document.createElement("table");
+  table.createCaption().textContent = caption;
+  R.forEach((row, n) => {
+    const line = table.insertRow();
+    for (const part of ["R", ...row, "t", t ? t[n] : "unknown"]) {
+      const cell = line.insertCell();
+      cell.textContent = typeof part === "number" ? part.toFixed(6) : part;
+      cell.className = part === "R" || part === "t" ? "name" : "";
+    }
+  });
+  return table;
+}
+
+/** One of several poses that explain the matches alike. */
+function explanation(pose, n) {
+  const likely = `probability ${likelihood(pose.probability)}`;
+  return matrix(pose, `Pose ${n + 1}: ${likely}, ${pose.num_inliers} inliers, rotation ${angle(pose.R)}`);
 }
 
 function alternatives(others) {
@@ -186,7 +203,7 @@ function angle(R) {
 function numbers(pose) {
   const facts = [];
   if (pose.R) facts.push(["rotation angle", angle(pose.R)]);
-  if (pose.probability != null) {
+  if (pose.t && pose.probability != null) {
     facts.push(["probability", `${likelihood(pose.probability)}, that R and t are within 10°`]);
   }
   if (pose.rotation_error_90_deg != null) {
@@ -195,7 +212,7 @@ function numbers(pose) {
   }
   const share = pose.inlier_ratio == null ? "" : ` (${(100 * pose.inlier_ratio).toFixed(1)} %)`;
   facts.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`]);
-  if (pose.median_triangulation_angle_deg != null) {
+  if (pose.t && pose.median_triangulation_angle_deg != null) {
     facts.push(["triangulation angle", `${pose.median_triangulation_angle_deg.toFixed(2)}°, the median`]);
   }
   return facts;

@@ -193,7 +193,7 @@ export class View {
     if (!this.pointer) {
       this.text.textContent = this.result.F
         ? "Point at an image: the epipolar lines of that point appear in both."
-        : "There is no essential matrix, so there are no epipolar lines.";
+        : "There is no pose, so there are no epipolar lines.";
       return;
     }
     const [image, x, y] = this.pointer;
@@ -227,7 +227,7 @@ export function drawHistogram(canvas, { residual, inlier }, tall) {
   paint.font = "13px system-ui, sans-serif";
   paint.fillStyle = "#5b6875";
   if (!known.length) {
-    paint.fillText("no residuals without an essential matrix", 8, 24);
+    paint.fillText("no residuals without a pose", 8, 24);
     return;
   }
   const sorted = known.filter(([, fits]) => fits).map(([value]) => value).sort((a, b) => a - b);
