@@ -1,7 +1,7 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,15 @@ from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
 from dgc_pose.benchmarks.lenses import LENSES
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
+from dgc_pose.benchmarks.plane_summary import PLANE_COLUMNS, PLANE_HEADING, summarise_planes
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     PairSet,
+    PlanePairs,
     RenderedPosedPairs,
     require_images,
 )
-from dgc_pose.benchmarks.scores import CameraScore, PairScore
+from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore, PlaneScore
 from dgc_pose.benchmarks.summary import (
     MethodSummary,
     by_method,
@@ -38,7 +40,7 @@ from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import json_text
+from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import replaced, save_text, staged, write_text
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import shipped
@@ -63,10 +65,18 @@ class PairBenchOptions:
         min=1,
         max=10**6,
     )
+    planes: int | None = option(
+        None,
+        "Instead of LIST: N pairs of rendered planes whose homographies have two poses, textured "
+        "with --photos, with reliefs of 0 to 20 % in turn.",
+        metavar="N",
+        min=1,
+        max=10**6,
+    )
     photos: Path | None = option(
         None, "Folder of photographs, as for training; those that training holds back are used."
     )
-    scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
+    scene_seed: int = option(7, "Seed of the rendered scenes or planes.", min=0, max=MAX_SEED)
     lens: str | None = option(
         None,
         "The rendered pairs seen through a lens of this model of COLMAP's, from the same places.",
@@ -90,7 +100,8 @@ class PairBenchOptions:
         changed = change != ImageChange()
         if self.lens is not None and self.rendered is None:
             raise InputError("--lens is of rendered pairs: it needs --rendered")
-        if pair_list is not None and self.rendered is None and self.photos is None:
+        counts = [count for count in (self.rendered, self.planes) if count is not None]
+        if pair_list is not None and not counts and self.photos is None:
             pairs = read_pairs(pair_list, self.root)[:: self.every][: self.limit]
             require_images(pairs)
             kind = CameraScore if trial else PairScore
@@ -101,12 +112,16 @@ class PairBenchOptions:
             raise InputError(
                 "--K, --K-scale, --K-shift, --K-noise and --K-std need a LIST of pairs"
             )
-        if pair_list is not None or self.rendered is None or self.photos is None:
-            raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
+        if pair_list is not None or len(counts) != 1 or self.photos is None:
+            raise InputError(
+                "give a LIST of pairs, or --rendered or --planes with --photos, one of them"
+            )
+        if self.planes is not None:
+            return PlanePairs(self.photos, self.planes, self.scene_seed)
         lens = None if self.lens is None else LENSES.get(self.lens)
         if self.lens is not None and lens is None:
             raise InputError(f"--lens must be one of {', '.join(LENSES)}, not {self.lens!r}")
-        return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed, lens)
+        return RenderedPosedPairs(self.photos, counts[0], self.scene_seed, lens)
 
 
 @click.command()
@@ -144,6 +159,7 @@ def bench_pairs(
     With --K and its like the K of LIST are withheld or changed, for all methods or, by NAME:K=auto,
     NAME:K=auto:shared or NAME:K_scale=0.8, for one of several that share their matches. Errors are
     of the true cameras as before; a second table has the focal lengths and what the poses say.
+    With --planes a second table tells by relief how many poses are claimed and how many are wrong.
     """
     if options.out is not None:
         import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
@@ -156,10 +172,19 @@ def bench_pairs(
         evaluation = run.evaluation(pairs, chosen, passes)
         results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
         summarised: Callable[..., MethodSummary] = summarise_cameras if trial else summarise
-        if options.rendered is not None:
+        if issubclass(pairs.kind, MapScore):
             summarised = summarise_epipolar
         summaries = [summarised(rows) for rows in results.values()]
-        data = json_text(summary_data(summaries))
+        of_planes = issubclass(pairs.kind, PlaneScore)
+        planes = [
+            row
+            for rows in results.values()
+            for row in (summarise_planes(rows) if of_planes else ())
+        ]
+        figures = summary_data(summaries)
+        if planes:
+            figures["planes"] = [finite_data(asdict(row)) for row in planes]
+        data = json_text(figures)
         if options.json_path is not None:
             save_text(stage(options.json_path), data)
     if options.out is not None:
@@ -176,3 +201,5 @@ def bench_pairs(
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
     if trial:
         click.echo(f"\n{CAMERA_HEADING}\n{table(CAMERA_COLUMNS, summaries)}")
+    if planes:
+        click.echo(f"\n{PLANE_HEADING}\n{table(PLANE_COLUMNS, planes)}")

@@ -1,3 +1,4 @@
+import csv
 import json
 from dataclasses import replace
 
@@ -124,3 +125,18 @@ def test_rendered_pairs_have_their_distances_from_the_epipolar_lines(photos, tmp
     assert [line.split()[0] for line in lines] == ["dis", "sift"]
     dis, sift = json.loads((tmp_path / "s.json").read_text())["methods"]
     assert dis["median_epipolar_px"] > 0 and sift["median_epipolar_px"] is None
+
+
+def test_planes_are_told_by_relief(photos, tmp_path):
+    words = ("--planes", 7, "--photos", photos, "--methods", "sift", "--out", tmp_path / "run")
+    answer = run_command("bench-pairs", *words)
+    assert answer.exit_code == 0, answer.output
+    *_, head = (line for line in answer.stdout.splitlines() if line.startswith("method"))
+    assert head.split() == "method relief pairs claimed wrong ambiguous p right".split()
+    planes = json.loads((tmp_path / "run" / "summary.json").read_text())["planes"]
+    assert [row["relief"] for row in planes] == [0, 0.01, 0.02, 0.05, 0.1, 0.2, None]
+    assert [row["pairs"] for row in planes] == [2, 1, 1, 1, 1, 1, 7]
+    with (tmp_path / "run" / "results.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(row["relief"]) for row in rows] == [0, 0.01, 0.02, 0.05, 0.1, 0.2, 0]
+    assert "probability" in rows[0]
