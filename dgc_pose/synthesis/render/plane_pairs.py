@@ -1,6 +1,7 @@
 """Pairs of views of a plane with a relief, whose homography has two poses."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -11,7 +12,8 @@ from dgc_pose.geometry.homography import homography_poses
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.options import SceneOptions
+from dgc_pose.synthesis.options import PhotometricOptions, SceneOptions
+from dgc_pose.synthesis.photometric import random_photometric
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, relative_pose
 from dgc_pose.synthesis.render.random_scene import facing, random_camera_pair
@@ -19,7 +21,7 @@ from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs, Views, rende
 from dgc_pose.synthesis.render.scene import FACES, Layout, Scene
 
 # Heights of the reliefs, in widths of the plane that view 1 sees
-RELIEFS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
+RELIEFS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 OTHER_DEG = 10.0  # the second pose differs from the true one by more, in R or t
 
 _OPTIONS = SceneOptions(rotation_deg=(15.0, 60.0), roll_deg=5.0, shadow=0.3)
@@ -39,12 +41,17 @@ def render_plane_pair(
 ) -> RenderedPairs:
     """Two views, `size` pixels square, of a plane that one pair of cameras is drawn for.
 
-    See `plane_views`; the light differs between the views.
+    See `plane_views`; each view has a light, a blur, noise and a compression of its own.
     """
     draw = Draw(generator, bank.texels.device)
     views = plane_views(draw, size, bank, relief)
     light2 = views.scene.light + _OPTIONS.light_change * draw.normal(1, 3)
-    return render_views(views, bank, _OPTIONS, light2)
+    pair = render_views(views, bank, _OPTIONS, light2)
+    image1, image2 = (
+        random_photometric(image, PhotometricOptions(), generator)
+        for image in (pair.image1, pair.image2)
+    )
+    return replace(pair, image1=image1, image2=image2)
 
 
 def plane_views(draw: Draw, size: int, bank: TextureBank, relief: float) -> Views:
@@ -86,7 +93,7 @@ def _scene(draw: Draw, axes: Tensor, tile: float, bank: TextureBank, relief: flo
     half_size[:, -solids:, :2] = draw.log_uniform(1, solids, 2, low=0.05, high=0.2)
     height = draw.uniform(1, solids, low=0.3, high=1.0)
     kind = int(draw.integers(1, count=3))  # boxes, domes or both
-    active = draw.chance(1, sum(layout), share=0.8)
+    active = draw.chance(1, sum(layout), share=float(draw.uniform(1)))  # one alone, or many
     active[:, : _TILES**2] = True
     boxes, domes = layout.spans()[2:]
     if kind == 0:
