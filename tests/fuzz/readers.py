@@ -18,7 +18,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.batch.matches_file import Again, PairMatches
 from dgc_pose.batch.plan import Plan, write_plan
-from dgc_pose.batch.rows import BAD_INPUT, PairRow
+from dgc_pose.batch.rows import BAD_INPUT, AlternativeRow, PairRow
 from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.store import PartStore, read_part
 from dgc_pose.batch.work import Matched
@@ -298,6 +298,7 @@ def _store(folder: Path) -> PartStore:
     write_plan(folder, plan)
     store = PartStore(folder, plan)
     values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
+    values |= {"alternatives": (AlternativeRow(values["R"], (0, 0, 1), 7, 0.25),)}
     values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
     good = PairRow(*names[:2], "ok", True, "a pose", **values)
     rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]
