@@ -127,14 +127,14 @@ def _allows_two_poses(first: Cameras, second: Cameras, axes: Tensor, half_size: 
     away, away2 = (-float(camera.centre[0] @ axes[2]) for camera in (first, second))
     if min(away, away2) < _CLEARANCE:
         return False
-    pose = relative_pose(first, second)[0].double().cpu().numpy()
-    R, t = pose[:, :3], pose[:, 3]
     points1, points2, shared = _seen(first, second, axes, half_size)
     _, _, shared2 = _seen(second, first, axes, half_size)
+    if min(len(shared), len(shared2)) < _FILLS * _PROBE**2:
+        return False
     if min(shared.mean(), shared2.mean()) < _OVERLAP:
         return False
-    if len(points1) < _FILLS * _PROBE**2 or len(shared2) < _FILLS * _PROBE**2:
-        return False
+    pose = relative_pose(first, second)[0].double().cpu().numpy()
+    R, t = pose[:, :3], pose[:, 3]
     normal = first.rotation[0].double().cpu().numpy() @ axes[2].double().cpu().numpy()
     H = R + np.outer(t, normal) / away  # the plane is normal @ x1 = away
     x1, x2 = points1[shared], points2[shared]
