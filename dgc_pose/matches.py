@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,6 +51,22 @@ class Matches:
             points2=self.points2[kept],
             confidence=self.confidence[kept],
         )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Matches]) -> Matches:
+        """The matches of all parts, those that are equal to the pixel once.
+
+        The expected error is the largest of the parts'. Raises ValueError without any part.
+        """
+        points1, points2, confidence = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("points1", "points2", "confidence")
+        )
+        pixels = np.round(np.column_stack([points1, points2]))
+        _, first = np.unique(pixels, axis=0, return_index=True)
+        error = max(part.error_px for part in parts)
+        joined = cls(points1, points2, confidence, error, parts[0].key_points)
+        return joined.subset(np.sort(first))
 
     def __len__(self) -> int:
         return len(self.points1)

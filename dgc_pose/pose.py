@@ -18,11 +18,14 @@ from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap, Matcher
+from dgc_pose.matching import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.system.options import check_type
 
 if TYPE_CHECKING:
     import torch
+
+
+_HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which matches are not searched again
 
 
 @dataclass(frozen=True)
@@ -113,8 +116,7 @@ def match_and_estimate(
     matched(result.matches)
     start = time.perf_counter()
     camera1, camera2 = with_orientation(camera1, image1), with_orientation(camera2, image2)
-    map_matches = result.map_matches
-    pose = pose_of_matches(result.matches, camera1, camera2, options, map_matches=map_matches)
+    pose, result = pose_of_result(matcher, image1, image2, result, camera1, camera2, options)
     seconds = {
         "load": load_seconds,
         "match": match_seconds,
@@ -132,6 +134,40 @@ def match_and_estimate(
         result.matches,
         pose,
     )
+
+
+def pose_of_result(
+    matcher: Matcher,
+    image1: Image,
+    image2: Image,
+    result: MatchResult,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions,
+) -> tuple[RelativePose, MatchResult]:
+    """The pose of what a matcher made of two images, and the matches that it is of.
+
+    A pose in doubt gets more matches: those near the epipolar lines of every hypothesis, pooled
+    with the first, and the estimation begins anew.
+    """
+    pose = pose_of_matches(
+        result.matches, camera1, camera2, options, map_matches=result.map_matches
+    )
+    if not in_doubt(pose, camera1, camera2):
+        return pose, result
+    more = matcher.match_near(image1, image2, result, pose.hypotheses)
+    if more is result:
+        return pose, result
+    pose = pose_of_matches(more.matches, camera1, camera2, options, map_matches=more.map_matches)
+    return pose, more
+
+
+def in_doubt(pose: RelativePose, camera1: Camera, camera2: Camera) -> bool:
+    """Whether more matches may change the answer: it is neither certain nor hopeless, and the lines
+    on which they lie do not depend on a focal length that is itself a guess."""
+    probability = pose.any_probability
+    exact = not camera1.focal_std and not camera2.focal_std
+    return exact and probability is not None and _HOPELESS < probability < _CERTAIN
 
 
 def pose_of_matches(

@@ -17,12 +17,14 @@ from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.arrays import read_arrays
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
+from dgc_pose.pose import pose_of_result
 
 _ENGINE = "engine.json"
 _FIELDS = ("points1", "points2", "confidence", "error_px", "key_points")  # of Matches
@@ -39,6 +41,8 @@ class StoredPair:
     exact: bool  # the true pose is: see `PlanEntry.rough`
     truth: Truth
     matches: Matches
+    # With those near the lines of the hypotheses; None if the pose by the true K is not in doubt.
+    pooled: Matches | None
     map_matches: Matches | None  # an even sample of the dense map, whatever its matchability
 
 
@@ -85,9 +89,9 @@ def collect(
         if missing:
             posed = pair.make()
             for name, path in missing.items():
-                result = matchers[name].match(posed.image1, posed.image2)
+                result, pooled = match_and_pool(matchers[name], posed)
                 path.parent.mkdir(parents=True, exist_ok=True)
-                _write(path, pair.scene, posed, result)
+                _write(path, pair.scene, posed, result, pooled)
         yield pair
 
 
@@ -101,7 +105,18 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
             yield stored
 
 
-def _write(path: Path, scene: str, posed: PosedPair, result: MatchResult) -> None:
+def match_and_pool(matcher: Matcher, posed: PosedPair) -> tuple[MatchResult, Matches | None]:
+    """The matches of a pair, and with those near the hypotheses' lines if its pose is in doubt."""
+    images, truth = (posed.image1, posed.image2), posed.truth
+    result = matcher.match(*images)
+    cameras = truth.camera1, truth.camera2
+    _, last = pose_of_result(matcher, *images, result, *cameras, EstimationOptions())
+    return result, None if last is result else last.matches
+
+
+def _write(
+    path: Path, scene: str, posed: PosedPair, result: MatchResult, pooled: Matches | None
+) -> None:
     truth = posed.truth
     arrays: dict[str, object] = {
         "scene": scene,
@@ -110,6 +125,8 @@ def _write(path: Path, scene: str, posed: PosedPair, result: MatchResult) -> Non
         **_arrays("", result.matches),
     }
     arrays |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
+    if pooled is not None:
+        arrays |= _arrays("pooled_", pooled)
     if result.map_matches is not None:
         arrays |= _arrays("map_", result.map_matches)
     with replaced(path) as stage, writing(stage), stage.open("wb") as stream:
@@ -128,6 +145,7 @@ def _stored(name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray]) -> St
         scene not in entry.rough,
         Truth({"name": name}, camera1, camera2, arrays.get("R"), arrays.get("t")),
         _matches("", arrays),
+        _matches("pooled_", arrays) if "pooled_points1" in arrays else None,
         _matches("map_", arrays) if "map_points1" in arrays else None,
     )
 

@@ -90,7 +90,7 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     truth = pair.truth
     camera1, camera2 = _cameras(pair, cameras)
     pose = estimate_pose(
-        pair.matches,
+        pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled,
         camera1,
         camera2,
         replace(options, verdict=ANY_POSE),

@@ -28,6 +28,7 @@ _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a dev
 _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
+_AS_THEY_ARE = slice(None)
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
@@ -247,21 +248,25 @@ def _depth_spread(inliers: TwoViewProblem, model: Model) -> float:
     return float(high - low)
 
 
+def map_agreement(
+    problem: TwoViewProblem, model: Model, order: np.ndarray | slice = _AS_THEY_ARE
+) -> float:
+    """Share of a dense map's sample that agrees with a model, by the square of the matchability: a
+    cell of little says little. order: of the points of image 1."""
+    distance = sampson_distance(problem.points1[order], problem.points2, model.E)
+    weight = problem.confidence**2
+    return float(weight @ (distance < problem.threshold)) / max(float(weight.sum()), 1e-9)
+
+
 def _map_evidence(problem: TwoViewProblem | None, model: Model) -> dict[str, float]:
     """What a dense map says of a model, by the names of the fields."""
     if problem is None or not len(problem):
         return {}
-    weight = problem.confidence**2  # a cell of little matchability says little
-    total = max(float(weight.sum()), 1e-9)
     wrong = np.random.default_rng(problem.seed).permutation(len(problem))
-    near, by_chance = (
-        sampson_distance(problem.points1[order], problem.points2, model.E) < problem.threshold
-        for order in (slice(None), wrong)
-    )
     return {
         "map_matchability": float(problem.confidence.mean()),
-        "map_agreement": float(weight @ near) / total,
-        "map_chance": float(weight @ by_chance) / total,
+        "map_agreement": map_agreement(problem, model),
+        "map_chance": map_agreement(problem, model, wrong),
     }
 
 

@@ -22,6 +22,9 @@ class VerdictOptions:
         min=0,
         max=1,
     )
+    # Least probability of the likeliest of several poses, if one of them is right. Below it, none
+    # is claimed.
+    min_share: float = option(0.8, min=0, max=1)
     min_matches: int = 20  # distinct, finite matches
     min_inliers: int = 15
     min_inlier_ratio: float = 0.15  # of all matches

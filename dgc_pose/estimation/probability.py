@@ -18,7 +18,7 @@ from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
-FORMAT = 2  # of the file
+FORMAT = 3  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MOST_REASONS = 3
 _CONTRADICTED = 4.0  # standard deviations that a focal length may be off
@@ -27,14 +27,14 @@ _LEAST_DEVIATION_DEG = 1.0  # of a pose
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
 
 
-def match_kind(evidence: Evidence) -> MatchKind:
+def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
     """Which model applies: of matches with a dense map, without one, or of key points; `_auto` if
     the focal lengths are fitted."""
-    if evidence.key_points:
+    if key_points:
         return "key_points"
-    if evidence.jackknife_focal_90_percent is not None:
-        return "matches_auto" if evidence.map_agreement is None else "network_auto"
-    return "matches" if evidence.map_agreement is None else "network"
+    if fitted:
+        return "network_auto" if with_map else "matches_auto"
+    return "network" if with_map else "matches"
 
 
 class Feature(NamedTuple):
@@ -149,19 +149,22 @@ def log_error(error_deg: float | None) -> float:
 
 @dataclass(frozen=True)
 class ProbabilityModel:
-    """A logistic model for one kind of matches."""
+    """The two steps of the probability for one kind of matches: a logistic model of whether a right
+    pose is among those that explain the matches, and which of them it is."""
 
     weights: Mapping[str, float]  # log-odds for a unit of each feature
     intercept: float
     reference: Mapping[str, float]  # the median of each feature over right poses
     rotation_error: ErrorModel
     translation_error: ErrorModel
+    choice: Mapping[str, float]  # log-odds for a unit of each of `CHOICE_FEATURES`
 
     def probability(self, evidence: Evidence) -> float:
-        """That R and t are both within 10 degrees.
+        """That a pose with R and t both within 10 degrees is among those that explain the matches.
 
-        The model is fitted on poses with a right K. If the matches contradict K, the pose is as
-        right as it is near to that of the focal lengths that they suggest.
+        evidence: of the likeliest of them. The model is fitted on poses with a right K. If the
+        matches contradict K, the pose is as right as it is near to that of the focal lengths that
+        they suggest.
         """
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
@@ -212,6 +215,7 @@ def parse_models(text: str) -> FittedModels:
             values["reference"],
             ErrorModel(**values["rotation_error"]),
             ErrorModel(**values["translation_error"]),
+            values["choice"],
         )
         for kind, values in data["models"].items()
     }

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation.camera_check import check_focals, focal_warnings
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, fit_cameras
 from dgc_pose.estimation.camera_spread import CameraSpread
+from dgc_pose.estimation.choice import hypotheses, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.model import Model
@@ -66,78 +67,93 @@ def estimate_pose(
         return failure("too_few_matches", reason)
     stated = camera1, camera2
     fits = fit_cameras and len(CameraSpread.of(camera1, camera2)) > 0
-    hypotheses = _hypotheses(problem, matches, camera1, camera2, options, fits)
-    problem, camera1, camera2 = hypotheses.problem, hypotheses.camera1, hypotheses.camera2
-    spread, runs = CameraSpread.of(camera1, camera2), hypotheses.runs
+    sampled = _sampled(problem, matches, camera1, camera2, options, fits)
+    problem, camera1, camera2 = sampled.problem, sampled.camera1, sampled.camera2
+    spread, runs = CameraSpread.of(camera1, camera2), sampled.runs
     if not runs:
         return failure("no_model", f"no essential matrix was found for {len(problem)} matches")
-
-    model, homography = _refined(problem, runs[0], options)
-    others = rivals(problem, model, runs, homography, options)
     map_problem = None
     if map_matches is not None:
         # A threshold in pixels is that of the matches, not of the map.
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, camera1, camera2, map_options)
+    kind = match_kind(key_points=problem.key_points, with_map=map_problem is not None, fitted=fits)
+    logistic = shipped_models().by_kind.get(kind)
+
+    first, homography = _refined(problem, runs[0], options)
+    others = rivals(problem, first, runs, homography, options)
+    choices = ranked(
+        hypotheses(problem, first, others, map_problem, options), logistic and logistic.choice
+    )
+    model = choices[0].model
+    others = [choice.model for choice in choices[1:]]
 
     # A spread says what K may be; without it K is to be right.
     check = None
     if not len(spread):
         check = check_focals(problem, model, matches, camera1, camera2, options)
-
-    def assess(model: Model, rivals: Sequence[Model]) -> _Assessed:
-        covariance = pose_covariance(problem, model, spread, fitted=fits)
-        evidence = gather(
-            problem,
-            model,
-            homography[0],
-            covariance,
-            runs=runs,
-            rivals=rivals,
-            map_problem=map_problem,
-            check=check,
-        )
-        logistic = shipped_models().by_kind.get(match_kind(evidence))
-        return _Assessed(model, evidence, covariance, logistic)
-
-    best = assess(model, others)
-    against = () if best.logistic is None else best.logistic.against(best.evidence)
-    verdict = judge(best.evidence, options.verdict, best.probability, against)
+    covariance = pose_covariance(problem, model, spread, fitted=fits)
+    evidence = gather(
+        problem,
+        model,
+        homography[0],
+        covariance,
+        runs=runs,
+        rivals=others,
+        map_problem=map_problem,
+        check=check,
+    )
+    best = _Assessed(evidence, covariance, logistic)
+    likely = [choice for choice in choices if choice.likely]
+    any_right = best.probability
+    verdict = judge(
+        evidence,
+        options.verdict,
+        any_right,
+        () if logistic is None else logistic.against(evidence),
+        [choice.share for choice in likely],
+    )
 
     inliers[problem.index] = model.inliers
     known = STATUSES[verdict.status]
-    rotation = best.evidence.rotation if known.rotation_alone else None
-    least = options.verdict.alternative_share * model.count_in_front
-    alternatives = _alternatives(
-        [assess(other, [model]) for other in others if other.count_in_front >= least],
-        best.probability,
-    )
+    poses = [
+        Alternative(
+            choice.model.R,
+            choice.model.t,
+            choice.model.count,
+            None if any_right is None else any_right * choice.share,
+        )
+        for choice in likely
+    ]
+    ambiguous = verdict.status == "ambiguous"
+    alternatives = tuple(poses if ambiguous else poses[1:])
     cameras = (best.camera(camera1, 0), best.camera(camera2, 1)) if fits else (camera1, camera2)
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
         inliers=inliers,
         num_matches=len(problem),
-        R=model.R if known.has_t else rotation,
+        R=model.R if known.has_t else evidence.rotation if known.rotation_alone else None,
         t=model.t if known.has_t else None,
         covariance=best.calibrated_covariance if known.has_t else None,
         camera_covariance=best.camera_covariance(*cameras) if known.has_t and fits else None,
         camera1=cameras[0] if known.has_t else None,
         camera2=cameras[1] if known.has_t else None,
-        evidence=best.evidence,
-        probability=0.0 if known.rotation_alone else best.probability,
+        evidence=evidence,
+        probability=0.0 if known.rotation_alone or ambiguous else poses[0].probability,
         alternatives=alternatives,
+        hypotheses=tuple(TwoViews(camera1, camera2, m.R, m.t) for m in (model, *others)),
         warnings=(
             *problem.warnings,
             *verdict.warnings,
             *(focal_warnings(stated, cameras, check) if verdict.status in _OF_CAMERAS else ()),
-            *_warnings(len(alternatives)),
+            *(() if ambiguous else _warnings(len(alternatives))),
         ),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Hypotheses:
+class _Sampled:
     """The results of RANSAC."""
 
     problem: TwoViewProblem  # normalised by the cameras
@@ -146,35 +162,34 @@ class _Hypotheses:
     runs: list[Model]  # that with most inliers first; none if there is no essential matrix
 
 
-def _hypotheses(
+def _sampled(
     problem: TwoViewProblem,
     matches: Matches,
     camera1: Camera,
     camera2: Camera,
     options: EstimationOptions,
     fits: bool,
-) -> _Hypotheses:
+) -> _Sampled:
     """RANSAC, if `fits` with the focal lengths of cameras that are not exact among the unknowns.
 
     problem: of the matches, normalised by the two cameras.
     """
     if not fits:
-        return _Hypotheses(problem, camera1, camera2, sampled_models(problem, options))
+        return _Sampled(problem, camera1, camera2, sampled_models(problem, options))
     fit = fit_cameras(problem, camera1, camera2, options)
     if fit is None:
-        return _Hypotheses(problem, camera1, camera2, [])
+        return _Sampled(problem, camera1, camera2, [])
     problem = TwoViewProblem.of(matches, fit.camera1, fit.camera2, options)
     rest = replace(options, runs=max(1, options.runs - SEARCH_RUNS))
     runs = [Model.of_pose(problem, fit.R, fit.t), *sampled_models(problem, rest)]
     runs.sort(key=lambda model: -model.count)
-    return _Hypotheses(problem, fit.camera1, fit.camera2, runs)
+    return _Sampled(problem, fit.camera1, fit.camera2, runs)
 
 
 @dataclass(frozen=True, eq=False)
 class _Assessed:
-    """A model with its evidence, and the logistic model of its probability if there is one."""
+    """The evidence of a model, and the logistic model of its probability if there is one."""
 
-    model: Model
     evidence: Evidence
     covariance: Covariance | None
     logistic: ProbabilityModel | None
@@ -209,24 +224,6 @@ class _Assessed:
             factor = calibrated_focal_std(std) / std if std else 1.0
             unit += [factor, factor * camera.focal, factor * camera.focal]
         return self.covariance.cameras * np.outer(unit, unit)
-
-
-def _alternatives(
-    others: Sequence[_Assessed], probability: float | None
-) -> tuple[Alternative, ...]:
-    """At most one of all poses is right: the alternatives share what the probability of the first
-    pose leaves of 1."""
-    total = sum(other.probability or 0.0 for other in others)
-    share = 1.0 if probability is None else min(1.0, (1 - probability) / max(total, 1e-9))
-    return tuple(
-        Alternative(
-            other.model.R,
-            other.model.t,
-            other.model.count,
-            None if other.probability is None else share * other.probability,
-        )
-        for other in others
-    )
 
 
 def _warnings(alternatives: int) -> tuple[str, ...]:

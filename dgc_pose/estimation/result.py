@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.status import STATUSES, Status
@@ -16,7 +17,7 @@ from dgc_pose.geometry.rotation import quaternion_wxyz
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another pose that explains the matches about as well."""
+    """A pose that explains the matches about as well as another."""
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
@@ -51,12 +52,15 @@ class RelativePose:
     # matches tell; None for cameras that were not fitted.
     camera_covariance: np.ndarray | None = None
     evidence: Evidence | None = None  # what the verdict rests on; None without a model
-    # That R and t are both within 10 degrees; 0 without a model, and with "rotation_only". None
-    # if no model of the probability is fitted for such matches.
+    # That R and t are both within 10 degrees; 0 without a model, with "rotation_only" and with
+    # "ambiguous". None if no model of the probability is fitted for such matches.
     probability: float | None = 0.0
-    # Poses more than 10 degrees from this one that explain the matches about as well, the one with
-    # most inliers first: of a plane, of repeated structure, of a mirrored depth.
+    # Poses more than 10 degrees from this one that explain the matches about as well, the likeliest
+    # first: of a plane, of repeated structure, of a mirrored depth. With "ambiguous" all poses.
     alternatives: tuple[Alternative, ...] = ()
+    # All poses that were considered, also those that explain fewer matches, this one first; none
+    # without a model.
+    hypotheses: tuple[TwoViews, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)  # by stage of the pipeline
 
@@ -64,6 +68,13 @@ class RelativePose:
     def success(self) -> bool:
         """Whether R and t are known."""
         return STATUSES[self.status].has_t
+
+    @property
+    def any_probability(self) -> float | None:
+        """That a pose with R and t both within 10 degrees is this one or among the alternatives."""
+        if self.probability is None:
+            return None
+        return self.probability + sum(other.probability or 0.0 for other in self.alternatives)
 
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:

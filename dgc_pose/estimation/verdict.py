@@ -27,6 +27,7 @@ def judge(
     options: VerdictOptions,
     probability: float | None = None,
     against: Sequence[str] = (),
+    shares: Sequence[float] = (),
 ) -> Verdict:
     """The verdict on a model.
 
@@ -34,23 +35,37 @@ def judge(
     fails decides. Otherwise the probability does, unless random matches have as many inliers, the
     translation is not determined at all, or most inliers lie behind a camera: the data that it is
     fitted on do not show these.
-    against: what speaks against the pose, in words.
+    probability: that a right pose is among those that explain the matches. against: what speaks
+    against it, in words. shares: the probabilities of these poses if one is right, the likeliest
+    first; () for a single one.
     """
-    ambiguous = _ambiguous(evidence, options)
+    untold = _translation_untold(evidence, options)
     if probability is None or options.min_probability is None:
         # Chance before all: few inliers say nothing about a rotation either.
         by_chance = _chance(evidence, options)
-        failed = by_chance or ambiguous or _implausible(evidence, options)
+        failed = by_chance or untold or _implausible(evidence, options)
         return failed or _pose(evidence, options)
-    impossible = _random(evidence, options) or ambiguous or _behind(evidence, options)
+    impossible = _random(evidence, options) or untold or _behind(evidence, options)
     if impossible is not None:
         return _chance(evidence, options) or impossible
-    if probability >= options.min_probability:
+    share = shares[0] if shares else 1.0
+    if share * probability >= options.min_probability and share >= options.min_share:
         return _pose(evidence, options)
+    if share < options.min_share and probability >= options.min_probability:
+        return _ambiguous(probability, shares)
+    probability *= share
     failed = _chance(evidence, options) or _implausible(evidence, options)
     reason = f"the pose is right with a probability of {100 * probability:.0f} %"
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
+
+
+def _ambiguous(probability: float, shares: Sequence[float]) -> Verdict:
+    chances = [f"{100 * probability * share:.0f} %" for share in shares]
+    listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
+    count = "two" if len(shares) == 2 else str(len(shares))
+    reason = f"{count} poses explain the matches, with probabilities of {listed}"
+    return Verdict("ambiguous", reason)
 
 
 def _chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
@@ -80,7 +95,7 @@ def _random(evidence: Evidence, options: VerdictOptions, few: bool = False) -> V
     return Verdict("chance_inliers", reason)
 
 
-def _ambiguous(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+def _translation_untold(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     """Whether many poses explain the matches, because the translation does not show."""
     if evidence.collinear:
         return Verdict("collinear", STATUSES["collinear"].meaning)

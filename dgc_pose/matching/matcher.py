@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
@@ -57,6 +58,8 @@ class MatchResult:
 
     matches: Matches  # those that a pose is estimated from, pixels of the images matched
     correspondence_map: CorrespondenceMap | None  # None for a matcher of key points
+    # Of refined matches those whose patches are aligned; None without refinement.
+    aligned: Matches | None = None
 
     @property
     def map_matches(self) -> Matches | None:
@@ -96,6 +99,13 @@ class Matcher:
             replace(result, matches=textured(result.matches, *pair))
             for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
         ]
+
+    def match_near(
+        self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
+    ) -> MatchResult:
+        """The matches of a result of `match`, and with them those near the epipolar lines of each
+        hypothesis of the pose; `result` itself from a matcher that does not search again."""
+        return result
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.

@@ -16,7 +16,8 @@ from dgc_pose.system.threads import in_threads, slices
 
 _CHUNK = 128  # cells compared at a time, which stay in the processor's cache
 _NEIGHBOURS = [(1, 0), (-1, 1), (0, 1), (1, 1)]  # the other four are their opposites
-_NEVER = -1e3  # score of a candidate that is there already
+_NEVER = -1e3  # score of a candidate that is there already, or that is not allowed
+_LEAST = 1e-30  # likelihood of a cell that matches none
 
 
 def likely_cells(
@@ -27,14 +28,16 @@ def likely_cells(
     *,
     similar: int,
     likely: int,
+    allowed: np.ndarray | None = None,
 ) -> np.ndarray:
     """Indices (n, likely), row by row, of the source's likeliest cells for each of the target's n.
 
     guided: (n, G) further candidates, beside the `similar` most similar cells. scales: inverse
     temperatures of the cosines at strides 16 and 8 (`Engine.correlation_scales`); with one of them
-    stride 16 alone is compared.
+    stride 16 alone is compared. allowed: (n, m) bool, which of the source's m cells each of the
+    target's may match; None for all.
     """
-    candidates, scores = _candidates(source, target, guided, scales, similar)
+    candidates, scores = _candidates(source, target, guided, scales, similar, allowed)
     beliefs = propagate(candidates, scores, source.coarse.shape[1], target.coarse.shape[:2])
     best = np.argsort(-beliefs, 1, kind="stable")[:, :likely]
     return np.take_along_axis(candidates, best, 1)
@@ -90,6 +93,7 @@ def _candidates(
     guided: np.ndarray,
     scales: np.ndarray,
     similar: int,
+    allowed: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Candidates (n, K) of each of the target's cells, and their log-likelihoods (n, K): the dual
     softmax over cosines at stride 16, up to a constant of the cell, and the cosines at stride 8."""
@@ -107,15 +111,18 @@ def _candidates(
     def sums_over(rows: slice) -> np.ndarray:
         values = evidence(rows)
         values -= scales[0]
-        return np.exp(values, out=values).sum(0)
+        np.exp(values, out=values)
+        return values.sum(0) if allowed is None else (values * allowed[rows]).sum(0)
 
     # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
-    rivals = np.log(np.sum(in_threads(sums_over, parts), 0))
+    rivals = np.log(np.sum(in_threads(sums_over, parts), 0) + _LEAST)
 
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         scores = evidence(rows)
         scores *= 2
         scores -= rivals
+        if allowed is not None:
+            scores[~allowed[rows]] = _NEVER
         candidates = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)
         likelihood = np.take_along_axis(scores, candidates, 1)
         if len(scales) > 1:

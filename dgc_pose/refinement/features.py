@@ -7,13 +7,17 @@ and mutual nearest neighbours remain. At stride 4 the point is located to a frac
 Only the comparison at stride 16 is quadratic in the number of pixels.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
-from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
@@ -21,6 +25,14 @@ from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import STRIDE
 from dgc_pose.refinement.cell_consensus import likely_cells
+from dgc_pose.refinement.epipolar_band import EpipolarBand
+from dgc_pose.refinement.map_geometry import (
+    matchable_points,
+    octave_between,
+    points_in_image1,
+    rotation_between,
+    window_shown,
+)
 from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
@@ -31,11 +43,6 @@ _WIDER = 1.6  # ratio of the fields of view, along a side
 _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
 _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
 _SMALL = 480  # pixels of the longer side, below which both images are enlarged
-_MATCHABLE = 0.5  # matchability
-_LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
-_OUTER = 1.0  # percent of the points, on each side, that may lie outside a window
-_WINDOW_MARGIN = 0.25  # on each side of a window, of its sides
-_MOST_SHARE = 0.4  # of an image's area; a larger window is not worth cutting out
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around a match of stride 8
 _WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
@@ -70,9 +77,24 @@ class FeatureMatches:
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
     ) -> Matches:
-        """Matches at the scale that the map shows, to the octave: features tolerate half of one."""
-        scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
+        """Matches at the scale that the map shows, to the octave."""
+        scale = octave_between(correspondence_map)
         return self.at_scale(image1, image2, correspondence_map, scale)
+
+    def find_near(
+        self,
+        image1: Image,
+        image2: Image,
+        correspondence_map: CorrespondenceMap,
+        hypotheses: Sequence[TwoViews],
+    ) -> list[Matches]:
+        """As `find`, of each of the first hypotheses the matches near its epipolar lines."""
+        hypotheses = hypotheses[: self.options.hypotheses]
+        if not hypotheses:
+            return []
+        scale = octave_between(correspondence_map)
+        pair = self._pair(image1, image2, correspondence_map, scale)
+        return [self._matches(pair, views) for views in hypotheses]
 
     def at_scale(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float
@@ -83,8 +105,13 @@ class FeatureMatches:
         to rotation: the images, or the parts that the map shows to match, are resized to one scale,
         with long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
         """
-        engine, options, cache = self.engine, self.options, self.cache or native_cache()
-        views = _views(correspondence_map, scale, options.long_side)
+        return self._matches(self._pair(image1, image2, correspondence_map, scale))
+
+    def _pair(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float
+    ) -> _FeaturePair:
+        engine, cache = self.engine, self.cache or native_cache()
+        views = _views(correspondence_map, scale, self.options.long_side)
         source, target = cache.get_all(
             [
                 ((image, view, cells), partial(_features, engine, image, view, cells))
@@ -94,15 +121,49 @@ class FeatureMatches:
         )
         view1, view2 = (view for view, _ in views)
         guided = _guided_cells(correspondence_map, source, target, view1, view2)
-        scales, similar, likely = engine.correlation_scales, options.similar, options.likely
-        candidates = likely_cells(source, target, guided, scales, similar=similar, likely=likely)
-        cells1, cells2, cosine = mutual_neighbours(
-            source, target, np.concatenate([candidates, guided], 1)
+        return _FeaturePair(image1, image2, source, target, view1, view2, guided)
+
+    def _matches(self, pair: _FeaturePair, hypothesis: TwoViews | None = None) -> Matches:
+        """Mutual nearest neighbours, with a hypothesis those near its epipolar lines."""
+        options, scales = self.options, self.engine.correlation_scales
+        source, target, guided = pair.source, pair.target, pair.guided
+        coarse, middle = None, None
+        if hypothesis is not None:
+            seen = (source, pair.view1), (target, pair.view2)
+            coarse = EpipolarBand.of(hypothesis, *seen, children=False).all()
+            middle = EpipolarBand.of(hypothesis, *seen, children=True)
+        candidates = likely_cells(
+            source,
+            target,
+            guided,
+            scales,
+            similar=options.similar,
+            likely=options.likely,
+            allowed=coarse,
         )
+        candidates = np.concatenate([candidates, guided], 1)
+        return pair.matches(*mutual_neighbours(source, target, candidates, middle))
+
+
+@dataclass(frozen=True, eq=False)
+class _FeaturePair:
+    """The features of two images, or of the parts that the map shows to match, at one scale."""
+
+    image1: Image
+    image2: Image
+    source: NativeFeatures
+    target: NativeFeatures
+    view1: View
+    view2: View
+    guided: np.ndarray  # (n, 4), see `_guided_cells`
+
+    def matches(self, cells1: np.ndarray, cells2: np.ndarray, cosine: np.ndarray) -> Matches:
+        """The matches of cells (M, 2) of stride 8, in pixels of the images."""
+        source, target, view1, view2 = self.source, self.target, self.view1, self.view2
         fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
         points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
         points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
-        inside = within(points1, image1.size) & within(points2, image2.size)
+        inside = within(points1, self.image1.size) & within(points2, self.image2.size)
         area1, area2 = (  # of a cell of stride 4, pixels of the original
             math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
             for features, view in ((source, view1), (target, view2))
@@ -168,13 +229,16 @@ def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tupl
 
 
 def mutual_neighbours(
-    source: NativeFeatures, target: NativeFeatures, candidates: np.ndarray
+    source: NativeFeatures,
+    target: NativeFeatures,
+    candidates: np.ndarray,
+    band: EpipolarBand | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mutual nearest neighbours at stride 8 among the children of candidate cells.
 
     candidates: (n, K) indices, row by row, of stride-16 cells of the source for each of the
-    target's n. Returns cells (M, 2) int of stride 8, x and y, in source and target, and their
-    cosine.
+    target's n. band: which cells of stride 8 may match. Returns cells (M, 2) int of stride 8, x and
+    y, in source and target, and their cosine.
     """
     middle1, middle2 = (np.concatenate(features.middle) for features in (source, target))
     children1, children2 = _children(source.coarse), _children(target.coarse)
@@ -182,7 +246,10 @@ def mutual_neighbours(
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """The children (m, 4 K) of each cell's candidates, and their cosines (m, 4, 4 K)."""
         index = children1[candidates[rows]].reshape(-1, 4 * candidates.shape[1])
-        return index, middle2[children2[rows]] @ middle1[index].transpose(0, 2, 1)
+        scores = middle2[children2[rows]] @ middle1[index].transpose(0, 2, 1)
+        if band is not None:
+            scores[~band.among(children2[rows], index)] = -np.inf
+        return index, scores
 
     limit = np.full(len(middle1), -np.inf, np.float32)  # best cosine of each source cell
     cosines, cells = [], []
@@ -192,7 +259,7 @@ def mutual_neighbours(
         cosines.append(np.take_along_axis(scores, best[..., None], 2).ravel())
         cells.append(np.take_along_axis(index, best, 1).ravel())
     cosine, cell1, cell2 = np.concatenate(cosines), np.concatenate(cells), children2.ravel()
-    mutual = cosine >= limit[cell1]
+    mutual = (cosine >= limit[cell1]) & np.isfinite(cosine)
     points1, points2 = (
         np.stack(np.divmod(cell[mutual], features.middle.shape[1])[::-1], -1)
         for cell, features in ((cell1, source), (cell2, target))
@@ -264,85 +331,3 @@ def _children(coarse: np.ndarray) -> np.ndarray:
     height, width = coarse.shape[:2]
     finer = np.arange(4 * height * width).reshape(height, 2, width, 2)
     return finer.transpose(0, 2, 1, 3).reshape(-1, 4)
-
-
-def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray) -> np.ndarray:
-    """The map at points (N, 2) of image 2: (N, 2) float64, pixels of image 1.
-
-    Bilinear between the map's cells, constant beyond the outer ones.
-    """
-    height, width = correspondence_map.matchability.shape
-    cells = rescale(points2, correspondence_map.size2, (width, height))
-    planes = np.moveaxis(correspondence_map.map, -1, 0)
-    return np.concatenate(
-        [bilinear(np.ascontiguousarray(plane), cells[:, None]) for plane in planes], -1
-    ).astype(np.float64)
-
-
-def rotation_between(correspondence_map: CorrespondenceMap) -> float:
-    """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
-    `numpy.rot90`) to have the orientation of image 1.
-
-    From the similarity that best fits the map over its matchable cells; 0 if they are few.
-    """
-    points1, points2 = matchable_points(correspondence_map)
-    if len(points1) == 0:
-        return 0.0
-    points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
-    # As complex numbers, points1 = a points2: |a| is the scale, its argument the angle from 2 to 1.
-    a = (points1 @ (1, 1j) * (points2 @ (1, -1j))).sum()
-    # y points down, so a counter-clockwise rotation is by a negative angle.
-    return float(-np.angle(a, deg=True))
-
-
-def matchable_points(correspondence_map: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
-    """The matchable cells: (N, 2) float64 in image 1 and image 2; none if they are few."""
-    matchable = correspondence_map.matchability >= _MATCHABLE
-    if matchable.mean() < _LEAST_SHARE:
-        matchable = np.zeros_like(matchable)
-    points1, points2 = correspondence_map.map[matchable], correspondence_map.grid[matchable]
-    return points1.astype(np.float64), points2.astype(np.float64)
-
-
-def window_shown(
-    points: np.ndarray, size: tuple[int, int]
-) -> tuple[tuple[int, int], tuple[float, float]]:
-    """The part of an image of `size` (width, height) that holds nearly all of its points (N, 2)
-    and a margin: (width, height), and the pixel at its centre. The whole image if that is not much
-    larger, or without points.
-    """
-    whole = size, ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    if len(points) == 0:
-        return whole
-    low, high = np.percentile(points, (_OUTER, 100 - _OUTER), axis=0)
-    margin = _WINDOW_MARGIN * (high - low)
-    # Whole pixels, so that a window is cut without resampling.
-    first = np.floor(np.maximum(low - margin, 0)).astype(int)
-    last = np.ceil(np.minimum(high + margin, np.subtract(size, 1))).astype(int)
-    width, height = (int(side) for side in last - first + 1)
-    if width * height > _MOST_SHARE * math.prod(size):
-        return whole
-    x, y = (float(middle) for middle in (first + last) / 2)
-    return (width, height), (x, y)
-
-
-def scale_between(correspondence_map: CorrespondenceMap) -> float:
-    """Pixels of image 1 per pixel of image 2: the median over the matchable cells.
-
-    From areas of the map over a thirtieth of the image, which its errors hardly change; clipped to
-    1/10 to 10. If few cells are matchable, that of equal fields of view.
-    """
-    points1 = correspondence_map.map.astype(np.float64)
-    points2 = correspondence_map.grid.astype(np.float64)
-    matchable = correspondence_map.matchability >= _MATCHABLE
-    step = max(1, len(matchable) // 30)
-    corners = matchable[:-step, :-step] & matchable[step:, :-step] & matchable[:-step, step:]
-    if corners.mean() < _LEAST_SHARE:
-        areas = [math.prod(size) for size in (correspondence_map.size1, correspondence_map.size2)]
-        return math.sqrt(areas[0] / areas[1])
-    measured = []
-    for points in (points1, points2):
-        across = (points[:-step, step:] - points[:-step, :-step])[corners]
-        down = (points[step:, :-step] - points[:-step, :-step])[corners]
-        measured.append(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
-    return float(np.sqrt(np.median(measured[0] / measured[1])).clip(0.1, 10.0))

@@ -1,11 +1,12 @@
 """The refiner: a matcher's matches, or more accurate ones of the pair, aligned on the images."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
@@ -27,9 +28,28 @@ class MatchSource(Protocol):
         """Matches in pixels of the images, of a matcher's map and of the matches selected from it;
         `error_px` is the error of this source."""
 
+    def find_near(
+        self,
+        image1: Image,
+        image2: Image,
+        correspondence_map: CorrespondenceMap,
+        hypotheses: Sequence[TwoViews],
+    ) -> list[Matches]:
+        """As `find`, of each hypothesis of the pose the matches near its epipolar lines; none from
+        a source that does not search."""
+
 
 class MapMatches:
     """The matches selected from the map as they are (a `MatchSource`)."""
+
+    def find_near(
+        self,
+        image1: Image,
+        image2: Image,
+        correspondence_map: CorrespondenceMap,
+        hypotheses: Sequence[TwoViews],
+    ) -> list[Matches]:
+        return []  # the map has a single point for each cell
 
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
@@ -78,49 +98,84 @@ class Refiner(Matcher):
         if dense is not None:
             sources = (s.find(image1, image2, dense, result.matches) for s in self.sources)
         for source in sources:
-            for candidates, least in self._steps(image1, image2, source):
-                matches = textured(candidates, image1, image2)
-                if len(matches) >= least:
-                    rows = spread(
-                        matches.points2, matches.confidence, image2.size, self.max_matches
-                    )
-                    return MatchResult(matches.subset(rows), dense)
+            steps = self._steps(image1, image2, source)
+            refined = self._last_step(image1, image2, *steps, dense)
+            if refined is not None:
+                return refined
         return result
 
-    def _steps(
-        self, image1: Image, image2: Image, matches: Matches
-    ) -> Iterator[tuple[Matches, int]]:
-        """The matches aligned, then those that agree with their neighbours, aligned where that
-        succeeds; and how many there must be with structure where they end."""
+    def match_near(
+        self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
+    ) -> MatchResult:
+        """As `Matcher`, by the first source. The matches of all hypotheses go together: those near
+        the lines of a single pose would agree with it, right or wrong."""
+        dense, aligned = result.correspondence_map, result.aligned
+        if dense is None or aligned is None:
+            return result
+        near = self.sources[0].find_near(image1, image2, dense, hypotheses)
+        if not near:
+            return result
+        steps = [self._steps(image1, image2, matches) for matches in near]
+        moved = Matches.joined([aligned, *(part for part, _ in steps)])
+        agreeing = Matches.joined([result.matches, *(part for _, part in steps)])
+        return self._last_step(image1, image2, moved, agreeing, dense) or result
+
+    def _last_step(
+        self,
+        image1: Image,
+        image2: Image,
+        moved: Matches,
+        agreeing: Matches,
+        dense: CorrespondenceMap | None,
+    ) -> MatchResult | None:
+        """The aligned matches, or all that agree, where the images have structure; None if they are
+        too few."""
+        aligned = textured(moved, image1, image2)
+        if len(aligned) >= self.options.min_aligned:
+            aligned = self._spread(aligned, image2)
+            return MatchResult(aligned, dense, aligned)
+        # Patches of views far apart often differ too much. What is left of them is more accurate,
+        # but too little to tell a pose from chance: both together have the error that all of them
+        # had before.
+        completed = textured(agreeing, image1, image2)
+        if len(completed) < self.options.min_matches:
+            return None
+        return MatchResult(self._spread(completed, image2), dense, aligned)
+
+    def _spread(self, matches: Matches, image2: Image) -> Matches:
+        """An even subsample of at most `max_matches`."""
+        rows = spread(matches.points2, matches.confidence, image2.size, self.max_matches)
+        return matches.subset(rows)
+
+    def _steps(self, image1: Image, image2: Image, matches: Matches) -> tuple[Matches, Matches]:
+        """The matches that can be aligned, and all that agree with their neighbours, aligned where
+        that succeeds; none if too few agree."""
         options = self.options
         local = consistent(matches, options.neighbours)
         if len(local.index) < options.min_matches:
-            return
+            none = matches.subset(local.index[:0])
+            return none, none
         agreeing = matches.subset(local.index)
-        if options.align:
-            aligned = align(
-                image1.pixels,
-                image2.pixels,
-                local,
-                radius=options.patch_radius,
-                error_px=matches.error_px,
-                min_zncc=options.min_zncc,
-                max_matches=self.max_matches,
-            )
-            good = aligned.converged & (aligned.zncc >= options.min_zncc)
-            moved = Matches(
-                aligned.points1[good],
-                aligned.points2[good],
-                aligned.zncc[good].clip(0, 1),
-                ALIGNED_ERROR_PX * aligned.pixel,
-                matches.key_points,
-            )
-            yield moved, options.min_aligned
-            # Patches of views far apart often differ too much. What is left of them is more
-            # accurate, but too little to tell a pose from chance: both together have the error
-            # that all of them had before.
-            rows = np.searchsorted(local.index, aligned.index[good])
-            points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()
-            points1[rows], points2[rows] = moved.points1, moved.points2
-            agreeing = replace(agreeing, points1=points1, points2=points2)
-        yield agreeing, options.min_matches
+        if not options.align:
+            return agreeing.subset(local.index[:0]), agreeing
+        aligned = align(
+            image1.pixels,
+            image2.pixels,
+            local,
+            radius=options.patch_radius,
+            error_px=matches.error_px,
+            min_zncc=options.min_zncc,
+            max_matches=self.max_matches,
+        )
+        good = aligned.converged & (aligned.zncc >= options.min_zncc)
+        moved = Matches(
+            aligned.points1[good],
+            aligned.points2[good],
+            aligned.zncc[good].clip(0, 1),
+            ALIGNED_ERROR_PX * aligned.pixel,
+            matches.key_points,
+        )
+        rows = np.searchsorted(local.index, aligned.index[good])
+        points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()
+        points1[rows], points2[rows] = moved.points1, moved.points2
+        return moved, replace(agreeing, points1=points1, points2=points2)

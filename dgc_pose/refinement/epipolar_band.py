@@ -1,0 +1,70 @@
+"""Which cells of two images may match under a hypothesis of the pose: those near each other's
+epipolar lines."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.geometry.epipolar import homogeneous
+from dgc_pose.geometry.pixels import cell_centres
+from dgc_pose.matching.view import View
+from dgc_pose.runtime.engine import NativeFeatures
+
+_CELLS = 1.0  # Sampson distance of the centres of two cells, in cells, below which they may match
+
+
+@dataclass(frozen=True, eq=False)
+class EpipolarBand:
+    """The cells of one stride of a source and a target, row by row."""
+
+    points1: np.ndarray  # (m, 3) float32, the source's cells, normalised and homogeneous
+    points2: np.ndarray  # (n, 3) float32, the target's
+    E: np.ndarray  # (3, 3) float32
+    limit: float  # Sampson distance, in the points' unit
+
+    @classmethod
+    def of(
+        cls,
+        views: TwoViews,
+        source: tuple[NativeFeatures, View],
+        target: tuple[NativeFeatures, View],
+        *,
+        children: bool,
+    ) -> EpipolarBand:
+        """That of the cells of stride 16, or of their children of stride 8. The features are of the
+        views of the images."""
+        points1, side1 = _normalised(*source, views.camera1, 2 if children else 1)
+        points2, side2 = _normalised(*target, views.camera2, 2 if children else 1)
+        return cls(points1, points2, views.E.astype(np.float32), _CELLS * (side1 + side2) / 2)
+
+    def all(self) -> np.ndarray:
+        """(n, m) bool, for each cell of the target which of the source it may match."""
+        lines1, lines2 = self.points2 @ self.E, self.points1 @ self.E.T
+        distance = np.abs(lines1 @ self.points1.T)
+        norms = (lines1[:, :2] ** 2).sum(1)[:, None] + (lines2[:, :2] ** 2).sum(1)
+        return distance < self.limit * np.sqrt(norms)
+
+    def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
+        """(n, q, m) bool, which of the source's cells (n, m) each of the target's (n, q) may
+        match."""
+        lines1, lines2 = self.points2[cells2] @ self.E, self.points1 @ self.E.T
+        distance = np.abs(lines1 @ self.points1[cells1].transpose(0, 2, 1))
+        norms2 = (lines2[:, :2] ** 2).sum(1)[cells1]
+        norms = (lines1[..., :2] ** 2).sum(2)[:, :, None] + norms2[:, None]
+        return distance < self.limit * np.sqrt(norms)
+
+
+def _normalised(
+    features: NativeFeatures, view: View, camera: Camera, finer: int
+) -> tuple[np.ndarray, float]:
+    """Centres (n, 3) of the cells, and the side of one, by the camera of the whole image."""
+    rows, columns = (finer * side for side in features.coarse.shape[:2])
+    centres = cell_centres((columns, rows), features.size).reshape(-1, 2)
+    points = homogeneous(camera.normalise(view.to_image(centres)))
+    area = math.prod(features.size) / (rows * columns) / view.scale**2
+    return points.astype(np.float32), math.sqrt(area) / camera.focal
