@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import with_orientation
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
@@ -155,7 +156,9 @@ def pose_of_result(
     )
     if not in_doubt(pose, camera1, camera2):
         return pose, result
-    more = matcher.match_near(image1, image2, result, pose.hypotheses)
+    models = [hypothesis.model for hypothesis in pose.hypotheses]
+    views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
+    more = matcher.match_near(image1, image2, result, views)
     if more is result:
         return pose, result
     pose = pose_of_matches(more.matches, camera1, camera2, options, map_matches=more.map_matches)

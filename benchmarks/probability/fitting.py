@@ -12,9 +12,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy import optimize
 
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.errors import InputError
+from dgc_pose.estimation.choice import CHOICE_FEATURES, choice_shares
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FEATURES,
@@ -32,6 +34,7 @@ _WITHIN = 0.9  # share of right poses whose error is to be within the expected o
 _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
 _ALTOGETHER_WRONG_DEG = 30.0  # a pose whose cameras say nothing
 _LEAST_SLOPE = 0.2  # of the calibrated log-odds
+_RIDGE = 1e-3  # on the weights of the choice
 Samples = Sequence[tuple[Record, Evidence]]
 
 
@@ -45,7 +48,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
         for row in rows
         if row.part == "fit" and row.evidence and row.cameras != "wrong"
     ]
-    right = np.array([row.right for row, _ in samples], bool)
+    right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
     if min(counts) < _LEAST or places < _LEAST_SCENES:
@@ -77,7 +80,32 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
         "reference": {names[k]: round(float(medians[k]), 6) for k in used},
         "rotation_error": _error_model(accurate, "rotation"),
         "translation_error": _error_model(accurate, "translation"),
+        "choice": fit_choice([row for row, _ in samples], with_map=kind.startswith("network")),
     }
+
+
+def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
+    """The weights of `ProbabilityModel.choice`: of greatest likelihood, with a small ridge, over
+    records with a right pose among several.
+
+    Raises InputError without such records.
+    """
+    names = [name for name in CHOICE_FEATURES if with_map or name != "map_agreement"]
+    several = [row.poses for row in rows if row.any_right and len(row.poses) > 1]
+    if not several:
+        raise InputError("no pair has a right pose among several to fit the choice on")
+    features = [np.array([[getattr(p, n) for n in names] for p in poses]) for poses in several]
+    right = [np.array([pose.right for pose in poses]) for poses in several]
+
+    def loss(weights: np.ndarray) -> float:
+        chances = [
+            choice_shares(values @ weights)[true].sum()
+            for values, true in zip(features, right, strict=True)
+        ]
+        return float(_RIDGE * (weights**2).sum() - np.log(np.maximum(chances, 1e-12)).sum())
+
+    fitted = optimize.minimize(loss, np.ones(len(names)), bounds=[(0, None)] * len(names))
+    return {name: round(float(w), 6) for name, w in zip(names, fitted.x, strict=True)}
 
 
 def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from dgc_pose.benchmarks.probability.plan import Part
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, VerdictOptions, estimate_pose
+from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.images.header import Header
@@ -49,6 +50,21 @@ _EQUAL_FOCAL = 1e-4  # difference of ln f of the K of one camera
 
 
 @dataclass(frozen=True, eq=False)
+class PoseRecord:
+    """One of several poses that explain the matches."""
+
+    likelihood: float  # see `Hypothesis`
+    map_agreement: float | None
+    rotation_error_deg: float  # infinite if the images are of two scenes
+    translation_error_deg: float
+
+    @property
+    def right(self) -> bool:
+        """Whether R and t are both within 10 degrees."""
+        return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
+
+
+@dataclass(frozen=True, eq=False)
 class Record:
     """What a pair's evidence is, and how wrong its pose."""
 
@@ -59,6 +75,7 @@ class Record:
     evidence: Evidence | None  # None without a model
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
+    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, this one first
     cameras: CameraCase = "exact"
     # Of ln f of the less certain camera, per cent; NaN if it was not fitted, and without a pose.
     focal_error_percent: float = math.nan
@@ -70,6 +87,11 @@ class Record:
     def right(self) -> bool:
         """Whether R and t are both within 10 degrees."""
         return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
+
+    @property
+    def any_right(self) -> bool:
+        """Whether the pose or another that explains the matches about as well is right."""
+        return self.right or any(pose.right for pose in self.poses)
 
     @property
     def pair_error_deg(self) -> float:
@@ -96,10 +118,10 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
         replace(options, verdict=ANY_POSE),
         map_matches=pair.map_matches,
     )
-    rotation = translation = math.inf
-    if truth.R is not None and truth.t is not None and pose.R is not None and pose.t is not None:
-        rotation = rotation_error_deg(pose.R, truth.R)
-        translation = translation_error_deg(pose.t, truth.t)
+    poses = tuple(_pose_record(choice, truth) for choice in pose.hypotheses if choice.likely)
+    known = pose.R is not None and pose.t is not None and poses
+    rotation = poses[0].rotation_error_deg if known else math.inf
+    translation = poses[0].translation_error_deg if known else math.inf
     return Record(
         pair.entry,
         pair.scene,
@@ -108,10 +130,19 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
         pose.evidence,
         rotation,
         translation,
+        poses,
         cameras,
         _focal_error(pose, truth),
         _exact(truth),
     )
+
+
+def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
+    rotation = translation = math.inf
+    if truth.R is not None and truth.t is not None:
+        rotation = rotation_error_deg(choice.model.R, truth.R)
+        translation = translation_error_deg(choice.model.t, truth.t)
+    return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
 
 
 def _cases(pair: StoredPair) -> list[CameraCase]:

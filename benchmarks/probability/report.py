@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import VerdictOptions
+from dgc_pose.estimation.choice import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
@@ -34,6 +35,7 @@ class Judged:
     rotation_90_deg: float
     translation_90_deg: float
     focal_90_percent: float = math.nan  # of a focal length that was fitted
+    ambiguous: bool = False
 
     @property
     def right(self) -> bool:
@@ -45,16 +47,25 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
     evidence = record.evidence
     if evidence is None:
         return Judged(record, False, False, 0.0, math.nan, math.nan)
-    probability = model.probability(evidence)
-    status = judge(evidence, VerdictOptions(min_probability=0.5), probability).status
+    any_right = model.probability(evidence)
+    shares = choice_shares([utility(pose, model.choice) for pose in record.poses])
+    order = np.argsort(-shares, kind="stable")
+    share, best = float(shares[order[0]]), record.poses[order[0]]
+    verdict = judge(evidence, VerdictOptions(), any_right, (), shares[order].tolist())
+    known = STATUSES[verdict.status]
     return Judged(
-        record,
+        replace(
+            record,
+            rotation_error_deg=best.rotation_error_deg,
+            translation_error_deg=best.translation_error_deg,
+        ),
         STATUSES[judge(evidence, _GATES).status].has_t,
-        STATUSES[status].has_t,
-        0.0 if STATUSES[status].rotation_alone else probability,
+        known.has_t,
+        0.0 if known.rotation_alone else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
         min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
         _expected(evidence.jackknife_focal_90_percent, focal_error),
+        verdict.status == "ambiguous",
     )
 
 
@@ -91,7 +102,8 @@ def report_text(poses: Sequence[Judged]) -> str:
 def claims_table(poses: Sequence[Judged]) -> str:
     """A row a data set, and all of them."""
     headings = ("pairs", "number", "right", "gates claim", "wrong", "right refused")
-    rows: list[tuple[str, ...]] = [(*headings, "probability claims", "wrong", "right refused")]
+    last = ("probability claims", "wrong", "right refused", "ambiguous", "mean of claims")
+    rows: list[tuple[str, ...]] = [(*headings, *last)]
     for name, members in _groups(poses).items():
         right = _values(members, "right")
         cells = []
@@ -99,6 +111,9 @@ def claims_table(poses: Sequence[Judged]) -> str:
             claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
             share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
             cells += [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
+        probability = _values(members, "probability")[_values(members, "by_probability")]
+        cells += [str(_values(members, "ambiguous").sum())]
+        cells += [f"{100 * probability.mean():.1f} %" if len(probability) else "-"]
         rows.append((name, str(len(members)), str(right.sum()), *cells))
     return aligned(rows)
 

@@ -13,6 +13,7 @@ from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.probability.report import judged, reliability_figure, report_text
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import MatchKind, match_kind, parse_models
 
 _DEFAULTS = EstimationOptions()
@@ -68,6 +69,14 @@ def fit_all(
     return Fitted(text, "\n\n\n".join(parts), figure)
 
 
+def _kind(evidence: Evidence) -> MatchKind:
+    return match_kind(
+        key_points=evidence.key_points,
+        with_map=evidence.map_agreement is not None,
+        fitted=evidence.jackknife_focal_90_percent is not None,
+    )
+
+
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
     """A method's records by their kind of matches and cameras, and a network's as those of no map
     too. Those without evidence are of every kind of their cameras."""
@@ -75,7 +84,7 @@ def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
     kinds: dict[MatchKind, list[Record]] = {}
     for auto in (False, True):
         members = [row for row in rows if (row.cameras == "auto") == auto]
-        kind = {match_kind(row.evidence) for row in members if row.evidence is not None}
+        kind = {_kind(row.evidence) for row in members if row.evidence is not None}
         for name in kind:
             kinds[name] = members
         if "network" in kind or "network_auto" in kind:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -26,20 +27,27 @@ _FARTHEST = (
 CHOICE_FEATURES = ("likelihood", "map_agreement")
 
 
+class Choosable(Protocol):
+    """What the choice among poses rests on."""
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of that of all matches, over the root of the number of inliers."""
+
+    @property
+    def map_agreement(self) -> float | None:
+        """Share of the dense map that agrees, by matchability; None without a map."""
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose, and what the choice among several rests on."""
+    """A pose, and what the choice among several rests on (a `Choosable`)."""
 
     model: Model
     likely: bool  # whether it explains the matches about as well as the first
-    likelihood: float  # of all matches, its logarithm over the root of the number of inliers
-    map_agreement: float | None  # share of the dense map that agrees, by matchability; None without
+    likelihood: float
+    map_agreement: float | None
     share: float = math.nan  # the probability that it is right if one is; 0 if it is not likely
-
-    def feature(self, name: str) -> float:
-        """The value of one of `CHOICE_FEATURES`."""
-        value: float | None = getattr(self, name)
-        return 0.0 if value is None else value
 
 
 def hypotheses(
@@ -76,20 +84,21 @@ def ranked(among: Sequence[Hypothesis], weights: Mapping[str, float] | None) -> 
     """
     if weights is None:
         return list(among)
-    shares = choice_shares(
-        [sum(weight * h.feature(name) for name, weight in weights.items()) for h in among],
-        [h.likely for h in among],
-    )
-    valued = [replace(h, share=float(share)) for h, share in zip(among, shares, strict=True)]
+    odds = [utility(h, weights) if h.likely else -math.inf for h in among]
+    shares = choice_shares(odds).tolist()
+    valued = [replace(h, share=share) for h, share in zip(among, shares, strict=True)]
     return sorted(valued, key=lambda h: -h.share)
 
 
-def choice_shares(utility: Sequence[float], likely: Sequence[bool]) -> np.ndarray:
-    """Probabilities (K,) of a conditional logit model (McFadden 1974) among those that are likely.
+def utility(pose: Choosable, weights: Mapping[str, float]) -> float:
+    """The log-odds of a pose, up to a constant of the pair."""
+    values = {"likelihood": pose.likelihood, "map_agreement": pose.map_agreement or 0.0}
+    return sum(weight * values[name] for name, weight in weights.items())
 
-    utility: (K,) log-odds.
-    """
-    values = np.where(likely, utility, -np.inf)
+
+def choice_shares(utilities: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Probabilities (K,) of the conditional logit model (McFadden 1974) of utilities (K,)."""
+    values = np.asarray(utilities)
     odds = np.exp(values - values.max())
     return odds / odds.sum()
 

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation.camera_check import check_focals, focal_warnings
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, fit_cameras
 from dgc_pose.estimation.camera_spread import CameraSpread
@@ -83,7 +82,8 @@ def estimate_pose(
     first, homography = _refined(problem, runs[0], options)
     others = rivals(problem, first, runs, homography, options)
     choices = ranked(
-        hypotheses(problem, first, others, map_problem, options), logistic and logistic.choice
+        hypotheses(problem, first, others, map_problem, options),
+        None if logistic is None else logistic.choice,
     )
     model = choices[0].model
     others = [choice.model for choice in choices[1:]]
@@ -142,7 +142,7 @@ def estimate_pose(
         evidence=evidence,
         probability=0.0 if known.rotation_alone or ambiguous else poses[0].probability,
         alternatives=alternatives,
-        hypotheses=tuple(TwoViews(camera1, camera2, m.R, m.t) for m in (model, *others)),
+        hypotheses=tuple(choices),
         warnings=(
             *problem.warnings,
             *verdict.warnings,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.status import STATUSES, Status
@@ -60,7 +60,7 @@ class RelativePose:
     alternatives: tuple[Alternative, ...] = ()
     # All poses that were considered, also those that explain fewer matches, this one first; none
     # without a model.
-    hypotheses: tuple[TwoViews, ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)  # by stage of the pipeline
 
