@@ -76,7 +76,7 @@ def estimate_pose(
         # A threshold in pixels is that of the matches, not of the map.
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, camera1, camera2, map_options)
-    kind = match_kind(key_points=problem.key_points, with_map=map_problem is not None, fitted=fits)
+    kind = match_kind(key_points=problem.key_points, with_map=bool(map_problem), fitted=fits)
     logistic = shipped_models().by_kind.get(kind)
 
     first, homography = _refined(problem, runs[0], options)
