@@ -19,6 +19,7 @@ from dgc_pose.estimation.model import Model, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.refine import refit
+from dgc_pose.estimation.rivals import known
 from dgc_pose.geometry.epipolar import sampson_distance
 
 _FARTHEST = (
@@ -58,7 +59,7 @@ def hypotheses(
     options: EstimationOptions,
 ) -> list[Hypothesis]:
     """Those of the model with most inliers, whose errors say how accurate the matches are, and of
-    others, those of which that are likely with their last fit.
+    others, those of which that are likely with their last fit if it is still a pose of its own.
 
     map_problem: an even sample of the dense map.
     """
@@ -66,11 +67,15 @@ def hypotheses(
     scale = pose_error_scale(inliers, first.R, first.t) if len(inliers) else problem.threshold
     root = math.sqrt(max(first.count_in_front, 1))
     least = options.verdict.alternative_share * first.count_in_front
-    result = []
+    result: list[Hypothesis] = []
     for number, model in enumerate((first, *others)):
         likely = number == 0 or model.count_in_front >= least
         if likely and number and options.refine:
-            model = refit(problem, model, adapt_scale=True)  # noqa: PLW2901
+            fitted = refit(problem, model, adapt_scale=True)
+            # A fit may lead to another of the models, or to that with t reversed.
+            rest = [*(hypothesis.model for hypothesis in result), *others[number:]]
+            if fitted.count_in_front >= least and not known(fitted, rest):
+                model = fitted  # noqa: PLW2901
         likelihood = float(_log_likelihoods(problem, model, scale).sum()) / root
         agreement = None if map_problem is None else map_agreement(map_problem, model)
         result.append(Hypothesis(model, likely, likelihood, agreement))

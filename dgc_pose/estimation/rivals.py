@@ -52,15 +52,15 @@ def rivals(
         candidates += [Model.of_pose(problem, second.R, second.t) for second in seconds]
     distinct = [model]
     for candidate in candidates:
-        if candidate.count_in_front < least or _known(candidate, distinct):
+        if candidate.count_in_front < least or known(candidate, distinct):
             continue
         # A bad fit of a pose that is known becomes that pose.
         refined = refine(problem, candidate) if options.refine else candidate
-        if not _known(refined, distinct):
+        if not known(refined, distinct):
             distinct.append(refined)
     # The reversal is not refined: the fit could lead back to the model.
     reversal = mirrored(problem, model)
-    if reversal is not None and not _known(reversal, distinct):
+    if reversal is not None and not known(reversal, distinct):
         distinct.append(reversal)
     return sorted(distinct[1:], key=lambda rival: -rival.count_in_front)
 
@@ -89,5 +89,6 @@ def _reflection(direction: np.ndarray) -> np.ndarray:
     return np.eye(3) - 2 * np.outer(unit, unit)
 
 
-def _known(candidate: Model, models: Iterable[Model]) -> bool:
+def known(candidate: Model, models: Iterable[Model]) -> bool:
+    """Whether a model is within 10 degrees of one of these."""
     return any(candidate.angle_to(other.R, other.t) <= DISTINCT_DEG for other in models)
