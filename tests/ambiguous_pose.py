@@ -20,7 +20,7 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
     poses = zip(rotations, directions, INLIERS, PROBABILITIES, strict=True)
     return RelativePose(
         status="ambiguous",
-        reason="two poses explain the matches: of probabilities 52 % and 45 %",
+        reason="two poses explain the matches, with probabilities of 52 % and 45 %",
         inliers=np.arange(count) < INLIERS[0],
         num_matches=count,
         evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),

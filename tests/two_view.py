@@ -104,6 +104,30 @@ def two_view_scene(
     return TwoViewScene(points1, points2, first, second, R, direction, true, sigma_px)
 
 
+def poster_scene(
+    *, seed: int = 0, count: int = 300, sigma_px: float = 0.4, relief: float = 0.0
+) -> TwoViewScene:
+    """A tilted poster that fills a quarter of the image: few points of it, or none, lie behind a
+    camera in either of its homography's poses.
+
+    relief: of the points off the plane, as a share of its width.
+    """
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-0.8, 0.8, (count, 2)), np.zeros(count)])
+    points[:, 2] = 6 + 0.4 * points[:, 0] - 0.2 * points[:, 1]
+    R = Rotation.from_rotvec(np.radians(18) * np.array([0.3, 0.9, 0.1])).as_matrix()
+    middle = np.array([0.0, 0.0, 6.0])
+    t = middle - R @ middle + 0.3 * rng.standard_normal(3)
+    noise = sigma_px * rng.standard_normal((2, count, 2))
+    points[:, 2] += 1.6 * relief * rng.uniform(-0.5, 0.5, count)
+    views = ((np.eye(3), np.zeros(3)), (R, t))
+    seen = [
+        _project(points, K1, *view, SIZE1)[0] + off for view, off in zip(views, noise, strict=True)
+    ]
+    true = np.ones(count, dtype=bool)
+    return TwoViewScene(*seen, K1, K1, R, t / np.linalg.norm(t), true, sigma_px)
+
+
 def _motion(
     kind: SceneKind, rng: np.random.Generator, rotation_deg: float
 ) -> tuple[np.ndarray, np.ndarray]:

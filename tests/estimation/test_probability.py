@@ -10,6 +10,7 @@ from good_evidence import GOOD_EVIDENCE
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dgc_pose.estimation.choice import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.probability import (
@@ -27,6 +28,7 @@ MODEL = {
     "reference": {name: feature.value(GOOD_EVIDENCE) for name, feature in FEATURES.items()},
     "rotation_error": ERROR,
     "translation_error": ERROR,
+    "choice": {"likelihood": 0.9, "map_agreement": 10.0},
 }
 
 
@@ -118,15 +120,27 @@ def test_the_covariance_is_scaled_by_the_calibrated_error() -> None:
     assert np.allclose(scaled, scaled.T) and np.linalg.eigvalsh(scaled).min() > -1e-12
 
 
-def test_the_kind_of_matches_chooses_the_model() -> None:
-    assert match_kind(GOOD_EVIDENCE) == "network"
-    assert match_kind(_worse(map_agreement=None)) == "matches"
-    assert match_kind(_worse(map_agreement=None, key_points=True)) == "key_points"
+@pytest.mark.parametrize(
+    ("kind", "facts"),
+    [
+        ("network", {"with_map": True}),
+        ("matches", {}),
+        ("network_auto", {"with_map": True, "fitted": True}),
+        ("matches_auto", {"fitted": True}),
+        ("key_points", {"key_points": True}),
+        ("key_points", {"key_points": True, "with_map": True, "fitted": True}),
+    ],
+)
+def test_the_kind_of_matches_chooses_the_model(kind, facts) -> None:
+    nothing = {"key_points": False, "with_map": False, "fitted": False}
+    assert match_kind(**nothing | facts) == kind
 
 
 def test_the_package_s_own_file_can_be_read() -> None:
     for model in shipped_models().by_kind.values():
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
+        assert set(model.choice) <= set(CHOICE_FEATURES)
+        assert all(weight >= 0 for weight in model.choice.values())
 
 
 OPTIONS = VerdictOptions(min_probability=0.5)

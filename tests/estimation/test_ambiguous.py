@@ -1,0 +1,149 @@
+"""Planes of which two poses explain the matches: no pose is claimed, and both are told."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose, relative_pose
+from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel
+from dgc_pose.matches import Matches
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from two_view import SCENE_KINDS, poster_scene, two_view_scene
+
+SEEDS = (2, 3, 5, 7)  # all points in front of the cameras in both poses
+AS_JACKKNIFED = ErrorModel(0.0, 0.0)
+ANY = 1 / (1 + np.exp(-3.0))  # probability that a right pose is among the hypotheses
+
+
+@pytest.fixture
+def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Models of the probability with weights that no fit changes: 95 % for any evidence, and the
+    choice by the likelihood."""
+    model = ProbabilityModel({}, 3.0, {}, AS_JACKKNIFED, AS_JACKKNIFED, {"likelihood": 1.0})
+    models = FittedModels({"matches": model, "network": model}, AS_JACKKNIFED)
+    monkeypatch.setattr(relative_pose, "shipped_models", lambda: models)
+
+
+def _estimate(scene, matches=None, **verdict):
+    options = EstimationOptions(runs=3, iterations=300, verdict=VerdictOptions(**verdict))
+    return estimate_pose(scene.matches if matches is None else matches, *scene.cameras, options)
+
+
+def _off(pose, scene) -> float:
+    return max(rotation_error_deg(pose.R, scene.R), translation_error_deg(pose.t, scene.t))
+
+
+@pytest.mark.usefixtures("known_models")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_plane_with_two_poses_is_ambiguous(seed: int) -> None:
+    scene = poster_scene(seed=seed, sigma_px=0.1)
+    pose = _estimate(scene)
+    assert (pose.status, pose.success, pose.R, pose.t) == ("ambiguous", False, None, None)
+    assert pose.covariance is None and pose.camera1 is None and pose.cam2_from_cam1 is None
+    assert pose.probability == 0
+    first, second = pose.alternatives
+    assert first.probability >= second.probability > 0.2 * ANY  # 1 - `min_share`
+    assert min(_off(first, scene), _off(second, scene)) < 1
+    assert max(_off(first, scene), _off(second, scene)) > 10
+    assert first.probability + second.probability == pytest.approx(ANY)
+    assert pose.any_probability == first.probability + second.probability
+    assert pose.reason == (
+        "two poses explain the matches, with probabilities of "
+        f"{100 * first.probability:.0f} % and {100 * second.probability:.0f} %"
+    )
+    assert not any("other pose" in warning for warning in pose.warnings)
+    likeliest, *_ = pose.hypotheses
+    assert np.array_equal(likeliest.model.R, first.R)
+    assert np.array_equal(pose.inliers, likeliest.model.inliers)
+
+
+@pytest.mark.usefixtures("known_models")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_relief_tells_the_two_poses_apart(seed: int) -> None:
+    scene = poster_scene(seed=seed, sigma_px=0.1, relief=0.2)
+    pose = _estimate(scene)
+    assert pose.success and _off(pose, scene) < 1
+    assert pose.probability > 0.9 * ANY
+    assert pose.any_probability == pytest.approx(ANY)
+
+
+@pytest.mark.usefixtures("known_models")
+@pytest.mark.parametrize("seed", [6, 9, 11])
+def test_points_behind_a_camera_tell_the_two_poses_apart(seed: int) -> None:
+    scene = poster_scene(seed=seed, sigma_px=0.1)
+    pose = _estimate(scene)
+    assert pose.status == "planar" and _off(pose, scene) < 1
+    (other,) = pose.alternatives
+    assert pose.probability > 0.9 * ANY > 0.1 * ANY > other.probability
+
+
+@pytest.mark.usefixtures("known_models")
+def test_without_a_least_share_the_likelier_pose_is_claimed() -> None:
+    scene = poster_scene(seed=2, sigma_px=0.1)
+    withheld = _estimate(scene)
+    claimed = _estimate(scene, min_share=0, min_probability=0.3)
+    assert claimed.status == "planar" and claimed.success
+    likelier, other = withheld.alternatives
+    assert np.array_equal(claimed.R, likelier.R) and np.array_equal(claimed.t, likelier.t)
+    assert claimed.probability == likelier.probability
+    (alternative,) = claimed.alternatives
+    assert np.array_equal(alternative.R, other.R)
+    assert any("1 other pose explains" in warning for warning in claimed.warnings)
+    # The likelier of the two is right with less than the least probability.
+    assert _estimate(scene, min_share=0, min_probability=0.94).status == "improbable"
+
+
+@pytest.mark.usefixtures("known_models")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_gates_claim_a_pose_of_a_plane(seed: int) -> None:
+    scene = poster_scene(seed=seed, sigma_px=0.1)
+    pose = _estimate(scene, min_probability=None)
+    assert pose.status == "planar" and len(pose.alternatives) == 1
+    assert pose.any_probability == pytest.approx(ANY)
+
+
+def test_key_points_have_no_probability_and_their_poses_keep_the_order_of_inliers() -> None:
+    scene = poster_scene(seed=2, sigma_px=0.4)
+    pose = _estimate(scene, dataclasses.replace(scene.matches, key_points=True))
+    assert pose.status == "planar"
+    assert pose.probability is None and pose.any_probability is None
+    (other,) = pose.alternatives
+    assert other.probability is None and other.num_inliers <= pose.num_inliers
+    assert all(np.isnan(hypothesis.share) for hypothesis in pose.hypotheses)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("kind", [*SCENE_KINDS, "poster"])
+def test_the_probabilities_of_one_pair_add_up_to_one_at_most(kind, seed: int) -> None:
+    poster = kind == "poster"
+    scene = poster_scene(seed=seed) if poster else two_view_scene(kind, seed=seed, count=300)
+    pose = _estimate(scene)
+    assert 0 <= pose.probability <= 1
+    assert all(0 <= other.probability <= 1 for other in pose.alternatives)
+    total = pose.probability + sum(other.probability for other in pose.alternatives)
+    assert pose.any_probability == pytest.approx(total) and total <= 1
+    if pose.hypotheses:
+        assert sum(hypothesis.share for hypothesis in pose.hypotheses) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("kind", ["general", "planar"])
+def test_the_first_hypothesis_is_the_pose_itself(kind) -> None:
+    pose = _estimate(two_view_scene(kind, count=300), min_share=0, min_probability=0)
+    assert pose.success
+    first, *others = (hypothesis.model for hypothesis in pose.hypotheses)
+    assert np.array_equal(first.R, pose.R) and np.array_equal(first.t, pose.t)
+    assert all(other.angle_to(first.R, first.t) > 10 for other in others)
+    assert all(len(model.inliers) == pose.num_matches for model in (first, *others))
+
+
+@pytest.mark.parametrize("kind", ["general", "random"])
+def test_a_map_without_a_point_is_no_map(kind) -> None:
+    scene = two_view_scene(kind, count=300)
+    nothing = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 4.0)
+    without, empty = (
+        estimate_pose(scene.matches, *scene.cameras, map_matches=sample)
+        for sample in (None, nothing)
+    )
+    assert (empty.status, empty.reason) == (without.status, without.reason)
+    assert empty.probability == without.probability
