@@ -12,18 +12,18 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import islice
 from typing import Any, Generic
 
 from dgc_pose.benchmarks.methods import MatchingPass, Method, Passes
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
-from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, score
+from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, pair_seed, score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
 from dgc_pose.system.options import check_options, option
 from dgc_pose.system.processes import process_pools
@@ -94,30 +94,52 @@ class Evaluation(Generic[Score]):
     def _of_pair(
         self, pair: PosedPair, results: Mapping[MatcherOptions, _Result]
     ) -> Iterator[MatchedPair[Score]]:
-        selected: dict[tuple[MatcherOptions, bool], tuple[Matches, float]] = {}
+        selected: dict[tuple[MatcherOptions, bool], tuple[MatchResult, float]] = {}
         for method in self.methods:
             result, key = results[method.matching_pass], (method.matcher, method.everywhere)
             if key not in selected:
                 selected[key] = self._selected(method, pair, result)
-            matches, seconds = selected[key]
+            chosen, seconds = selected[key]
+            cameras, options = _told(method, pair), _seeded(method, pair)
+            final, more_seconds = self._searched(method, pair, chosen, cameras, options)
             yield MatchedPair(
                 kind=self.pairs.kind,
                 method=method.name,
                 truth=pair.truth,
-                cameras=_told(method, pair),
-                matches=matches,
-                map_matches=None if method.everywhere else result.matched.map_matches,
+                cameras=cameras,
+                matches=final.matches,
+                map_matches=None if method.everywhere else final.map_matches,
                 everywhere_px=result.everywhere_px,
-                options=method.estimation,
-                match_seconds=result.seconds + seconds,
+                options=options,
+                match_seconds=result.seconds + seconds + more_seconds,
             )
 
-    def _selected(self, method: Method, pair: PosedPair, result: _Result) -> tuple[Matches, float]:
-        """The matches of a method, and the seconds that it took to select them."""
+    def _selected(
+        self, method: Method, pair: PosedPair, result: _Result
+    ) -> tuple[MatchResult, float]:
+        """The matches of a method, and the seconds that it took to select and refine them."""
         start = time.perf_counter()
         matching = self.passes[method.matching_pass]
-        matches = matching.matches(method, pair.image1, pair.image2, result.matched)
-        return matches, time.perf_counter() - start
+        selected = matching.selected(method, pair.image1, pair.image2, result.matched)
+        return selected, time.perf_counter() - start
+
+    def _searched(
+        self,
+        method: Method,
+        pair: PosedPair,
+        result: MatchResult,
+        cameras: tuple[Camera, Camera] | str,
+        options: EstimationOptions,
+    ) -> tuple[MatchResult, float]:
+        """The matches that the pose is of at last, and the seconds of the first pose and the search
+        after it if there was one: of any other pair the first pose is timed as its pose."""
+        if isinstance(cameras, str):
+            return result, 0.0
+        start = time.perf_counter()
+        matching = self.passes[method.matching_pass]
+        images = pair.image1, pair.image2
+        final = matching.searched(method, *images, result, cameras, options)
+        return final, 0.0 if final is result else time.perf_counter() - start
 
 
 @dataclass(frozen=True)
@@ -135,6 +157,12 @@ def _told(method: Method, pair: PosedPair) -> tuple[Camera, Camera] | str:
         return method.cameras.cameras(pair)
     except InputError as error:
         return str(error)
+
+
+def _seeded(method: Method, pair: PosedPair) -> EstimationOptions:
+    """The estimation of a method with the seed of the pair, if the pair has one."""
+    words, options = pair.truth.seed, method.estimation
+    return replace(options, seed=pair_seed(options.seed, *words)) if words else options
 
 
 def _settings(method: Method) -> dict[str, Any]:

@@ -16,14 +16,15 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions, refined
-from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
+from dgc_pose.pose import in_doubt, pose_of_matches
 from dgc_pose.refinement import RefinementOptions
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
@@ -71,8 +72,10 @@ class MatchingPass:
     matcher: Matcher
     caches: MatcherCaches | None = None  # what is kept of images, if anything is
 
-    def matches(self, method: Method, image1: Image, image2: Image, result: MatchResult) -> Matches:
-        """The matches that go into the pose, of the matcher's result for two images."""
+    def selected(
+        self, method: Method, image1: Image, image2: Image, result: MatchResult
+    ) -> MatchResult:
+        """The matcher's result for two images, with the matches of the method, refined."""
         if result.correspondence_map is not None:
             selected = select_matches(result.correspondence_map, method.matcher.matching)
             if not method.everywhere:
@@ -81,9 +84,28 @@ class MatchingPass:
         elif method.everywhere:
             raise InputError(f"{method.name}: {self.matcher.name} gives points and no map")
         if method.matcher.refinement.source == "none":
-            return result.matches
+            return result
+        return refined(self.matcher, method.matcher, self.caches).refine(image1, image2, result)
+
+    def searched(
+        self,
+        method: Method,
+        image1: Image,
+        image2: Image,
+        result: MatchResult,
+        cameras: tuple[Camera, Camera],
+        options: EstimationOptions,
+    ) -> MatchResult:
+        """A result of `selected` with the matches that its pose is of at last, see
+        `pose_of_result`; `result` itself if the pose is not in doubt."""
+        refinement = method.matcher.refinement
+        if refinement.source == "none" or not refinement.features.hypotheses:
+            return result
+        pose = pose_of_matches(result.matches, *cameras, options, map_matches=result.map_matches)
+        if not in_doubt(pose, *cameras):
+            return result
         refiner = refined(self.matcher, method.matcher, self.caches)
-        return refiner.refine(image1, image2, result).matches
+        return refiner.match_near(image1, image2, result, pose.hypotheses)
 
 
 Passes = Mapping[MatcherOptions, MatchingPass]  # by `Method.matching_pass`

@@ -2,7 +2,7 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Generic
 
 import numpy as np
@@ -32,8 +32,8 @@ class MatchedPair(Generic[Score]):
     matches: Matches
     map_matches: Matches | None  # see `estimate_pose`
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
-    options: EstimationOptions
-    match_seconds: float
+    options: EstimationOptions  # with the seed of the pair
+    match_seconds: float  # of the matches; of a pose in doubt also of the pose before its search
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,8 @@ class Scored(Generic[Score]):
 def score(pair: MatchedPair[Score]) -> Scored[Score]:
     """Estimate the pose of a pair and compare it with the true one."""
     truth, matches, options = pair.truth, pair.matches, pair.options
-    if truth.seed:
-        options = replace(options, seed=pair_seed(options.seed, *truth.seed))
     start = time.process_time()
-    pose = _pose(pair, options)
+    pose = _pose(pair)
     seconds = time.process_time() - start
     rotation, translation = pose_errors(pose, truth.R, truth.t)
     confident = epipolar_errors(truth, matches.points1, matches.points2)
@@ -85,16 +83,11 @@ def score(pair: MatchedPair[Score]) -> Scored[Score]:
     return Scored(make_score(pair.kind, values), sample)
 
 
-def _pose(pair: MatchedPair[Score], options: EstimationOptions) -> RelativePose:
+def _pose(pair: MatchedPair[Score]) -> RelativePose:
     if isinstance(pair.cameras, str):
         none = np.zeros(len(pair.matches), dtype=bool)
         return RelativePose("no_model", pair.cameras, none, 0, warnings=(pair.cameras,))
-    return pose_of_matches(
-        pair.matches,
-        *pair.cameras,
-        options,
-        map_matches=pair.map_matches,
-    )
+    return pose_of_matches(pair.matches, *pair.cameras, pair.options, map_matches=pair.map_matches)
 
 
 def _focal_lengths(pose: RelativePose, truth: Truth) -> dict[str, float]:

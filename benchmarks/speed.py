@@ -23,7 +23,7 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.poselib_calls import MINIMAL, essential_matrix, run_seeds
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.images.image import load_image
@@ -33,6 +33,7 @@ from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
+from dgc_pose.pose import in_doubt, pose_of_matches
 from dgc_pose.refinement import Refiner
 
 SIZE = (1600, 1200)  # of the bundled pair, enlarged
@@ -51,7 +52,7 @@ FORWARD_COLUMNS = {
 }
 _NAMES = (
     *("read", "encoder", "decoders", "map in pixels", "rotated tries", "selection", "refinement"),
-    *("pose", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL),
+    *("pose", "pose in doubt", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL),
 )
 
 Value = TypeVar("Value")
@@ -90,8 +91,16 @@ def time_stages(setup: Setup) -> Seconds:
         seconds[name] = time.perf_counter() - start
         return result
 
-    def pose(matches: Matches) -> object:
-        return estimate_pose(matches, setup.camera1, setup.camera2, _ESTIMATION)
+    cameras = setup.camera1, setup.camera2
+
+    def pose(result: MatchResult) -> RelativePose:
+        map_matches = result.map_matches
+        return pose_of_matches(result.matches, *cameras, _ESTIMATION, map_matches=map_matches)
+
+    def search() -> None:
+        more = refiner.match_near(first, second, refined, found.hypotheses)
+        if more is not refined:
+            pose(more)
 
     dense, refiner = setup.dense, setup.refiner
     paths = (setup.path1, setup.path2)
@@ -104,18 +113,21 @@ def time_stages(setup: Setup) -> Seconds:
     (dense_map,) = watch("the map", lambda: dense.correspondence_maps([(first, second)]))
     selected = watch("selection", lambda: select_matches(dense_map, dense.options))
     result = MatchResult(selected, dense_map)
-    matches = watch("refinement", lambda: refiner.refine(first, second, result)).matches
-    watch("pose", lambda: pose(matches))
-    watch("poselib alone", _poselib_alone(setup, matches))
+    refined = watch("refinement", lambda: refiner.refine(first, second, result))
+    found = watch("pose", lambda: pose(refined))
+    seconds["pose in doubt"] = 0.0
+    if in_doubt(found, *cameras):
+        watch("pose in doubt", search)
+    watch("poselib alone", _poselib_alone(setup, refined.matches))
 
-    sift = watch("sift, matching", lambda: SiftMatcher().match(first, second)).matches
+    sift = watch("sift, matching", lambda: SiftMatcher().match(first, second))
     watch("sift, pose", lambda: pose(sift))
     network = seconds["encoder"] + seconds["decoders"]
-    parts = seconds["the map"] + seconds["selection"] + seconds["refinement"] + seconds["pose"]
+    parts = ("the map", "selection", "refinement", "pose", "pose in doubt")
     return seconds | {
         "map in pixels": seconds[_UPRIGHT] - network,
         "rotated tries": seconds["the map"] - seconds[_UPRIGHT],
-        TOTAL: seconds["read"] + parts,
+        TOTAL: seconds["read"] + sum(seconds[name] for name in parts),
         SIFT_TOTAL: seconds["read"] + seconds["sift, matching"] + seconds["sift, pose"],
     }
 

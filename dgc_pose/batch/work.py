@@ -12,12 +12,11 @@ from dgc_pose.batch.pooling import TOLD_STD, cameras_told
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
-from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.pose import pose_of_matches
+from dgc_pose.pose import pose_of_matches, pose_of_result
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
@@ -133,11 +132,14 @@ class Worker:
 
         def posed() -> tuple[PairRow, PairMatches]:
             result = self.matcher.match(image1, image2)
-            uncertain = any(self.job.cameras[name].focal_std > 0 for name in names)
-            stored = pair_matches(result, again=uncertain)
-            # As they will be when the pose is estimated again.
-            matches = stored.estimable() if uncertain else (result.matches, result.map_matches)
-            return self._posed(names, stored, matches, self.job.cameras)
+            camera1, camera2 = (self.job.cameras[name] for name in names)
+            if camera1.focal_std > 0 or camera2.focal_std > 0:
+                # As it will be when the pose is estimated again.
+                return self._estimated(names, pair_matches(result, again=True), self.job.cameras)
+            pose, result = pose_of_result(
+                self.matcher, image1, image2, result, camera1, camera2, self.job.estimation
+            )
+            return _posed(names, pair_matches(result, again=False), pose, result.matches.error_px)
 
         return _attempt(names, posed)
 
@@ -146,10 +148,9 @@ class Worker:
             if stored.again is None:
                 return row, stored
             names = (row.name1, row.name2)
-            return self._posed(
+            return self._estimated(
                 names,
                 stored,
-                stored.estimable(),
                 task.cameras,
                 task.fit_cameras or any(task.cameras[n].focal_std > TOLD_STD for n in names),
             )
@@ -159,31 +160,24 @@ class Worker:
         rows, matches = zip(*done, strict=True)
         return Matched(task.indices, list(rows), list(matches), {})
 
-    def _posed(
+    def _estimated(
         self,
         names: tuple[str, str],
         stored: PairMatches,
-        matches: tuple[Matches, Matches | None],
         cameras: Mapping[str, Camera],
         fit_cameras: bool = True,
     ) -> tuple[PairRow, PairMatches]:
-        """The row, and the matches with the inliers of the pose.
-
-        matches: those that the pose is estimated from, and the sample of the map.
-        """
+        """The row and the matches of a pair, by the pose of the matches as they are stored."""
+        matches, map_matches = stored.estimable()
         pose = pose_of_matches(
-            matches[0],
+            matches,
             cameras[names[0]],
             cameras[names[1]],
             self.job.estimation,
-            map_matches=matches[1],
+            map_matches=map_matches,
             fit_cameras=fit_cameras,
         )
-        again = stored.again
-        if again is not None and pose.camera_covariance is not None:
-            again = replace(again, cameras=cameras_told(pose))
-        posed = replace(stored, inliers=pose.inliers, again=again)
-        return row_of(names, pose, matches[0].error_px), posed
+        return _posed(names, stored, pose, matches.error_px)
 
     def _image(self, name: str) -> Image | str:
         """An image, or the reason why it cannot be used."""
@@ -209,6 +203,16 @@ class Worker:
 
 def _bytes(name: str, image: Image | str) -> int:
     return 0 if isinstance(image, str) else image.pixels.nbytes + FEATURE_BYTES
+
+
+def _posed(
+    names: tuple[str, str], stored: PairMatches, pose: RelativePose, error_px: float
+) -> tuple[PairRow, PairMatches]:
+    """The row, and the matches with the inliers of the pose; error_px: that of the matches."""
+    again = stored.again
+    if again is not None and pose.camera_covariance is not None:
+        again = replace(again, cameras=cameras_told(pose))
+    return row_of(names, pose, error_px), replace(stored, inliers=pose.inliers, again=again)
 
 
 def _attempt(

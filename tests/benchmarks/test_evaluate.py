@@ -21,7 +21,7 @@ from dgc_pose.benchmarks.methods import parse_methods
 from dgc_pose.benchmarks.scoring import Scored, pair_seed
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchResult
+from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.texture import texture
 from dgc_pose.refinement import RefinementOptions
 
@@ -129,7 +129,7 @@ def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
 def test_a_refiner_sees_the_trusted_matches_alone(tmp_path, monkeypatch) -> None:
     """Of two methods of one engine the one without a mask keeps its matches."""
 
-    class Halves:
+    class Halves(Matcher):
         def refine(self, image1, image2, given):
             found, matches = given.correspondence_map, given.matches
             assert image1.size == found.size1 and len(matches) <= 400

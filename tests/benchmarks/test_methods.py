@@ -124,7 +124,7 @@ def _taken(name: str, found: CorrespondenceMap | Matches, options: MatchingOptio
     if isinstance(found, Matches):
         result = MatchResult(found, None)
     loaded = MatchingPass(dense_scene.MapMatcher(dense_scene.true_map()))
-    return loaded.matches(method, IMAGE, IMAGE, result)
+    return loaded.selected(method, IMAGE, IMAGE, result).matches
 
 
 def test_a_method_takes_what_it_trusts_or_everything() -> None:
