@@ -26,9 +26,12 @@ from dgc_pose import (
     trace_relative_pose,
 )
 from dgc_pose.cameras.prior import auto_camera, auto_cameras
+from dgc_pose.estimation import Alternative
+from dgc_pose.matches import Matches
+from dgc_pose.matching import MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
-from dgc_pose.pose import match_and_estimate
+from dgc_pose.pose import match_and_estimate, pose_of_result
 from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 
@@ -150,6 +153,86 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
         assert camera.focal_source == "matches"
     error_90 = pose.rotation_error_90_deg
     assert error_90 is not None and rotation_error_deg(pose.R, dense_scene.R) < error_90 < 2
+
+
+class _Searching(dense_scene.MapMatcher):
+    """Half of the map's matches at first, and all of them after a search."""
+
+    searches = 0
+
+    def first(self) -> MatchResult:
+        every = self.match(*PICTURES)
+        return replace(every, matches=every.matches.subset(np.arange(len(every.matches)) % 2 == 0))
+
+    def match_near(self, *arguments: Any) -> MatchResult:
+        self.searches += 1
+        return self.match(*PICTURES)
+
+
+PICTURES = tuple(map(load_image, dense_scene.pictures()))
+EXACT = Camera(dense_scene.K, dense_scene.SIZE)
+OPTIONS = EstimationOptions(runs=1)
+
+
+@pytest.mark.parametrize(
+    ("probability", "others", "uncertain", "searched"),
+    [
+        (0.5, (), 0, True),
+        (0.0, (0.5, 0.4), 0, True),  # an ambiguous pair
+        (0.6, (0.3, None), 0, True),
+        (0.001, (), 0, False),  # hopeless
+        (0.995, (), 0, False),  # certain
+        (0.5, (0.495,), 0, False),
+        (None, (), 0, False),
+        (0.5, (), 1, False),
+        (0.5, (), 2, False),
+    ],
+)
+def test_a_pose_in_doubt_alone_is_searched(
+    monkeypatch: pytest.MonkeyPatch,
+    probability: float | None,
+    others: tuple[float | None, ...],
+    uncertain: int,
+    searched: bool,
+) -> None:
+    poses: list[tuple[Matches, RelativePose]] = []
+
+    def estimate(matches: Matches, *arguments: Any, **options: Any) -> RelativePose:
+        pose = estimate_pose(matches, *arguments, **options)
+        alternatives = tuple(Alternative(pose.R, pose.t, 9, other) for other in others)
+        pose = replace(pose, probability=probability, alternatives=alternatives)
+        poses.append((matches, pose))
+        return pose
+
+    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
+    matcher = _Searching(dense_scene.true_map(error_px=0.2))
+    first = matcher.first()
+    cameras = [replace(EXACT, focal_std=0.02 if n + 1 == uncertain else 0.0) for n in range(2)]
+    pose, last = pose_of_result(matcher, *PICTURES, first, *cameras, OPTIONS)
+    assert matcher.searches == searched and len(poses) == 1 + searched
+    assert (last is first) is not searched
+    assert poses[-1][0] is last.matches and len(pose.inliers) == len(last.matches)
+    if searched:
+        assert len(last.matches) > 1.9 * len(first.matches)
+        np.testing.assert_array_equal(pose.R, estimate_pose(last.matches, *cameras, OPTIONS).R)
+
+
+def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a matcher that does not search, the pose is that of the first matches."""
+    monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: True)
+    seen: list[Any] = []
+
+    def search(self: _Searching, image1: Any, image2: Any, result: Any, views: Any) -> Any:
+        seen.extend((image1, image2, views))
+        return result
+
+    monkeypatch.setattr(_Searching, "match_near", search)
+    matcher = _Searching(dense_scene.true_map(error_px=0.2))
+    first = matcher.first()
+    pose, last = pose_of_result(matcher, *PICTURES, first, EXACT, EXACT, OPTIONS)
+    assert last is first and len(pose.inliers) == len(first.matches)
+    assert seen[:2] == list(PICTURES) and seen[2] is pose.hypotheses
+    np.testing.assert_array_equal(pose.hypotheses[0].R, pose.R)
 
 
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])

@@ -4,6 +4,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from batch_runs import view_folder
 from multi_view import SIZE, K
 
@@ -11,6 +12,7 @@ from dgc_pose.batch.rows import row_of
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Match, Matched, Worker
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions, load_matcher
 from dgc_pose.pose import trace_relative_pose
 
@@ -30,8 +32,12 @@ def _worker(photos: Path, memory_bytes: int) -> tuple[Worker, Matched]:
     return worker, outcome
 
 
-def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(tmp_path: Path) -> None:
-    """To the bit, with memory for all images and for hardly one."""
+def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, with memory for all images and for hardly one, and matches that are searched
+    again as of a pose in doubt."""
+    monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: True)
     view_folder(tmp_path, COUNT)
     ample, matched = _worker(tmp_path, COUNT * IMAGE_BYTES)
     assert ample.caches.features.made == ample.caches.native.made == COUNT
@@ -39,6 +45,8 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(tmp_path: Path)
     assert scarce.caches.features.made > COUNT
     assert matched.rows == again.rows and all(row.success for row in matched.rows)
     matcher = load_matcher()
+    first = matcher.match(*(load_image(tmp_path / name) for name in PAIRS[0]))
+    assert len(first.matches) < len(matched.matches[0].scores)
     for k, names in enumerate(PAIRS):
         paths = (tmp_path / name for name in names)
         alone = trace_relative_pose(*paths, Camera(K, SIZE), matcher=matcher, options=ESTIMATION)

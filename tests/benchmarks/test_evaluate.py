@@ -17,12 +17,15 @@ from evaluation_pairs import (
     view_of,
 )
 
-from dgc_pose.benchmarks.methods import parse_methods
+from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.scoring import Scored, pair_seed
 from dgc_pose.errors import ImageError, InputError
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.texture import texture
+from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.pose import match_and_estimate
 from dgc_pose.refinement import RefinementOptions
 
 
@@ -146,6 +149,44 @@ def test_a_refiner_sees_the_trusted_matches_alone(tmp_path, monkeypatch) -> None
     (halved,) = evaluation(pairs, refined).run()
     counts = [[one.score.num_matches for one in scored] for scored in (plain, halved)]
     assert counts[1] == [-(-counts[0][0] // 2), *counts[0][1:]]
+
+
+def test_a_pose_in_doubt_is_that_of_an_estimate(tmp_path, monkeypatch) -> None:
+    """The matches are those of the last answer, by the cameras and the options of each method; a
+    method without a search, and one that is refused its cameras, keeps its first."""
+    pairs = posed_pairs(tmp_path, 1)
+    (pair,) = pairs.read()
+    names = ["", ":hypotheses=0", ":K_scale=1.2", ":threshold_px=8", ":K_shift=5"]
+    methods = parse_methods([f"dgcm-lite0{name}" for name in names], None, ESTIMATION)
+    loaded = load_passes(methods, device="cpu", keep_features=True)
+    assert len(loaded) == 1
+    searches = []
+
+    def in_doubt(pose, *cameras) -> bool:
+        searches.append(cameras)
+        return True
+
+    for module in ("pose", "benchmarks.methods"):
+        monkeypatch.setattr(f"dgc_pose.{module}.in_doubt", in_doubt)
+    (scored,) = evaluation(pairs, methods, loaded).run()
+    assert len(searches) == 3
+    matcher = MatcherOptions(device="cpu").load()
+    expected = []
+    for method, one in zip(methods[:4], scored, strict=False):
+        trace = match_and_estimate(
+            pair.image1,
+            pair.image2,
+            *method.cameras.cameras(pair),
+            matcher if method is not methods[1] else method.matcher.load(),
+            replace(method.estimation, seed=pair_seed(0, *pair.truth.seed)),
+        )
+        expected.append(len(trace.matches))
+        assert one.score.num_inliers == trace.pose.num_inliers
+        error = rotation_error_deg(trace.pose.R, dense_scene.R)
+        assert one.score.rotation_error_deg == pytest.approx(error, abs=1e-4)
+    assert [one.score.num_matches for one in scored] == [*expected, 0]
+    assert len(scored[4].sample) > 0 and scored[4].score.status == "no_model"
+    assert len(set(expected)) > 2 and min(expected) == expected[1]
 
 
 def test_another_seed_gives_other_poses(tmp_path) -> None:

@@ -82,3 +82,18 @@ def test_what_the_map_points_to_is_a_candidate() -> None:
     assert (found[:, 0] != found[:, 1]).all()
     every = likely_cells(source, target, guided[:, :0], scales, similar=99, likely=99)
     assert np.array_equal(np.sort(every, 1), np.tile(np.arange(30), (28, 1)))
+
+
+def test_cells_that_are_not_allowed_are_never_likely_while_there_are_others() -> None:
+    source, target = _random(0, 5, 6), _random(1, 4, 7)
+    scales = np.array([8.0, 10.0], np.float32)
+    allowed = np.random.default_rng(2).random((28, 30)) < 0.3
+    allowed[:, [3, 11, 20]] = True
+    guided = (~allowed).argmax(1)[:, None]  # the first that is not allowed
+
+    def likely(among: np.ndarray | None) -> np.ndarray:
+        return likely_cells(source, target, guided, scales, similar=5, likely=3, allowed=among)
+
+    assert np.take_along_axis(allowed, likely(allowed), 1).all()
+    assert not np.take_along_axis(allowed, likely(None), 1).all()
+    np.testing.assert_array_equal(likely(np.ones_like(allowed)), likely(None))

@@ -1,16 +1,21 @@
 """The encoder's features at native resolution."""
 
 import cv2
+import dense_scene
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
 
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.pixels import within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.view import View
+from dgc_pose.refinement.epipolar_band import EpipolarBand
 from dgc_pose.refinement.features import (
     FeatureMatches,
     _views,
@@ -108,16 +113,26 @@ def _random_features(seed: int, rows: int, columns: int) -> NativeFeatures:
     return NativeFeatures(levels[0], levels[1], levels[2], (16 * columns, 16 * rows))
 
 
-def test_with_all_cells_as_candidates_it_is_the_full_mutual_search() -> None:
+@pytest.mark.parametrize("banded", [False, True])
+def test_with_all_cells_as_candidates_it_is_the_full_mutual_search(banded: bool) -> None:
+    """Among the cells near the epipolar lines, if there is a band."""
     source, target = _random_features(0, 3, 4), _random_features(1, 5, 3)
     every = np.tile(np.arange(12), (15, 1))
-    cells1, cells2, cosine = mutual_neighbours(source, target, every)
     full = source.middle.reshape(-1, 16).astype(float) @ target.middle.reshape(-1, 16).T
+    band = None
+    if banded:
+        seen = ((features, View.whole(features.size)) for features in (source, target))
+        camera = Camera(np.array([[60.0, 0, 30], [0, 60, 30], [0, 0, 1]]))
+        turned = TwoViews(camera, camera, dense_scene.R, dense_scene.T)
+        band = EpipolarBand.of(turned, *seen, children=True)
+        full[~band.all().T] = -np.inf
+    cells1, cells2, cosine = mutual_neighbours(source, target, every, band)
     expected = {
         (int(full[:, j].argmax()), j)
         for j in range(full.shape[1])
-        if int(full[int(full[:, j].argmax())].argmax()) == j
+        if int(full[int(full[:, j].argmax())].argmax()) == j and full[:, j].max() > -np.inf
     }
+    assert len(expected) > 5
     index1, index2 = cells1 @ (1, 8), cells2 @ (1, 6)
     found = list(zip(index1.tolist(), index2.tolist(), strict=True))
     assert set(found) == expected and len(found) == len(expected)
@@ -185,6 +200,36 @@ def test_a_random_map_does_no_harm(engine: TorchEngine) -> None:
     found = _match(engine, pixels, pixels, guide)
     off = np.abs(found.points1 - found.points2).max(1)
     assert len(found) > 200 and (off < 3).mean() > 0.9
+
+
+def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngine) -> None:
+    """Whatever the map says, and of a wrong hypothesis near wrong lines."""
+    first, second = (Image(pixels) for pixels in dense_scene.pictures())
+    guide = dense_scene.noise_map()
+    guide.matchability[:] = 0.0
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    true, wrong = (
+        TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
+    )
+
+    def search(count: int) -> list[Matches]:
+        source = FeatureMatches(engine, FeatureOptions(hypotheses=count))
+        return source.find_near(first, second, guide, [true, wrong])
+
+    near = search(2)
+    for matches, views in zip(near, (true, wrong), strict=True):
+        points = camera.normalise(matches.points1), camera.normalise(matches.points2)
+        off = dense_scene.K[0, 0] * sampson_distance(*points, views.E)
+        # A cell of stride 8 is 4 pixels, as features are of the pictures twice as large.
+        assert len(matches) > 100 and np.median(off) < 4 and np.percentile(off, 95) < 8
+    errors = [
+        np.abs(dense_scene.points_in_image1(matches.points2) - matches.points1).max(1)
+        for matches in near
+    ]
+    assert (errors[0] < 3).mean() > 2 * (errors[1] < 3).mean()
+    (alone,) = search(1)
+    np.testing.assert_array_equal(alone.points1, near[0].points1)
+    assert search(0) == []
 
 
 @pytest.mark.parametrize("shrunk", ["first", "second"])

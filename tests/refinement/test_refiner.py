@@ -1,17 +1,20 @@
 """The refiner as a whole: as exact as the images allow, and never worse than what it was given."""
 
+from collections.abc import Sequence
+
 import dense_scene
 import numpy as np
 import pytest
 import torch
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions, refined
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+from dgc_pose.matching import CorrespondenceMap, Matcher, MatchingOptions, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.network.config import preset
@@ -172,6 +175,83 @@ def test_few_aligned_matches_are_completed(images: tuple[Image, Image]) -> None:
     assert len(completed) > len(aligned) - 50
     moved = _errors(completed) < 0.1
     assert 0.02 < moved.mean() and np.median(_errors(completed)) < np.median(_errors(as_found))
+
+
+def _points(x: tuple[int, int], y: tuple[int, int], count: int, seed: int) -> Matches:
+    """Random true matches with x and y in image 2 between limits, off by half a pixel."""
+    rng = np.random.default_rng(seed)
+    points2 = rng.uniform((x[0], y[0]), (x[1], y[1]), (count, 2))
+    points1 = dense_scene.points_in_image1(points2) + rng.normal(0, 0.5, points2.shape)
+    return Matches(points1, points2, np.ones(count), 1.0)
+
+
+class _Parts(MapMatches):
+    """First the matches on the left; near the lines of two hypotheses those on the right, above
+    and below."""
+
+    def find(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
+    ) -> Matches:
+        return _points((60, 150), (40, 200), 250, 0)
+
+    def find_near(
+        self,
+        image1: Image,
+        image2: Image,
+        correspondence_map: CorrespondenceMap,
+        hypotheses: Sequence[TwoViews],
+    ) -> list[Matches]:
+        parts = [_points((170, 260), (40, 110), 150, 1), _points((170, 260), (130, 200), 150, 2)]
+        return parts[: len(hypotheses)]
+
+
+_CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
+_HYPOTHESES = 2 * [TwoViews(_CAMERA, _CAMERA, dense_scene.R, dense_scene.T)]
+
+
+def _rows(matches: Matches) -> set[tuple[float, ...]]:
+    return {tuple(row) for row in np.hstack([matches.points1, matches.points2])}
+
+
+@pytest.mark.parametrize("min_aligned", [100, 10_000])
+def test_matches_near_the_lines_of_all_hypotheses_join_the_first(
+    images: tuple[Image, Image], min_aligned: int
+) -> None:
+    """Those that are aligned, if they are enough; else all that agree with their neighbours."""
+    options = AlignmentOptions(min_aligned=min_aligned)
+    refiner = Refiner(_noisy(), [_Parts()], options)
+    first = refiner.match(*images)
+    more = refiner.match_near(*images, first, _HYPOTHESES)
+    assert more.correspondence_map is first.correspondence_map
+    assert more.aligned is not None and first.aligned is not None
+    x, y = more.matches.points2.T
+    assert all(part.sum() > 30 for part in (x < 160, (x > 160) & (y < 120), (x > 160) & (y > 120)))
+    aligned = min_aligned == 100
+    assert (more.matches is more.aligned) == (first.matches is first.aligned) == aligned
+    if aligned:
+        assert more.matches.error_px == 0.5 and np.median(_errors(more.matches)) < 0.1
+        assert _rows(first.matches) < _rows(more.matches)
+    else:
+        assert more.matches.error_px == 1.0 and len(more.matches) > 1.5 * len(first.matches)
+        assert more.aligned.error_px == 0.5 and len(more.aligned) < len(more.matches)
+    above = refiner.match_near(*images, first, _HYPOTHESES[:1])
+    assert len(first.matches) < len(above.matches) < len(more.matches)
+
+
+def test_a_result_that_cannot_be_searched_is_returned_itself(
+    images: tuple[Image, Image], engine: TorchEngine
+) -> None:
+    matcher = _noisy()
+    plain = matcher.match(*images)
+    assert plain.aligned is None
+    assert matcher.match_near(*images, plain, _HYPOTHESES) is plain
+    by_map = Refiner(matcher)
+    refined = by_map.match(*images)
+    assert by_map.match_near(*images, refined, _HYPOTHESES) is refined
+    searching = Refiner(matcher, [_Parts()])
+    assert searching.match_near(*images, plain, _HYPOTHESES) is plain  # not refined
+    none = Refiner(matcher, [FeatureMatches(engine, FeatureOptions(hypotheses=0))])
+    assert none.match_near(*images, refined, _HYPOTHESES) is refined
 
 
 def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: TorchEngine) -> None:

@@ -1,4 +1,4 @@
-"""What the dense map shows: points, rotation and scale."""
+"""What the dense map shows: points, rotation, scale, and the parts that match."""
 
 import dense_scene
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.view import View
-from dgc_pose.refinement.features import (
+from dgc_pose.refinement.map_geometry import (
     matchable_points,
     points_in_image1,
     rotation_between,
