@@ -24,7 +24,7 @@ from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions, refined
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
-from dgc_pose.pose import in_doubt, pose_of_matches
+from dgc_pose.pose import pose_of_matches, searched
 from dgc_pose.refinement import RefinementOptions
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
@@ -102,10 +102,8 @@ class MatchingPass:
         if refinement.source == "none" or not refinement.features.hypotheses:
             return result
         pose = pose_of_matches(result.matches, *cameras, options, map_matches=result.map_matches)
-        if not in_doubt(pose, *cameras):
-            return result
         refiner = refined(self.matcher, method.matcher, self.caches)
-        return refiner.match_near(image1, image2, result, pose.hypotheses)
+        return searched(refiner, image1, image2, result, pose, *cameras)
 
 
 Passes = Mapping[MatcherOptions, MatchingPass]  # by `Method.matching_pass`

@@ -154,15 +154,29 @@ def pose_of_result(
     pose = pose_of_matches(
         result.matches, camera1, camera2, options, map_matches=result.map_matches
     )
-    if not in_doubt(pose, camera1, camera2):
-        return pose, result
-    models = [hypothesis.model for hypothesis in pose.hypotheses]
-    views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
-    more = matcher.match_near(image1, image2, result, views)
+    more = searched(matcher, image1, image2, result, pose, camera1, camera2)
     if more is result:
         return pose, result
     pose = pose_of_matches(more.matches, camera1, camera2, options, map_matches=more.map_matches)
     return pose, more
+
+
+def searched(
+    matcher: Matcher,
+    image1: Image,
+    image2: Image,
+    result: MatchResult,
+    pose: RelativePose,
+    camera1: Camera,
+    camera2: Camera,
+) -> MatchResult:
+    """A result, with the matches near the epipolar lines of all hypotheses of its pose if that is
+    in doubt; else, and of a matcher that does not search, `result` itself."""
+    if not in_doubt(pose, camera1, camera2):
+        return result
+    models = [hypothesis.model for hypothesis in pose.hypotheses]
+    views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
+    return matcher.match_near(image1, image2, result, views)
 
 
 def in_doubt(pose: RelativePose, camera1: Camera, camera2: Camera) -> bool:

@@ -231,8 +231,11 @@ def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.Monkey
     first = matcher.first()
     pose, last = pose_of_result(matcher, *PICTURES, first, EXACT, EXACT, OPTIONS)
     assert last is first and len(pose.inliers) == len(first.matches)
-    assert seen[:2] == list(PICTURES) and seen[2] is pose.hypotheses
-    np.testing.assert_array_equal(pose.hypotheses[0].R, pose.R)
+    assert seen[:2] == list(PICTURES) and len(seen[2]) == len(pose.hypotheses) > 0
+    np.testing.assert_array_equal(seen[2][0].R, pose.R)
+    for views, hypothesis in zip(seen[2], pose.hypotheses, strict=True):
+        assert (views.camera1, views.camera2) == (EXACT, EXACT)
+        np.testing.assert_array_equal(views.t, hypothesis.model.t)
 
 
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])
