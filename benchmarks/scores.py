@@ -27,7 +27,9 @@ class PoseScore:
     rotation_error_deg: float
     translation_error_deg: float  # 0 to 180
     translation_folded_deg: float  # min(e, 180 - e)
-    match_seconds: float  # wall clock; a batch's mean, with the encoder passes that fell to it
+    # Wall clock; a batch's mean, with the encoder passes that fell to it. Of a pose in doubt also
+    # its first estimation and its search.
+    match_seconds: float
     estimate_seconds: float  # CPU time, which other processes do not add to
 
     identity: ClassVar[tuple[str, ...]] = ("method",)  # the fields that `key` consists of

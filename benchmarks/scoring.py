@@ -33,7 +33,7 @@ class MatchedPair(Generic[Score]):
     map_matches: Matches | None  # see `estimate_pose`
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
     options: EstimationOptions  # with the seed of the pair
-    match_seconds: float  # of the matches; of a pose in doubt also of the pose before its search
+    match_seconds: float
 
 
 @dataclass(frozen=True)
