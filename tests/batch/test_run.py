@@ -11,13 +11,12 @@ from ambiguous_pose import ambiguous_pose
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
 from multi_view import K_text, View
 
-from dgc_pose.batch import work
 from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.rows import read_rows
 from dgc_pose.batch.run import read_batch
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 
@@ -119,17 +118,16 @@ def test_an_ambiguous_pair_is_counted_and_has_no_geometry(
     photos: tuple[Path, list[View]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its poses are in the row."""
-    estimated = work.pose_of_matches
     first = True
 
     def some_ambiguous(matches: Matches, *others: Any, **more: Any) -> RelativePose:
         nonlocal first
         if not first:
-            return estimated(matches, *others, **more)
+            return estimate_pose(matches, *others, **more)
         first = False
         return ambiguous_pose(len(matches))
 
-    monkeypatch.setattr(work, "pose_of_matches", some_ambiguous)
+    monkeypatch.setattr("dgc_pose.pose.estimate_pose", some_ambiguous)
     batch = run_sift(photos[0], tmp_path / "out")
     (ambiguous,) = (row for row in batch.rows if row.status == "ambiguous")
     assert len(ambiguous.alternatives) == 2 and ambiguous.R is None
