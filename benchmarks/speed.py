@@ -33,7 +33,7 @@ from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
-from dgc_pose.pose import pose_of_matches, searched
+from dgc_pose.pose import pose_of_matches, search_again
 from dgc_pose.refinement import Refiner
 
 SIZE = (1600, 1200)  # of the bundled pair, enlarged
@@ -52,7 +52,7 @@ FORWARD_COLUMNS = {
 }
 _NAMES = (
     *("read", "encoder", "decoders", "map in pixels", "rotated tries", "selection", "refinement"),
-    *("pose", "search", "second pose", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL),
+    *("pose", "search", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL),
 )
 
 Value = TypeVar("Value")
@@ -110,16 +110,16 @@ def time_stages(setup: Setup) -> Seconds:
     result = MatchResult(selected, dense_map)
     refined = watch("refinement", lambda: refiner.refine(first, second, result))
     found = watch("pose", lambda: pose(refined))
-    more = watch("search", lambda: searched(refiner, first, second, refined, found, *cameras))
-    seconds["second pose"] = 0.0
-    if more is not refined:
-        watch("second pose", lambda: pose(more))
+    watch(
+        "search",
+        lambda: search_again(refiner, first, second, refined, found, *cameras, _ESTIMATION),
+    )
     watch("poselib alone", _poselib_alone(setup, refined.matches))
 
     sift = watch("sift, matching", lambda: SiftMatcher().match(first, second))
     watch("sift, pose", lambda: pose(sift))
     network = seconds["encoder"] + seconds["decoders"]
-    parts = ("the map", "selection", "refinement", "pose", "search", "second pose")
+    parts = ("the map", "selection", "refinement", "pose", "search")
     return seconds | {
         "map in pixels": seconds[_UPRIGHT] - network,
         "rotated tries": seconds["the map"] - seconds[_UPRIGHT],

@@ -146,22 +146,14 @@ def pose_of_result(
     camera2: Camera,
     options: EstimationOptions,
 ) -> tuple[RelativePose, MatchResult]:
-    """The pose of what a matcher made of two images, and the matches that it is of.
-
-    A pose in doubt gets more matches: those near the epipolar lines of every hypothesis, pooled
-    with the first, and the estimation begins anew.
-    """
+    """The pose of what a matcher made of two images, and the matches that it is of."""
     pose = pose_of_matches(
         result.matches, camera1, camera2, options, map_matches=result.map_matches
     )
-    more = searched(matcher, image1, image2, result, pose, camera1, camera2)
-    if more is result:
-        return pose, result
-    pose = pose_of_matches(more.matches, camera1, camera2, options, map_matches=more.map_matches)
-    return pose, more
+    return search_again(matcher, image1, image2, result, pose, camera1, camera2, options)
 
 
-def searched(
+def search_again(
     matcher: Matcher,
     image1: Image,
     image2: Image,
@@ -169,14 +161,29 @@ def searched(
     pose: RelativePose,
     camera1: Camera,
     camera2: Camera,
-) -> MatchResult:
-    """A result, with the matches near the epipolar lines of all hypotheses of its pose if that is
-    in doubt; else, and of a matcher that does not search, `result` itself."""
-    if not in_doubt(pose, camera1, camera2):
-        return result
-    models = [hypothesis.model for hypothesis in pose.hypotheses]
-    views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
-    return matcher.match_near(image1, image2, result, views)
+    options: EstimationOptions,
+) -> tuple[RelativePose, MatchResult]:
+    """A pose and a matcher's result that it is of, with more matches as long as it is in doubt.
+
+    First those of images that are squeezed, then those near the epipolar lines of all hypotheses.
+    They are pooled with those that are there, and the estimation begins anew.
+    """
+
+    def squeezed(result: MatchResult) -> MatchResult:
+        return matcher.match_squeezed(image1, image2, result)
+
+    def near_lines(result: MatchResult) -> MatchResult:
+        models = [hypothesis.model for hypothesis in pose.hypotheses]
+        views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
+        return matcher.match_near(image1, image2, result, views)
+
+    for search in (squeezed, near_lines):
+        if in_doubt(pose, camera1, camera2) and (more := search(result)) is not result:
+            result = more
+            pose = pose_of_matches(
+                result.matches, camera1, camera2, options, map_matches=result.map_matches
+            )
+    return pose, result
 
 
 def in_doubt(pose: RelativePose, camera1: Camera, camera2: Camera) -> bool:

@@ -100,6 +100,11 @@ class Matcher:
             for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
         ]
 
+    def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
+        """The matches of a result of `match`, and with them those of images that are made narrower
+        or lower; `result` itself from a matcher that does not search again."""
+        return result
+
     def match_near(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
     ) -> MatchResult:

@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
 
+_SQUEEZES = (0.6, 0.45)  # of the width or the height of one image
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
 _WEAK = 0.25  # mean matchability
 _WIDER = 1.6  # ratio of the fields of view, along a side
@@ -92,9 +94,27 @@ class FeatureMatches:
         hypotheses = hypotheses[: self.options.hypotheses]
         if not hypotheses:
             return []
-        scale = octave_between(correspondence_map)
-        pair = self._pair(image1, image2, correspondence_map, scale)
+        views = _views(
+            correspondence_map, octave_between(correspondence_map), self.options.long_side
+        )
+        pair = self._pair(image1, image2, correspondence_map, views)
         return [self._matches(pair, views) for views in hypotheses]
+
+    def find_squeezed(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
+    ) -> list[Matches]:
+        """As `find`, with one image narrower or lower than it is: a surface that one camera sees
+        from the side and the other from the front becomes alike."""
+        if not self.options.squeezed:
+            return []
+        views = _views(
+            correspondence_map, octave_between(correspondence_map), self.options.long_side
+        )
+        return [
+            self._matches(self._pair(image1, image2, correspondence_map, squeezed))
+            for factor, axis, number in product(_SQUEEZES, (0, 1), (0, 1))
+            for squeezed in [_squeezed(views, factor, axis, number)]
+        ]
 
     def at_scale(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float
@@ -105,13 +125,17 @@ class FeatureMatches:
         to rotation: the images, or the parts that the map shows to match, are resized to one scale,
         with long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
         """
-        return self._matches(self._pair(image1, image2, correspondence_map, scale))
+        views = _views(correspondence_map, scale, self.options.long_side)
+        return self._matches(self._pair(image1, image2, correspondence_map, views))
 
     def _pair(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float
+        self,
+        image1: Image,
+        image2: Image,
+        correspondence_map: CorrespondenceMap,
+        views: Sequence[tuple[View, Size]],
     ) -> _FeaturePair:
         engine, cache = self.engine, self.cache or native_cache()
-        views = _views(correspondence_map, scale, self.options.long_side)
         source, target = cache.get_all(
             [
                 ((image, view, cells), partial(_features, engine, image, view, cells))
@@ -198,6 +222,17 @@ def _views(
         view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
         views.append((view, cells_at(view.size, factor / view.scale)))
     return views
+
+
+def _squeezed(
+    views: Sequence[tuple[View, Size]], factor: float, axis: int, number: int
+) -> list[tuple[View, Size]]:
+    """Views with the columns (axis 0) or the rows of one of them made fewer."""
+    changed = list(views)
+    view, cells = changed[number]
+    fewer = [max(1, round(factor * side)) if k == axis else side for k, side in enumerate(cells)]
+    changed[number] = view, (fewer[0], fewer[1])
+    return changed
 
 
 def _features(engine: Engine, image: Image, view: View, cells: Size) -> NativeFeatures:

@@ -18,6 +18,7 @@ class FeatureOptions:
     long_side: int = option(800, min=64)  # most pixels of the images that features are computed on
     similar: int = option(12, min=1)  # most similar cells of stride 16, for the consensus
     likely: int = option(4, min=1)  # of them and the map's, those searched besides the map's
+    squeezed: bool = True  # whether a pose in doubt gets the matches of squeezed images
     # Of a pose in doubt, those near whose epipolar lines matches are searched again; 0: none.
     hypotheses: int = option(4, min=0)
 

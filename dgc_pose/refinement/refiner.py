@@ -28,6 +28,12 @@ class MatchSource(Protocol):
         """Matches in pixels of the images, of a matcher's map and of the matches selected from it;
         `error_px` is the error of this source."""
 
+    def find_squeezed(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
+    ) -> list[Matches]:
+        """As `find`, each with one of the images made narrower or lower; none from a source that
+        does not search."""
+
     def find_near(
         self,
         image1: Image,
@@ -50,6 +56,11 @@ class MapMatches:
         hypotheses: Sequence[TwoViews],
     ) -> list[Matches]:
         return []  # the map has a single point for each cell
+
+    def find_squeezed(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
+    ) -> list[Matches]:
+        return []
 
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
@@ -104,20 +115,35 @@ class Refiner(Matcher):
                 return refined
         return result
 
+    def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
+        """As `Matcher`, by the first source."""
+        dense = result.correspondence_map
+        if dense is None:
+            return result
+        found = self.sources[0].find_squeezed(image1, image2, dense)
+        return self._joined(image1, image2, result, found)
+
     def match_near(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
     ) -> MatchResult:
         """As `Matcher`, by the first source. The matches of all hypotheses go together: those near
         the lines of a single pose would agree with it, right or wrong."""
-        dense, aligned = result.correspondence_map, result.aligned
-        if dense is None or aligned is None:
+        dense = result.correspondence_map
+        if dense is None:
             return result
         near = self.sources[0].find_near(image1, image2, dense, hypotheses)
-        if not near:
+        return self._joined(image1, image2, result, near)
+
+    def _joined(
+        self, image1: Image, image2: Image, result: MatchResult, parts: Sequence[Matches]
+    ) -> MatchResult:
+        """A result with the matches of several parts, each refined by itself."""
+        if not parts or result.aligned is None:
             return result
-        steps = [self._steps(image1, image2, matches) for matches in near]
-        moved = Matches.joined([aligned, *(part for part, _ in steps)])
+        steps = [self._steps(image1, image2, matches) for matches in parts]
+        moved = Matches.joined([result.aligned, *(part for part, _ in steps)])
         agreeing = Matches.joined([result.matches, *(part for _, part in steps)])
+        dense = result.correspondence_map
         return self._last_step(image1, image2, moved, agreeing, dense) or result
 
     def _last_step(
