@@ -156,13 +156,18 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
 
 
 class _Searching(dense_scene.MapMatcher):
-    """Half of the map's matches at first, and all of them after a search."""
+    """Half of the map's matches at first, and all of them after a search near lines."""
 
     searches = 0
+    squeezes = 0
 
     def first(self) -> MatchResult:
         every = self.match(*PICTURES)
         return replace(every, matches=every.matches.subset(np.arange(len(every.matches)) % 2 == 0))
+
+    def match_squeezed(self, image1: Any, image2: Any, result: MatchResult) -> MatchResult:
+        self.squeezes += 1
+        return result
 
     def match_near(self, *arguments: Any) -> MatchResult:
         self.searches += 1
@@ -209,12 +214,24 @@ def test_a_pose_in_doubt_alone_is_searched(
     first = matcher.first()
     cameras = [replace(EXACT, focal_std=0.02 if n + 1 == uncertain else 0.0) for n in range(2)]
     pose, last = pose_of_result(matcher, *PICTURES, first, *cameras, OPTIONS)
-    assert matcher.searches == searched and len(poses) == 1 + searched
+    assert matcher.searches == matcher.squeezes == searched and len(poses) == 1 + searched
     assert (last is first) is not searched
     assert poses[-1][0] is last.matches and len(pose.inliers) == len(last.matches)
     if searched:
         assert len(last.matches) > 1.9 * len(first.matches)
         np.testing.assert_array_equal(pose.R, estimate_pose(last.matches, *cameras, OPTIONS).R)
+
+
+def test_a_pose_that_squeezed_images_made_certain_is_not_searched_further(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    doubts = iter([True, False])
+    monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: next(doubts))
+    matcher = _Searching(dense_scene.true_map(error_px=0.2))
+    every = matcher.match(*PICTURES)
+    monkeypatch.setattr(_Searching, "match_squeezed", lambda *arguments: every)
+    pose, last = pose_of_result(matcher, *PICTURES, matcher.first(), EXACT, EXACT, OPTIONS)
+    assert last is every and len(pose.inliers) == len(every.matches) and matcher.searches == 0
 
 
 def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:

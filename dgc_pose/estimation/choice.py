@@ -22,9 +22,7 @@ from dgc_pose.estimation.refine import refit
 from dgc_pose.estimation.rivals import known
 from dgc_pose.geometry.epipolar import sampson_distance
 
-_FARTHEST = (
-    3.0  # thresholds; of a larger error, and of a point behind a camera, the likelihood ends
-)
+_FARTHEST = 3.0  # thresholds; larger errors, and points behind a camera, count as this
 CHOICE_FEATURES = ("likelihood", "map_agreement")
 
 

@@ -51,19 +51,20 @@ _WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
+_PAIR_BYTES = 2**28  # enough for a pair and what is squeezed of it
 # Features by image (the object, not its pixels), view of it, and columns and rows of stride 16.
 NativeCache = BoundedCache[tuple[Image, View, Size], NativeFeatures]
 
 
-def native_cache() -> NativeCache:
-    """A cache of the default size. The images that it keeps alive count towards it."""
-    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes)
+def native_cache(limit_bytes: int = 2 * 2**30) -> NativeCache:
+    """A cache of this size. The images that it keeps alive count towards it."""
+    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes, limit_bytes)
 
 
 class FeatureMatches:
     """Matches of the features of a frozen network, guided by the map (a `MatchSource`).
 
-    cache: of the features; None to compute them anew for each pair.
+    cache: of the features; None to keep those of the last pair or a few.
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class FeatureMatches:
     ) -> None:
         self.engine = engine
         self.options = options or FeatureOptions()
-        self.cache = cache
+        self.cache = cache or native_cache(_PAIR_BYTES)
 
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
@@ -135,7 +136,7 @@ class FeatureMatches:
         correspondence_map: CorrespondenceMap,
         views: Sequence[tuple[View, Size]],
     ) -> _FeaturePair:
-        engine, cache = self.engine, self.cache or native_cache()
+        engine, cache = self.engine, self.cache
         source, target = cache.get_all(
             [
                 ((image, view, cells), partial(_features, engine, image, view, cells))

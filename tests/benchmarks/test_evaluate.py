@@ -156,7 +156,7 @@ def test_a_pose_in_doubt_is_that_of_an_estimate(tmp_path, monkeypatch) -> None:
     method without a search, and one that is refused its cameras, keeps its first."""
     pairs = posed_pairs(tmp_path, 1)
     (pair,) = pairs.read()
-    names = ["", ":hypotheses=0", ":K_scale=1.2", ":threshold_px=8", ":K_shift=5"]
+    names = ["", ":hypotheses=0:squeezed=false", ":K_scale=1.2", ":threshold_px=8", ":K_shift=5"]
     methods = parse_methods([f"dgcm-lite0{name}" for name in names], None, ESTIMATION)
     loaded = load_passes(methods, device="cpu", keep_features=True)
     assert len(loaded) == 1
@@ -168,7 +168,7 @@ def test_a_pose_in_doubt_is_that_of_an_estimate(tmp_path, monkeypatch) -> None:
 
     monkeypatch.setattr("dgc_pose.pose.in_doubt", in_doubt)
     (scored,) = evaluation(pairs, methods, loaded).run()
-    assert len(searches) == 3
+    assert len(searches) == 2 * 4  # with squeezed images, and near lines
     matcher = MatcherOptions(device="cpu").load()
     expected = []
     for method, one in zip(methods[:4], scored, strict=False):

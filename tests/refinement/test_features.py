@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.geometry.epipolar import sampson_distance
-from dgc_pose.geometry.pixels import within
+from dgc_pose.geometry.pixels import rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
@@ -230,6 +230,35 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
     (alone,) = search(1)
     np.testing.assert_array_equal(alone.points1, near[0].points1)
     assert search(0) == []
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("narrowed", [0, 1])
+def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
+    engine: TorchEngine, narrowed: int, axis: int
+) -> None:
+    """A picture and one of half its width or height: of the search's pairs of pictures that with
+    the other one squeezed likewise has most matches, and they are true."""
+    whole = _picture(384, 320)
+    size = (192, 320) if axis == 0 else (384, 160)
+    pictures = [whole, whole]
+    pictures[narrowed] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+    sizes = [(pixels.shape[1], pixels.shape[0]) for pixels in pictures]
+    grid = _grid(sizes[1])
+    guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
+    guide.matchability[:] = 0.0
+    images = [Image(pixels) for pixels in pictures]
+    every = FeatureMatches(engine).find_squeezed(*images, guide)
+    assert len(every) == 8
+    counts = []
+    for matches in every:
+        true = rescale(matches.points2, sizes[1], sizes[0])
+        counts.append((np.abs(matches.points1 - true).max(1) < 4).sum())
+    # Factors 0.6 and 0.45, of each the axes, of each the pictures. The pictures become alike, too,
+    # if the squeezed one is squeezed along its other axis.
+    places = [(axis, 1 - narrowed), (1 - axis, narrowed)]
+    alike = [4 * factor + 2 * along + number for factor in (0, 1) for along, number in places]
+    assert int(np.argmax(counts)) in alike and max(counts) > 200
 
 
 @pytest.mark.parametrize("shrunk", ["first", "second"])

@@ -185,9 +185,12 @@ def _points(x: tuple[int, int], y: tuple[int, int], count: int, seed: int) -> Ma
     return Matches(points1, points2, np.ones(count), 1.0)
 
 
+_RIGHT = [_points((170, 260), y, 150, seed) for seed, y in ((1, (40, 110)), (2, (130, 200)))]
+
+
 class _Parts(MapMatches):
-    """First the matches on the left; near the lines of two hypotheses those on the right, above
-    and below."""
+    """First the matches on the left; of squeezed images, and near the lines of two hypotheses,
+    those on the right, above and below."""
 
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
@@ -201,8 +204,12 @@ class _Parts(MapMatches):
         correspondence_map: CorrespondenceMap,
         hypotheses: Sequence[TwoViews],
     ) -> list[Matches]:
-        parts = [_points((170, 260), (40, 110), 150, 1), _points((170, 260), (130, 200), 150, 2)]
-        return parts[: len(hypotheses)]
+        return _RIGHT[: len(hypotheses)]
+
+    def find_squeezed(
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
+    ) -> list[Matches]:
+        return _RIGHT
 
 
 _CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
@@ -213,15 +220,18 @@ def _rows(matches: Matches) -> set[tuple[float, ...]]:
     return {tuple(row) for row in np.hstack([matches.points1, matches.points2])}
 
 
+@pytest.mark.parametrize("squeezed", [False, True])
 @pytest.mark.parametrize("min_aligned", [100, 10_000])
-def test_matches_near_the_lines_of_all_hypotheses_join_the_first(
-    images: tuple[Image, Image], min_aligned: int
+def test_matches_of_a_search_join_the_first(
+    images: tuple[Image, Image], min_aligned: int, squeezed: bool
 ) -> None:
     """Those that are aligned, if they are enough; else all that agree with their neighbours."""
     options = AlignmentOptions(min_aligned=min_aligned)
     refiner = Refiner(_noisy(), [_Parts()], options)
     first = refiner.match(*images)
     more = refiner.match_near(*images, first, _HYPOTHESES)
+    if squeezed:
+        more = refiner.match_squeezed(*images, first)
     assert more.correspondence_map is first.correspondence_map
     assert more.aligned is not None and first.aligned is not None
     x, y = more.matches.points2.T
@@ -245,13 +255,17 @@ def test_a_result_that_cannot_be_searched_is_returned_itself(
     plain = matcher.match(*images)
     assert plain.aligned is None
     assert matcher.match_near(*images, plain, _HYPOTHESES) is plain
+    assert matcher.match_squeezed(*images, plain) is plain
     by_map = Refiner(matcher)
     refined = by_map.match(*images)
     assert by_map.match_near(*images, refined, _HYPOTHESES) is refined
+    assert by_map.match_squeezed(*images, refined) is refined
     searching = Refiner(matcher, [_Parts()])
     assert searching.match_near(*images, plain, _HYPOTHESES) is plain  # not refined
-    none = Refiner(matcher, [FeatureMatches(engine, FeatureOptions(hypotheses=0))])
+    options = FeatureOptions(hypotheses=0, squeezed=False)
+    none = Refiner(matcher, [FeatureMatches(engine, options)])
     assert none.match_near(*images, refined, _HYPOTHESES) is refined
+    assert none.match_squeezed(*images, refined) is refined
 
 
 def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: TorchEngine) -> None:

@@ -21,7 +21,7 @@ from dgc_pose.benchmarks.probability.collection import (
 from dgc_pose.benchmarks.probability.fitting import fit_model
 from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair, planned
-from dgc_pose.benchmarks.probability.records import Record, record
+from dgc_pose.benchmarks.probability.records import PoseRecord, Record, record
 from dgc_pose.benchmarks.probability.report import judged, report_text
 from dgc_pose.benchmarks.probability.run import fit_all
 from dgc_pose.cameras.camera import Camera
@@ -149,6 +149,9 @@ def test_the_command_refuses_what_it_cannot_fit(tmp_path) -> None:
     assert_refused(run(*words, "--methods", "sift"), "no such data; the plan's source")
 
 
+CHOICE = 1.5  # log-odds for a unit of the likelihood
+
+
 def _records(count: int, seed: int, part: Part) -> list[Record]:
     """Poses whose chance to be right is a known function of three numbers."""
     rng = np.random.default_rng(seed)
@@ -168,8 +171,21 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
             jackknife_rotation_90_deg=own,
             jackknife_translation_90_deg=own,
         )
-        found.append(Record("s", f"{part} {k % 5}", part, True, evidence, error, error))
+        # A second pose beside every other: the likelihood tells which is right, more or less.
+        poses = [PoseRecord(0.0, 0.0, error, error)]
+        if k % 2:
+            apart = 3 * rng.random()
+            poses.append(PoseRecord(-apart, 0.0, 60.0, 60.0))
+            if rng.random() > 1 / (1 + np.exp(-CHOICE * apart)):
+                poses = [replace_errors(poses[0], 60.0), replace_errors(poses[1], error)]
+                error = 60.0
+        record = Record("s", f"{part} {k % 5}", part, True, evidence, error, error, tuple(poses))
+        found.append(record)
     return found
+
+
+def replace_errors(pose: PoseRecord, error: float) -> PoseRecord:
+    return dataclasses.replace(pose, rotation_error_deg=error, translation_error_deg=error)
 
 
 def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
@@ -185,6 +201,11 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
         assert right[own].mean() == pytest.approx(probability[own].mean(), abs=0.08)
     within = [o.record.rotation_error_deg <= o.rotation_90_deg for o in fresh if o.record.right]
     assert 0.85 < np.mean(within) < 0.95
+    assert model.choice["likelihood"] == pytest.approx(CHOICE, rel=0.25)
+    assert any(one.ambiguous for one in fresh)
+    claimed = [one for one in fresh if one.by_probability and len(one.record.poses) > 1]
+    mean = np.mean([one.probability for one in claimed])
+    assert np.mean([one.right for one in claimed]) == pytest.approx(mean, abs=0.08)
     assert "calibration error" in report_text(fresh)
 
 
