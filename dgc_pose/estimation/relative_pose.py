@@ -88,9 +88,10 @@ def estimate_pose(
     model = choices[0].model
     others = [choice.model for choice in choices[1:]]
 
-    # A spread says what K may be; without it K is to be right.
+    # A spread says what K may be; without it K is to be right. A plane's homography fits poses of
+    # any focal length, so a plane does not tell it.
     check = None
-    if not len(spread):
+    if not len(spread) and homography[0] < options.verdict.planar_share:
         check = check_focals(problem, model, matches, camera1, camera2, options)
     covariance = pose_covariance(problem, model, spread, fitted=fits)
     evidence = gather(
