@@ -39,6 +39,7 @@ class StoredPair:
     scene: str
     part: Part
     exact: bool  # the true pose is: see `PlanEntry.rough`
+    withheld: bool  # see `PlanEntry`
     truth: Truth
     matches: Matches
     # With those near the lines of the hypotheses; None if the pose by the true K is not in doubt.
@@ -143,6 +144,7 @@ def _stored(name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray]) -> St
         scene,
         entry.part,
         scene not in entry.rough,
+        entry.withheld,
         Truth({"name": name}, camera1, camera2, arrays.get("R"), arrays.get("t")),
         _matches("", arrays),
         _matches("pooled_", arrays) if "pooled_points1" in arrays else None,

@@ -47,6 +47,9 @@ class PlanEntry:
     # Scenes whose true poses are a tracker's, off by a degree or more: they tell right from wrong,
     # but not how accurate a pose is.
     rough: tuple[str, ...] = ()
+    # Whether its pairs are estimated without K, and with a wrong one, too. A plane tells no focal
+    # length: many of them would teach little but that.
+    withheld: bool = True
 
     def __post_init__(self) -> None:
         check_options(self)

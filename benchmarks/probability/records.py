@@ -146,7 +146,7 @@ def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
 
 
 def _cases(pair: StoredPair) -> list[CameraCase]:
-    if pair.matches.key_points:
+    if pair.matches.key_points or not pair.withheld:
         return ["exact"]
     reported = pair.part == "report" and pair.truth.R is not None
     wrong = reported and _draw(pair.name, _WRONG_SHARE) == 0
