@@ -42,7 +42,7 @@ class StoredPair:
     withheld: bool  # see `PlanEntry`
     truth: Truth
     matches: Matches
-    # With those near the lines of the hypotheses; None if the pose by the true K is not in doubt.
+    # With those searched again; None if the pose by the true K is not in doubt.
     pooled: Matches | None
     map_matches: Matches | None  # an even sample of the dense map, whatever its matchability
 
@@ -107,7 +107,7 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
 
 
 def match_and_pool(matcher: Matcher, posed: PosedPair) -> tuple[MatchResult, Matches | None]:
-    """The matches of a pair, and with those near the hypotheses' lines if its pose is in doubt."""
+    """The matches of a pair, and with those searched again if its pose is in doubt."""
     images, truth = (posed.image1, posed.image2), posed.truth
     result = matcher.match(*images)
     cameras = truth.camera1, truth.camera2
