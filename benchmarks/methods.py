@@ -24,7 +24,7 @@ from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions, refined
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
-from dgc_pose.pose import pose_of_matches, search_again
+from dgc_pose.pose import pose_of_result
 from dgc_pose.refinement import RefinementOptions
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
@@ -100,9 +100,8 @@ class MatchingPass:
         `pose_of_result`; `result` itself if the pose is not in doubt."""
         if method.matcher.refinement.source == "none":
             return result
-        pose = pose_of_matches(result.matches, *cameras, options, map_matches=result.map_matches)
         refiner = refined(self.matcher, method.matcher, self.caches)
-        return search_again(refiner, image1, image2, result, pose, *cameras, options)[1]
+        return pose_of_result(refiner, image1, image2, result, *cameras, options)[1]
 
 
 Passes = Mapping[MatcherOptions, MatchingPass]  # by `Method.matching_pass`

@@ -95,9 +95,7 @@ class FeatureMatches:
         hypotheses = hypotheses[: self.options.hypotheses]
         if not hypotheses:
             return []
-        views = _views(
-            correspondence_map, octave_between(correspondence_map), self.options.long_side
-        )
+        views = self._views(correspondence_map)
         pair = self._pair(image1, image2, correspondence_map, views)
         return [self._matches(pair, views) for views in hypotheses]
 
@@ -108,9 +106,7 @@ class FeatureMatches:
         from the side and the other from the front becomes alike."""
         if not self.options.squeezed:
             return []
-        views = _views(
-            correspondence_map, octave_between(correspondence_map), self.options.long_side
-        )
+        views = self._views(correspondence_map)
         return [
             self._matches(self._pair(image1, image2, correspondence_map, squeezed))
             for factor, axis, number in product(_SQUEEZES, (0, 1), (0, 1))
@@ -128,6 +124,11 @@ class FeatureMatches:
         """
         views = _views(correspondence_map, scale, self.options.long_side)
         return self._matches(self._pair(image1, image2, correspondence_map, views))
+
+    def _views(self, correspondence_map: CorrespondenceMap) -> list[tuple[View, Size]]:
+        """Those at the scale that the map shows, to the octave."""
+        scale = octave_between(correspondence_map)
+        return _views(correspondence_map, scale, self.options.long_side)
 
     def _pair(
         self,

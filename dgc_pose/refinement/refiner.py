@@ -1,7 +1,8 @@
 """The refiner: a matcher's matches, or more accurate ones of the pair, aligned on the images."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -33,6 +34,7 @@ class MatchSource(Protocol):
     ) -> list[Matches]:
         """As `find`, each with one of the images made narrower or lower; none from a source that
         does not search."""
+        return []
 
     def find_near(
         self,
@@ -43,24 +45,11 @@ class MatchSource(Protocol):
     ) -> list[Matches]:
         """As `find`, of each hypothesis of the pose the matches near its epipolar lines; none from
         a source that does not search."""
-
-
-class MapMatches:
-    """The matches selected from the map as they are (a `MatchSource`)."""
-
-    def find_near(
-        self,
-        image1: Image,
-        image2: Image,
-        correspondence_map: CorrespondenceMap,
-        hypotheses: Sequence[TwoViews],
-    ) -> list[Matches]:
-        return []  # the map has a single point for each cell
-
-    def find_squeezed(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
-    ) -> list[Matches]:
         return []
+
+
+class MapMatches(MatchSource):
+    """The matches selected from the map as they are: the map has a single point for each cell."""
 
     def find(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
@@ -117,33 +106,34 @@ class Refiner(Matcher):
 
     def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         """As `Matcher`, by the first source."""
-        dense = result.correspondence_map
-        if dense is None:
-            return result
-        found = self.sources[0].find_squeezed(image1, image2, dense)
-        return self._joined(image1, image2, result, found)
+        return self._searched(image1, image2, result, self.sources[0].find_squeezed)
 
     def match_near(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
     ) -> MatchResult:
         """As `Matcher`, by the first source. The matches of all hypotheses go together: those near
         the lines of a single pose would agree with it, right or wrong."""
-        dense = result.correspondence_map
-        if dense is None:
-            return result
-        near = self.sources[0].find_near(image1, image2, dense, hypotheses)
-        return self._joined(image1, image2, result, near)
+        near = partial(self.sources[0].find_near, hypotheses=hypotheses)
+        return self._searched(image1, image2, result, near)
 
-    def _joined(
-        self, image1: Image, image2: Image, result: MatchResult, parts: Sequence[Matches]
+    def _searched(
+        self,
+        image1: Image,
+        image2: Image,
+        result: MatchResult,
+        search: Callable[[Image, Image, CorrespondenceMap], list[Matches]],
     ) -> MatchResult:
-        """A result with the matches of several parts, each refined by itself."""
-        if not parts or result.aligned is None:
+        """A result with the matches that a search has in parts, each refined by itself; `result`
+        itself without a map, without refinement, and if the search has none."""
+        dense, aligned = result.correspondence_map, result.aligned
+        if dense is None or aligned is None:
+            return result
+        parts = search(image1, image2, dense)
+        if not parts:
             return result
         steps = [self._steps(image1, image2, matches) for matches in parts]
-        moved = Matches.joined([result.aligned, *(part for part, _ in steps)])
+        moved = Matches.joined([aligned, *(part for part, _ in steps)])
         agreeing = Matches.joined([result.matches, *(part for _, part in steps)])
-        dense = result.correspondence_map
         return self._last_step(image1, image2, moved, agreeing, dense) or result
 
     def _last_step(
