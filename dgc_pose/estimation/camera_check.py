@@ -86,8 +86,10 @@ def check_focals(
         other = solved_start(problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * model.count_in_front:
         pose = other
-    elif abs(_of_sample(joint, pose)) < _AGREEING:
-        return None
+    else:
+        pose = _of_sample(joint, pose)
+        if abs(joint.deviations(pose)[0]) < _AGREEING:
+            return None
     pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
@@ -105,10 +107,10 @@ def check_focals(
     )
 
 
-def _of_sample(joint: JointFit, pose: JointPose) -> float:
-    """ln of the factor that some of the matches, drawn at random, suggest: K is right as a rule."""
+def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
+    """What some of the matches, drawn at random, suggest: K is right as a rule."""
     count = len(joint.problem)
     chosen = np.zeros(count, bool)
     chosen[np.random.default_rng(joint.problem.seed).permutation(count)[:_SAMPLED]] = True
     sample = JointFit(joint.problem.subset(chosen), joint.spread)
-    return float(sample.deviations(sample.fitted(pose, rounds=1, iterations=_ITERATIONS))[0])
+    return sample.fitted(pose, rounds=1, iterations=_ITERATIONS)

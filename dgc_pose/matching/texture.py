@@ -105,13 +105,22 @@ def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     smooth = smooth[_EDGE - 1 : 1 - _EDGE, _EDGE - 1 : 1 - _EDGE]
     x = (smooth[1:-1, 2:] - smooth[1:-1, :-2]) / 2
     y = (smooth[2:, 1:-1] - smooth[:-2, 1:-1]) / 2
+    # The wide Gaussian leaves nothing that half the resolution does not show.
+    height, width = x.shape
+    halved = max(1, width // 2), max(1, height // 2)
     xx, yy, xy = (
-        cv2.GaussianBlur(product, (0, 0), _WINDOW, borderType=cv2.BORDER_REPLICATE)
+        cv2.GaussianBlur(
+            cv2.resize(product, halved, interpolation=cv2.INTER_AREA),
+            (0, 0),
+            _WINDOW / 2,
+            borderType=cv2.BORDER_REPLICATE,
+        )
         for product in (x * x, y * y, x * y)
     )
     mean, difference = (xx + yy) / 2, (xx - yy) / 2
     half = np.sqrt(difference * difference + xy * xy)
-    return mean - half, mean + half
+    small, large = (cv2.resize(value, (width, height)) for value in (mean - half, mean + half))
+    return small, large
 
 
 def _content(grey: np.ndarray) -> slice:
