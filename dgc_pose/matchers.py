@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
+from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.key_points import KeyPointCache, key_point_cache
 from dgc_pose.matching.matcher import Matcher
@@ -25,6 +25,8 @@ from dgc_pose.refinement.refiner import MapMatches, MatchSource, Refiner
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName
 from dgc_pose.system.options import check_options, check_type, option
+
+_QUICK_CORNER_RADIUS = 12  # of a quick pass
 
 
 @dataclass(frozen=True)
@@ -141,14 +143,34 @@ def refined(
     """
     source = options.refinement.source
     sources: list[MatchSource] = []
+    quick = None
     if source in ("auto", "features"):
         if matcher.engine is None:
             raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
         native = caches.native if caches else None
         sources.append(FeatureMatches(matcher.engine, options.refinement.features, native))
+        quick = _quick(matcher, options, native)
     if source in ("auto", "map"):
         sources.append(MapMatches())
-    return Refiner(matcher, sources, options.refinement.alignment, options.matching.max_matches)
+    alignment, most = options.refinement.alignment, options.matching.max_matches
+    return Refiner(matcher, sources, alignment, most, quick)
+
+
+def _quick(matcher: Matcher, options: MatcherOptions, native: NativeCache | None) -> Refiner | None:
+    """What makes the quick pass: the coarsest map, upright, and the features of small images. None
+    for a matcher whose map comes from elsewhere, and for a mask network, which needs the finest."""
+    features = options.refinement.features
+    if not isinstance(matcher, DenseMatcher) or features.quick_side == 0:
+        return None
+    if matcher.engine.config.matchability == "network":
+        return None
+    matching = replace(options.matching, finest=60, cycle_px=None, search_below=0.0)
+    dense = DenseMatcher(matcher.engine, matching, matcher.cache)
+    small = replace(features, long_side=features.quick_side)
+    source = FeatureMatches(matcher.engine, small, native)
+    # Its cells are larger, so that the strongest corner of one is further away.
+    alignment = replace(options.refinement.alignment, corner_radius=_QUICK_CORNER_RADIUS)
+    return Refiner(dense, [source], alignment, matching.max_matches)
 
 
 def _network(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,17 +17,33 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation.options import Effort
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.system.options import check_type
+from dgc_pose.system.threads import in_threads
 
 if TYPE_CHECKING:
     import torch
 
 
-_HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which matches are not searched again
+# What is done for a pose, in this order, see `pose_of_pair`:
+# - quick: a pass over small images, which is enough for an easy pair
+# - fine: more accurate matches by the map of the quick pass, for a pose that is certain
+# - match: all that `Matcher.match` does
+# - squeezed: matches of images that are squeezed, pooled with those that are there
+# - near: those near the epipolar lines of all hypotheses, likewise
+Step = Literal["quick", "fine", "match", "squeezed", "near"]
+_STEPS: Mapping[Effort, Sequence[Step]] = {
+    "fast": ("quick", "match"),
+    "auto": ("quick", "fine", "match", "squeezed", "near"),
+    "thorough": ("match", "squeezed", "near"),
+}
+_HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which no more is searched
+_ROUGHLY = 1.5  # standard deviations of a focal length that the matches suggest
+_ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 
 
 @dataclass(frozen=True)
@@ -85,7 +102,8 @@ def trace_relative_pose(
 ) -> Trace:
     """As `estimate_relative_pose`, with the images, the map and the matches besides the pose."""
     start = time.perf_counter()
-    first, second = load_image(image1, "image1"), load_image(image2, "image2")
+    named = (image1, "image1"), (image2, "image2")
+    first, second = in_threads(lambda image: load_image(*image), named)
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     camera1, camera2 = pair_cameras(K1, K, first, second, ("K1", name))
     matcher = load_matcher() if matcher is None else matcher
@@ -105,25 +123,14 @@ def match_and_estimate(
 ) -> Trace:
     """From images and cameras that are checked to the pose; the pose carries all warnings.
 
-    load_seconds: what loading took, for `seconds` of the pose. matched: called with the matches
-    before the pose is estimated.
+    load_seconds: what loading took, for `seconds` of the pose. matched: see `pose_of_pair`.
     """
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
     check_type(matcher, Matcher, "matcher")
-    start = time.perf_counter()
-    result = matcher.match(image1, image2)
-    match_seconds = time.perf_counter() - start
-    matched(result.matches)
-    start = time.perf_counter()
     camera1, camera2 = with_orientation(camera1, image1), with_orientation(camera2, image2)
-    pose, result = pose_of_result(matcher, image1, image2, result, camera1, camera2, options)
-    seconds = {
-        "load": load_seconds,
-        "match": match_seconds,
-        "estimate": time.perf_counter() - start,
-    }
-    pose = replace(pose, seconds=seconds)
+    pose, result = pose_of_pair(matcher, image1, image2, camera1, camera2, options, matched=matched)
+    pose = replace(pose, seconds={"load": load_seconds, **pose.seconds})
     return Trace(
         image1,
         image2,
@@ -137,61 +144,105 @@ def match_and_estimate(
     )
 
 
-def pose_of_result(
+def pose_of_pair(
     matcher: Matcher,
     image1: Image,
     image2: Image,
-    result: MatchResult,
     camera1: Camera,
     camera2: Camera,
     options: EstimationOptions,
+    *,
+    whole: Callable[[], MatchResult] | None = None,
+    matched: Callable[[Matches], None] = lambda matches: None,
 ) -> tuple[RelativePose, MatchResult]:
-    """The pose of what a matcher made of two images, and the matches that it is of."""
-    pose = pose_of_matches(
-        result.matches, camera1, camera2, options, map_matches=result.map_matches
-    )
-    return search_again(matcher, image1, image2, result, pose, camera1, camera2, options)
+    """The pose of two images, and the matcher's result that it is of.
 
+    The matcher does the steps of `options.effort` in turn, as long as they may change the answer,
+    and a pose is estimated after each. `seconds` of the pose has those that changed the matches.
 
-def search_again(
-    matcher: Matcher,
-    image1: Image,
-    image2: Image,
-    result: MatchResult,
-    pose: RelativePose,
-    camera1: Camera,
-    camera2: Camera,
-    options: EstimationOptions,
-) -> tuple[RelativePose, MatchResult]:
-    """A pose and a matcher's result that it is of, with more matches as long as it is in doubt.
-
-    First those of images that are squeezed, then those near the epipolar lines of all hypotheses.
-    They are pooled with those that are there, and the estimation begins anew.
+    whole: what does the step "match"; by default `matcher.match`. matched: called with the matches
+    before each pose is estimated.
     """
+    pose: RelativePose | None = None
+    result: MatchResult | None = None
+    seconds: dict[str, float] = {}
+    estimating, start = 0.0, time.perf_counter()
+    for step in _STEPS[options.effort]:
+        if not _may_gain(step, pose, camera1, camera2, options.effort):
+            continue
+        more: MatchResult | None
+        if step == "quick":
+            more = matcher.match_quickly(image1, image2)
+        elif step == "fine" and result is not None:
+            more = matcher.match_finely(image1, image2, result)
+        elif step == "match" or pose is None or result is None:
+            more = whole() if whole else matcher.match(image1, image2)
+        elif step == "squeezed":
+            more = matcher.match_squeezed(image1, image2, result)
+        else:
+            models = [hypothesis.model for hypothesis in pose.hypotheses]
+            views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
+            more = matcher.match_near(image1, image2, result, views)
+        if more is None or more is result:
+            continue
+        result = more
+        end = time.perf_counter()
+        seconds[step] = end - start
+        matched(result.matches)
+        pose = pose_of_matches(
+            result.matches, camera1, camera2, options, map_matches=result.map_matches
+        )
+        start = time.perf_counter()
+        estimating += start - end
+    assert pose is not None and result is not None  # each effort has the step that always matches
+    return replace(pose, seconds={**seconds, "estimate": estimating}), result
 
-    def squeezed(result: MatchResult) -> MatchResult:
-        return matcher.match_squeezed(image1, image2, result)
 
-    def near_lines(result: MatchResult) -> MatchResult:
-        models = [hypothesis.model for hypothesis in pose.hypotheses]
-        views = [TwoViews(camera1, camera2, model.R, model.t) for model in models]
-        return matcher.match_near(image1, image2, result, views)
+def _may_gain(
+    step: Step, pose: RelativePose | None, camera1: Camera, camera2: Camera, effort: Effort
+) -> bool:
+    """Whether a step may change the answer. pose: after the steps before it, if there is one.
 
-    for search in (squeezed, near_lines):
-        if in_doubt(pose, camera1, camera2) and (more := search(result)) is not result:
-            result = more
-            pose = pose_of_matches(
-                result.matches, camera1, camera2, options, map_matches=result.map_matches
-            )
-    return pose, result
-
-
-def in_doubt(pose: RelativePose, camera1: Camera, camera2: Camera) -> bool:
-    """Whether more matches may change the answer: it is neither certain nor hopeless, and the lines
-    on which they lie do not depend on a focal length that is itself a guess."""
-    probability = pose.any_probability
+    Cameras that are not exact skip all but the whole: what a few matches tell of a focal length is
+    less than what many tell, and lines that depend on it say little.
+    """
     exact = not camera1.focal_std and not camera2.focal_std
-    return exact and probability is not None and _HOPELESS < probability < _CERTAIN
+    if step == "quick":
+        return exact
+    if pose is None:
+        return step == "match"
+    if step == "fine":
+        return certain(pose) and not (accurate(pose) and right_cameras(pose))
+    if step == "match":
+        return effort != "fast" and not certain(pose)
+    loose = effort == "thorough" and pose.success and not accurate(pose)
+    return exact and (in_doubt(pose) or loose)
+
+
+def certain(pose: RelativePose) -> bool:
+    """Whether it is nearly certain that the pose is right."""
+    return pose.success and (pose.probability or 0.0) >= _CERTAIN
+
+
+def accurate(pose: RelativePose) -> bool:
+    """Whether more matches would hardly make the pose more accurate."""
+    errors = pose.rotation_error_90_deg, pose.translation_error_90_deg
+    return all(error is not None and error < _ACCURATE_DEG for error in errors)
+
+
+def right_cameras(pose: RelativePose) -> bool:
+    """Whether the matches suggest the focal lengths that the cameras have, roughly. If they do not,
+    it takes many matches to tell a wrong K from a right one."""
+    evidence = pose.evidence
+    if evidence is None or evidence.focal_ratio is None or evidence.focal_ratio_std is None:
+        return evidence is not None
+    return abs(math.log(evidence.focal_ratio)) < _ROUGHLY * evidence.focal_ratio_std
+
+
+def in_doubt(pose: RelativePose) -> bool:
+    """Whether more matches may change the answer: it is neither certain nor hopeless."""
+    probability = pose.any_probability
+    return probability is not None and _HOPELESS < probability < _CERTAIN
 
 
 def pose_of_matches(

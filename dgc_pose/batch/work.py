@@ -16,7 +16,7 @@ from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.pose import pose_of_matches, pose_of_result
+from dgc_pose.pose import pose_of_matches, pose_of_pair
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
@@ -131,13 +131,13 @@ class Worker:
             return PairRow(*names, BAD_INPUT, False, "; ".join(reasons.values())), NO_MATCHES
 
         def posed() -> tuple[PairRow, PairMatches]:
-            result = self.matcher.match(image1, image2)
             camera1, camera2 = (self.job.cameras[name] for name in names)
             if camera1.focal_std > 0 or camera2.focal_std > 0:
                 # As it will be when the pose is estimated again.
+                result = self.matcher.match(image1, image2)
                 return self._estimated(names, pair_matches(result, again=True), self.job.cameras)
-            pose, result = pose_of_result(
-                self.matcher, image1, image2, result, camera1, camera2, self.job.estimation
+            pose, result = pose_of_pair(
+                self.matcher, image1, image2, camera1, camera2, self.job.estimation
             )
             return _posed(names, pair_matches(result, again=False), pose, result.matches.error_px)
 

@@ -1,6 +1,7 @@
 """Options of the estimation, each with its default and unit."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
@@ -56,10 +57,19 @@ class VerdictOptions:
         check_options(self)
 
 
+# How much of the matching a pose gets; `dgc_pose.pose.pose_of_pair` has the steps.
+Effort = Literal["fast", "auto", "thorough"]
+
+
 @dataclass(frozen=True)
 class EstimationOptions:
     """How the pose is estimated. Raises InputError, naming the field, for a value out of range."""
 
+    effort: Effort = option(
+        "auto",
+        "auto: a quick pass over small images, and more as long as the pose is uncertain; fast: "
+        "the quick pass alone; thorough: all that may help, at once.",
+    )
     # Runs have different seeds; the model with most inliers is kept.
     runs: int = option(5, "Runs of RANSAC, the best kept.", min=1, max=10_000)
     iterations: int = option(1000, "Most iterations of each run.", min=1, max=2**31 - 1)

@@ -62,7 +62,8 @@ class RelativePose:
     # without a model.
     hypotheses: tuple[Hypothesis, ...] = ()
     warnings: tuple[str, ...] = ()
-    seconds: Mapping[str, float] = field(default_factory=dict)  # by stage of the pipeline
+    # By what was done: "load", the steps of the matching (`dgc_pose.pose.Step`), "estimate".
+    seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def success(self) -> bool:

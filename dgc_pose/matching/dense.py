@@ -21,17 +21,18 @@ from dgc_pose.runtime.load import RuntimeName, load_engine
 
 # The encoder's features by image and view of it; keyed by the object, not by its pixels.
 FeatureCache = BoundedCache[tuple[Image, View], MapFeatures]
+_PAIR_BYTES = 2**27  # enough for a pair
 
 
-def feature_cache() -> FeatureCache:
-    """A cache of the default size. The images that it keeps alive count towards it."""
-    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes)
+def feature_cache(limit_bytes: int = 2 * 2**30) -> FeatureCache:
+    """A cache of this size. The images that it keeps alive count towards it."""
+    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes, limit_bytes)
 
 
 class DenseMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    cache: of the encoder's features; None to encode the images anew for each pair.
+    cache: of the encoder's features; None to keep those of the last pair or a few.
 
     Raises InputError if `finest` is a level that the network's mask is not made for.
     """
@@ -52,7 +53,7 @@ class DenseMatcher(Matcher):
                 f"the mask network of {self.name} works at {INPUT_SIZE} cells alone: finest must "
                 f"be {INPUT_SIZE}, not {self.options.finest}"
             )
-        self.cache = cache
+        self.cache = cache or feature_cache(_PAIR_BYTES)
 
     @property
     def fingerprint(self) -> str:
@@ -68,8 +69,8 @@ class DenseMatcher(Matcher):
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""
-        view, cache = View.whole(image.size), self.cache or feature_cache()
-        features = cache.get((image, view), partial(self._encode, image, view))
+        view = View.whole(image.size)
+        features = self.cache.get((image, view), partial(self._encode, image, view))
         return np.concatenate(self.engine.coarsest(features))
 
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
@@ -78,16 +79,15 @@ class DenseMatcher(Matcher):
         Pairs are decoded together. Each image is encoded alone, so that its features do not depend
         on the batch.
         """
-        cache = self.cache or feature_cache()
         views = [(View.whole(image1.size), View.whole(image2.size)) for image1, image2 in pairs]
-        decoded = self._decode(pairs, views, cache)
+        decoded = self._decode(pairs, views)
         likely = {
             i: pair_views
             for i, (upright, _) in enumerate(decoded)
             if upright.matchability.mean() < self.options.search_below
             and (pair_views := likely_views(self.engine, *pairs[i]))
         }
-        again = self._decode([pairs[i] for i in likely], list(likely.values()), cache)
+        again = self._decode([pairs[i] for i in likely], list(likely.values()))
         for (i, pair_views), other in zip(likely.items(), again, strict=True):
             matchability = other[0].matchability
             inside = pair_views[1].inside(pairs[i][1].size, matchability.shape[::-1])
@@ -105,7 +105,6 @@ class DenseMatcher(Matcher):
         self,
         pairs: Sequence[tuple[Image, Image]],
         views: Sequence[tuple[View, View]],
-        cache: FeatureCache,
     ) -> list[tuple[DecodedMap, np.ndarray | None]]:
         """The map between the views of each pair, and the cycle error if the options ask for it."""
         sources, targets = (
@@ -114,7 +113,7 @@ class DenseMatcher(Matcher):
         )
         keys = [*sources, *targets]
         wanted = [(key, partial(self._encode, *key)) for key in keys]
-        features = cache.get_all(wanted, in_turn=not self.engine.concurrent)
+        features = self.cache.get_all(wanted, in_turn=not self.engine.concurrent)
         source, target = features[: len(pairs)], features[len(pairs) :]
         forward = self.engine.decode(source, target, self.options.finest)
         if self.options.cycle_px is None:

@@ -100,6 +100,16 @@ class Matcher:
             for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
         ]
 
+    def match_quickly(self, image1: Image, image2: Image) -> MatchResult | None:
+        """As `match`, with less of everything: enough for a pair that is easy. None from a matcher
+        that has no quick pass, and where it shows that the pair is not easy."""
+        return None
+
+    def match_finely(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
+        """The matches that the map of a quick pass leads to at full resolution; `result` itself
+        from a matcher that has no quick pass."""
+        return result
+
     def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         """The matches of a result of `match`, and with them those of images that are made narrower
         or lower; `result` itself from a matcher that does not search again."""

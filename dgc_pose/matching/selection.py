@@ -13,6 +13,8 @@ from dgc_pose.system.options import check_options, option
 
 FinestLevel = Literal[240, 120, 60]
 
+WEAK = 0.25  # mean matchability of a map that may be of images rotated or of different scales
+
 
 @dataclass(frozen=True)
 class MatchingOptions:
@@ -45,7 +47,7 @@ class MatchingOptions:
     min_share: float = option(0.01, min=0, max=1)
     # The network is trained on upright photographs of similar scale. If the mean matchability is
     # below this, other rotations of image 2 and other scales are searched.
-    search_below: float = option(0.25, min=0, max=1)
+    search_below: float = option(WEAK, min=0, max=1)
 
     def __post_init__(self) -> None:
         check_options(self)

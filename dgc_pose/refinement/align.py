@@ -21,8 +21,8 @@ from dgc_pose.images.image import resize_by
 from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.refinement.lucas_kanade import Patches, align_patches
 
-_CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
+CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner, by default
 _CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels beyond, which the block and its gradients reach
 _STRIP = 256  # rows measured at a time: of a large image all take hundreds of MiB
 _SHIFT = 5.0  # largest shift, in units of the error that the matches came with
@@ -54,10 +54,12 @@ def align(
     error_px: float,
     min_zncc: float,
     max_matches: int,
+    corner_radius: int = CORNER_RADIUS,
 ) -> Aligned:
     """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
 
-    pixels: (H, W, 3) uint8. radius: of a patch, pixels of image 2. error_px: of the matches,
+    pixels: (H, W, 3) uint8. radius: of a patch, pixels of image 2. corner_radius: pixels of image 2
+    that a match moves along each axis at most, to a corner. error_px: of the matches,
     pixels of image 1; each moves by a few times that at most. min_zncc: least correlation of a pair
     of aligned patches.
     """
@@ -67,7 +69,7 @@ def align(
     if min(shrinks) > 1 / _SIMILAR:
         shrinks = 1.0, 1.0
     small = _Shrunk.of(pixels1, pixels2, matches, *shrinks)
-    aligned = _align(small, radius, error_px * small.scale1, min_zncc, max_matches)
+    aligned = _align(small, radius, corner_radius, error_px * small.scale1, min_zncc, max_matches)
     return replace(
         aligned,
         points1=_to_original(aligned.points1, small.scale1),
@@ -77,13 +79,18 @@ def align(
 
 
 def _align(
-    images: _Shrunk, radius: int, error: np.ndarray, min_zncc: float, max_matches: int
+    images: _Shrunk,
+    radius: int,
+    corner_radius: int,
+    error: np.ndarray,
+    min_zncc: float,
+    max_matches: int,
 ) -> Aligned:
     """As `align`, of images of similar scale; error along each axis."""
     grey1, grey2 = (
         cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (images.pixels1, images.pixels2)
     )
-    corners, strength = nearby_corners(grey2, images.matches.points2)
+    corners, strength = nearby_corners(grey2, images.matches.points2, corner_radius)
     rows = spread(corners, strength, (grey2.shape[1], grey2.shape[0]), max_matches)
     chosen, corners = images.matches.subset(rows), corners[rows]
     moved = corners - chosen.points2
@@ -187,17 +194,19 @@ def locate(
     return Aligned(patches.points1, matches.points2, patches.zncc, settled, matches.index)
 
 
-def nearby_corners(grey: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The strongest corner (N, 2) within a few pixels of each point, and its strength (N,).
+def nearby_corners(
+    grey: np.ndarray, points: np.ndarray, radius: int = CORNER_RADIUS
+) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest corner (N, 2) near each point, and its strength (N,).
 
-    grey: (H, W) uint8 or float32. points: (N, 2), pixels.
+    grey: (H, W) uint8 or float32. points: (N, 2), pixels. radius: pixels along each axis.
     """
     height, width = grey.shape
-    near = np.arange(-_CORNER_RADIUS, _CORNER_RADIUS + 1)
+    near = np.arange(-radius, radius + 1)
     x, y = np.rint(points).astype(np.int64).T[:, :, None] + near
     x, y = x.clip(0, width - 1), y.clip(0, height - 1)
     corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
-    strip = y[:, _CORNER_RADIUS] // _STRIP
+    strip = y[:, radius] // _STRIP
     for number in np.unique(strip):
         here = np.flatnonzero(strip == number)
         columns, rows = x[here], y[here]

@@ -23,6 +23,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.matching.selection import WEAK
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import STRIDE
 from dgc_pose.refinement.cell_consensus import likely_cells
@@ -40,7 +41,6 @@ from dgc_pose.system.threads import in_threads, slices
 
 _SQUEEZES = (0.6, 0.45)  # of the width or the height of one image
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
-_WEAK = 0.25  # mean matchability
 _WIDER = 1.6  # ratio of the fields of view, along a side
 _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
 _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
@@ -211,7 +211,7 @@ def _views(
     size1, size2 = correspondence_map.size1, correspondence_map.size2
     # What a weak map shows is too little to crop by, unless the fields of view differ.
     wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
-    if correspondence_map.matchability.mean() < _WEAK and 1 / _WIDER < wider < _WIDER:
+    if correspondence_map.matchability.mean() < WEAK and 1 / _WIDER < wider < _WIDER:
         points1, points2 = points1[:0], points2[:0]
     window1 = window_shown(points1[within(points1, size1)], size1)
     window2 = window_shown(points2, size2)

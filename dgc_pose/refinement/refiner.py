@@ -1,5 +1,7 @@
 """The refiner: a matcher's matches, or more accurate ones of the pair, aligned on the images."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,6 +13,7 @@ from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.selection import WEAK
 from dgc_pose.matching.texture import textured
 from dgc_pose.refinement.align import align, spread
 from dgc_pose.refinement.consistency import consistent
@@ -61,7 +64,8 @@ class Refiner(Matcher):
     """A matcher with refinement of its matches. The dense map is the matcher's.
 
     sources: tried in this order until one gives enough matches. For a pair without a map the
-    matcher's matches are aligned instead. max_matches: an even subsample of at most so many.
+    matcher's matches are aligned instead. max_matches: an even subsample of at most so many. quick:
+    what makes the quick pass.
     """
 
     def __init__(
@@ -70,12 +74,14 @@ class Refiner(Matcher):
         sources: Sequence[MatchSource] = (MapMatches(),),
         options: AlignmentOptions | None = None,
         max_matches: int = 2000,
+        quick: Refiner | None = None,
     ) -> None:
         self.matcher = matcher
         self.name = matcher.name
         self.sources = tuple(sources)
         self.options = options or AlignmentOptions()
         self.max_matches = max_matches
+        self.quick = quick
 
     @property
     def fingerprint(self) -> str | None:
@@ -93,6 +99,25 @@ class Refiner(Matcher):
 
         A step that leaves too few matches is undone. If all do, `result` itself is returned.
         """
+        return self._refined(image1, image2, result) or result
+
+    def match_quickly(self, image1: Image, image2: Image) -> MatchResult | None:
+        """As `Matcher`; None too if the quick pass leaves too few matches, and if the images may
+        be rotated or of different scales, which it does not search."""
+        if self.quick is None:
+            return None
+        result = self.quick.matcher.match(image1, image2)
+        dense = result.correspondence_map
+        if dense is None or dense.matchability.mean() < WEAK:
+            return None
+        return self.quick._refined(image1, image2, result)
+
+    def match_finely(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
+        """As `Matcher`, by all sources."""
+        return self.refine(image1, image2, result)
+
+    def _refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
+        """As `refine`; None if every step leaves too few matches."""
         dense = result.correspondence_map
         sources: Iterable[Matches] = [result.matches]
         if dense is not None:
@@ -102,7 +127,7 @@ class Refiner(Matcher):
             refined = self._last_step(image1, image2, *steps, dense)
             if refined is not None:
                 return refined
-        return result
+        return None
 
     def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         """As `Matcher`, by the first source."""
@@ -179,6 +204,7 @@ class Refiner(Matcher):
             image2.pixels,
             local,
             radius=options.patch_radius,
+            corner_radius=options.corner_radius,
             error_px=matches.error_px,
             min_zncc=options.min_zncc,
             max_matches=self.max_matches,
