@@ -9,10 +9,11 @@ import hashlib
 import json
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import Any, Generic
 
@@ -24,7 +25,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
+from dgc_pose.pose import pose_of_pair
 from dgc_pose.system.options import check_options, option
 from dgc_pose.system.processes import process_pools
 
@@ -96,12 +99,10 @@ class Evaluation(Generic[Score]):
     ) -> Iterator[MatchedPair[Score]]:
         selected: dict[tuple[MatcherOptions, bool], tuple[MatchResult, float]] = {}
         for method in self.methods:
-            result, key = results[method.matching_pass], (method.matcher, method.everywhere)
-            if key not in selected:
-                selected[key] = self._selected(method, pair, result)
-            chosen, seconds = selected[key]
+            mapped = results[method.matching_pass]
+            whole = partial(self._selected, selected, method, pair, mapped)
             cameras, options = _told(method, pair), _seeded(method, pair)
-            final, more_seconds = self._searched(method, pair, chosen, cameras, options)
+            final, seconds = self._final(method, pair, cameras, options, whole)
             yield MatchedPair(
                 kind=self.pairs.kind,
                 method=method.name,
@@ -109,37 +110,59 @@ class Evaluation(Generic[Score]):
                 cameras=cameras,
                 matches=final.matches,
                 map_matches=None if method.everywhere else final.map_matches,
-                everywhere_px=result.everywhere_px,
+                everywhere_px=mapped.everywhere_px,
                 options=options,
-                match_seconds=result.seconds + seconds + more_seconds,
+                match_seconds=seconds,
             )
 
     def _selected(
-        self, method: Method, pair: PosedPair, result: _Result
+        self,
+        selected: dict[tuple[MatcherOptions, bool], tuple[MatchResult, float]],
+        method: Method,
+        pair: PosedPair,
+        mapped: _Result,
     ) -> tuple[MatchResult, float]:
-        """The matches of a method, and the seconds that it took to select and refine them."""
-        start = time.perf_counter()
-        matching = self.passes[method.matching_pass]
-        selected = matching.selected(method, pair.image1, pair.image2, result.matched)
-        return selected, time.perf_counter() - start
+        """All the matches of a method, and the seconds that they took: of the map, of selection and
+        of refinement. `selected` has those of the pair that are there."""
+        key = (method.matcher, method.everywhere)
+        if key not in selected:
+            start = time.perf_counter()
+            matching = self.passes[method.matching_pass]
+            result = matching.selected(method, pair.image1, pair.image2, mapped.matched)
+            selected[key] = result, mapped.seconds + time.perf_counter() - start
+        return selected[key]
 
-    def _searched(
+    def _final(
         self,
         method: Method,
         pair: PosedPair,
-        result: MatchResult,
         cameras: tuple[Camera, Camera] | str,
         options: EstimationOptions,
+        whole: Callable[[], tuple[MatchResult, float]],
     ) -> tuple[MatchResult, float]:
-        """The matches that the pose is of at last, and the seconds of the first pose and the search
-        after it if there was one: of any other pair the first pose is timed as its pose."""
-        if isinstance(cameras, str):
-            return result, 0.0
-        start = time.perf_counter()
-        matching = self.passes[method.matching_pass]
-        images = pair.image1, pair.image2
-        final = matching.searched(method, *images, result, cameras, options)
-        return final, 0.0 if final is result else time.perf_counter() - start
+        """The matches that the pose is of at last, and the seconds until they were there, also
+        those of poses before. whole: all the matches, and their seconds."""
+        refiner = self.passes[method.matching_pass].refiner(method)
+        if refiner is None or isinstance(cameras, str):
+            return whole()
+        start = end = time.perf_counter()
+        elsewhere = 0.0
+
+        def match() -> MatchResult:
+            nonlocal elsewhere
+            begun = time.perf_counter()
+            result, seconds = whole()
+            elsewhere += seconds - (time.perf_counter() - begun)
+            return result
+
+        def matched(matches: Matches) -> None:
+            nonlocal end
+            end = time.perf_counter()
+
+        _, final = pose_of_pair(
+            refiner, pair.image1, pair.image2, *cameras, options, whole=match, matched=matched
+        )
+        return final, end - start + elsewhere
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
@@ -24,8 +23,7 @@ from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions, refined
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.matching.texture import textured
 from dgc_pose.network.stored import shipped
-from dgc_pose.pose import pose_of_result
-from dgc_pose.refinement import RefinementOptions
+from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
@@ -83,25 +81,14 @@ class MatchingPass:
             result = replace(result, matches=selected)
         elif method.everywhere:
             raise InputError(f"{method.name}: {self.matcher.name} gives points and no map")
-        if method.matcher.refinement.source == "none":
-            return result
-        return refined(self.matcher, method.matcher, self.caches).refine(image1, image2, result)
+        refiner = self.refiner(method)
+        return result if refiner is None else refiner.refine(image1, image2, result)
 
-    def searched(
-        self,
-        method: Method,
-        image1: Image,
-        image2: Image,
-        result: MatchResult,
-        cameras: tuple[Camera, Camera],
-        options: EstimationOptions,
-    ) -> MatchResult:
-        """A result of `selected` with the matches that its pose is of at last, see
-        `pose_of_result`; `result` itself if the pose is not in doubt."""
+    def refiner(self, method: Method) -> Refiner | None:
+        """What refines the matches of a method; None if nothing does."""
         if method.matcher.refinement.source == "none":
-            return result
-        refiner = refined(self.matcher, method.matcher, self.caches)
-        return pose_of_result(refiner, image1, image2, result, *cameras, options)[1]
+            return None
+        return refined(self.matcher, method.matcher, self.caches)
 
 
 Passes = Mapping[MatcherOptions, MatchingPass]  # by `Method.matching_pass`

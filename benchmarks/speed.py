@@ -9,8 +9,9 @@ medians are reported.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, get_args
 
 import cv2
 import numpy as np
@@ -24,20 +25,22 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.poselib_calls import MINIMAL, essential_matrix, run_seeds
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DenseMatcher, MatchResult, select_matches
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
-from dgc_pose.pose import pose_of_matches, search_again
+from dgc_pose.pose import pose_of_matches, pose_of_pair
 from dgc_pose.refinement import Refiner
 
 SIZE = (1600, 1200)  # of the bundled pair, enlarged
-TOTAL, SIFT_TOTAL = "dgc-pose, in all", "sift, in all"
+TOTAL = "in all"
+SIFT, READ = "sift", "read"  # parts beside the steps of a pose and its efforts
 _UPRIGHT = "the map, without rotations"
 _ESTIMATION = EstimationOptions()
 _MATRIX = 2048  # rows and columns of the matrix product that the machine's rate is taken from
@@ -50,11 +53,6 @@ FORWARD_COLUMNS = {
     "over floor": "{0.over_floor:.2f}",
     "apart px": "{0.apart_px:.1e}",
 }
-_NAMES = (
-    *("read", "encoder", "decoders", "map in pixels", "rotated tries", "selection", "refinement"),
-    *("pose", "search", TOTAL, "sift, matching", "sift, pose", SIFT_TOTAL),
-)
-
 Value = TypeVar("Value")
 Seconds = dict[str, float]
 
@@ -67,40 +65,54 @@ class Setup:
     path2: Path
     camera1: Camera
     camera2: Camera
-    dense: DenseMatcher
-    refiner: Refiner  # of `dense`
+    refiner: Refiner  # of a network
+    device: str  # that the network runs on
+
+    @property
+    def cameras(self) -> tuple[Camera, Camera]:
+        return self.camera1, self.camera2
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One line of the table of stages."""
+    """One line of a table."""
 
+    part: str  # what it is a stage of: the step "quick" or "match", "sift", or an effort
     name: str
     seconds: float  # median over the repetitions
-    share: float  # of the whole, 0 to 1
+    share: float  # of its part, 0 to 1
     floor_seconds: float | None  # median; None if there is no floor
 
 
-def time_stages(setup: Setup) -> Seconds:
-    """Seconds of every stage of a pair, once; with those of SIFT and of PoseLib alone."""
-    seconds: Seconds = {}
+def time_parts(setup: Setup) -> dict[str, Seconds]:
+    """Seconds of a pair, once, by part and stage: the steps "quick" and "match", SIFT through the
+    same estimator, and the whole by each effort, step by step. Beside them PoseLib alone."""
+    timed: dict[str, Seconds] = {}
+    steps = {"match": setup.refiner} | ({"quick": quick} if (quick := setup.refiner.quick) else {})
+    for step, refiner in steps.items():
+        timed[step] = _stages_of(setup, refiner)
+    watch = _Watch(setup.device)
+    images = watch(READ, lambda: _read(setup))
+    matched = watch("matching", lambda: SiftMatcher().match(*images))
+    watch("pose", lambda: _pose(setup, matched))
+    timed[SIFT] = watch.with_total()
+    for effort in get_args(Effort):
+        watch = _Watch(setup.device)
+        first, second = watch(READ, lambda: _read(setup))
+        options = EstimationOptions(effort=effort)
+        pose, _ = pose_of_pair(setup.refiner, first, second, *setup.cameras, options)
+        watch.seconds.update(pose.seconds)
+        timed[effort] = watch.with_total()
+    return timed
 
-    def watch(name: str, work: Callable[[], Value]) -> Value:
-        start = time.perf_counter()
-        result = work()
-        seconds[name] = time.perf_counter() - start
-        return result
 
-    cameras = setup.camera1, setup.camera2
-
-    def pose(result: MatchResult) -> RelativePose:
-        map_matches = result.map_matches
-        return pose_of_matches(result.matches, *cameras, _ESTIMATION, map_matches=map_matches)
-
-    dense, refiner = setup.dense, setup.refiner
-    paths = (setup.path1, setup.path2)
-    first, second = images = watch("read", lambda: [load_image(path) for path in paths])
+def _stages_of(setup: Setup, refiner: Refiner) -> Seconds:
+    """Of a step; all that a pair costs by it alone but reading the images."""
+    watch = _Watch(setup.device)
+    dense = refiner.matcher
+    assert isinstance(dense, DenseMatcher)
     engine = dense.engine
+    first, second = images = _read(setup)
     source, target = watch("encoder", lambda: [engine.encode(image.pixels) for image in images])
     watch("decoders", lambda: engine.decode([source], [target], dense.options.finest))
     upright = DenseMatcher(engine, replace(dense.options, search_below=0.0))
@@ -109,54 +121,79 @@ def time_stages(setup: Setup) -> Seconds:
     selected = watch("selection", lambda: select_matches(dense_map, dense.options))
     result = MatchResult(selected, dense_map)
     refined = watch("refinement", lambda: refiner.refine(first, second, result))
-    found = watch("pose", lambda: pose(refined))
-    watch(
-        "search",
-        lambda: search_again(refiner, first, second, refined, found, *cameras, _ESTIMATION),
-    )
+    watch("pose", lambda: _pose(setup, refined))
     watch("poselib alone", _poselib_alone(setup, refined.matches))
-
-    sift = watch("sift, matching", lambda: SiftMatcher().match(first, second))
-    watch("sift, pose", lambda: pose(sift))
-    network = seconds["encoder"] + seconds["decoders"]
-    parts = ("the map", "selection", "refinement", "pose", "search")
-    return seconds | {
-        "map in pixels": seconds[_UPRIGHT] - network,
+    seconds = watch.seconds
+    return {
+        "encoder": seconds["encoder"],
+        "decoders": seconds["decoders"],
+        "map in pixels": seconds[_UPRIGHT] - seconds["encoder"] - seconds["decoders"],
         "rotated tries": seconds["the map"] - seconds[_UPRIGHT],
-        TOTAL: seconds["read"] + sum(seconds[name] for name in parts),
-        SIFT_TOTAL: seconds["read"] + seconds["sift, matching"] + seconds["sift, pose"],
+        **{name: seconds[name] for name in ("selection", "refinement", "pose", "poselib alone")},
+        TOTAL: sum(seconds[name] for name in ("the map", "selection", "refinement", "pose")),
     }
 
 
+class _Watch:
+    """Seconds of pieces of work, by name. device: whose work counts too, which it waits for."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+        self.seconds: Seconds = {}
+
+    def __call__(self, name: str, work: Callable[[], Value]) -> Value:
+        start = time.perf_counter()
+        result = work()
+        if self.device == "cuda":
+            torch.cuda.synchronize()
+        self.seconds[name] = time.perf_counter() - start
+        return result
+
+    def with_total(self) -> Seconds:
+        return self.seconds | {TOTAL: sum(self.seconds.values())}
+
+
+def _read(setup: Setup) -> tuple[Image, Image]:
+    return load_image(setup.path1), load_image(setup.path2)
+
+
+def _pose(setup: Setup, result: MatchResult) -> RelativePose:
+    return pose_of_matches(
+        result.matches, *setup.cameras, _ESTIMATION, map_matches=result.map_matches
+    )
+
+
 def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[Stage]:
-    """Every stage with its share of the whole and its floor.
+    """Every stage of every part, with its share of the part and its floor.
 
     rate: measures the machine's multiply-adds a second. A stage that is the difference of two
     others, as the rotated tries, may be slightly negative.
     """
     # Of a network of the same configuration, before its layers are folded.
-    encoder, decoders = multiply_adds(DGCNet(setup.dense.engine.config).eval())
-    time_stages(setup)  # the first pass pays for what is set up once
+    dense = setup.refiner.matcher
+    assert isinstance(dense, DenseMatcher)
+    encoder, decoders = multiply_adds(DGCNet(dense.engine.config).eval())
+    time_parts(setup)  # the first pass pays for what is set up once
     rows, rates = [], []
     for _ in range(repetitions):
-        rows.append(time_stages(setup))
+        rows.append(time_parts(setup))
         rates.append(rate())
-    median = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
     fastest = float(np.median(rates))
-    floors = {
-        "encoder": encoder / fastest,
-        "decoders": decoders / fastest,
-        "pose": median["poselib alone"],
-    }
-    return [
-        Stage(
-            name,
-            median[name],
-            median[name] / median[SIFT_TOTAL if name.startswith("sift") else TOTAL],
-            floors.get(name),
-        )
-        for name in _NAMES
-    ]
+    stages = []
+    for part, names in rows[0].items():
+        median = {
+            name: float(np.median([row[part].get(name, 0.0) for row in rows])) for name in names
+        }
+        floors = {}
+        if "poselib alone" in median:
+            floors = {"encoder": encoder / fastest, "pose": median.pop("poselib alone")}
+        if part == "match":
+            floors["decoders"] = decoders / fastest
+        stages += [
+            Stage(part, name, seconds, seconds / median[TOTAL], floors.get(name))
+            for name, seconds in median.items()
+        ]
+    return stages
 
 
 def bundled_setup(folder: Path) -> tuple[Path, Path, Camera, Camera]:
@@ -183,13 +220,15 @@ def user_setup(path1: Path, path2: Path | None, k: str | None) -> tuple[Path, Pa
 
 def stages_text(timed: Sequence[Stage]) -> str:
     """The stages as a table with aligned columns."""
-    rows = [("stage", "ms", "share", "floor ms", "over floor")]
+    rows = [("of", "stage", "ms", "share", "floor ms", "over floor")]
     for stage in timed:
         floor = ("", "")
         if stage.floor_seconds is not None:
             over = stage.seconds / stage.floor_seconds
             floor = (f"{1000 * stage.floor_seconds:.1f}", f"{over:.2f}")
-        rows.append((stage.name, f"{1000 * stage.seconds:.1f}", f"{stage.share:.0%}", *floor))
+        rows.append(
+            (stage.part, stage.name, f"{1000 * stage.seconds:.1f}", f"{stage.share:.0%}", *floor)
+        )
     return aligned(rows)
 
 
@@ -227,12 +266,12 @@ def multiply_adds(net: DGCNet) -> tuple[int, int]:
     return 2 * counts[0], counts[1]
 
 
-def matrix_rate() -> float:
-    """Multiply-adds a second of a large matrix product in single precision, on this machine."""
-    matrix = torch.ones(_MATRIX, _MATRIX)
-    start = time.perf_counter()
-    torch.mm(matrix, matrix)
-    return _MATRIX**3 / (time.perf_counter() - start)
+def matrix_rate(device: str) -> float:
+    """Multiply-adds a second of a large matrix product in single precision, on a device."""
+    matrix = torch.ones(_MATRIX, _MATRIX, device=device)
+    watch = _Watch(device)
+    watch("product", lambda: torch.mm(matrix, matrix))
+    return _MATRIX**3 / watch.seconds["product"]
 
 
 def time_forwards(
@@ -248,10 +287,10 @@ def time_forwards(
     with torch.inference_mode():
         maps = {way: variant(*images).maps[-1] for way, variant in ways.items()}
         for _ in range(repetitions):
+            watch = _Watch(images[0].device.type)
             for way, variant in ways.items():
-                start = time.perf_counter()
-                variant(*images)
-                seconds[way].append(time.perf_counter() - start)
+                watch(way, partial(variant, *images))
+                seconds[way].append(watch.seconds[way])
             rates.append(rate())
     floor = sum(multiply_adds(net)) / float(np.median(rates))
     return [

@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import click
 import cv2
@@ -10,7 +12,7 @@ import torch
 
 from dgc_pose.benchmarks.speed import (
     FORWARD_COLUMNS,
-    SIFT_TOTAL,
+    SIFT,
     TOTAL,
     Setup,
     bundled_setup,
@@ -24,15 +26,18 @@ from dgc_pose.benchmarks.table import table
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
+from dgc_pose.errors import InputError
+from dgc_pose.estimation.options import Effort
 from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import save_text, scratch_folder, staged
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import MatcherOptions, refined
-from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.runtime.load import RUNTIME_HELP, RuntimeName
+from dgc_pose.refinement import Refiner
+from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.torch_engine import network_input
 from dgc_pose.system.options import option
@@ -50,7 +55,9 @@ class SpeedOptions:
     threads: int | None = option(
         None, "Threads of torch and OpenCV; default: their own choice.", min=1, max=1024
     )
+    device: str = option("cpu", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP)
+    half_precision: bool = option(False, "The network's convolutions in bfloat16, by torch.")
     json_path: str | None = option(
         None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
@@ -73,13 +80,18 @@ def bench_speed(
             torch.set_num_threads(options.threads)
             cv2.setNumThreads(options.threads)
         configs = {f"{name}, random": preset(name) for name in split_names(options.forward)}
-        dense = load_dense_matcher(options.weights, device="cpu", runtime=options.runtime)
+        device = device_type(options.device)
+        wanted = MatcherOptions(options.weights, device, options.runtime, options.half_precision)
+        refiner = wanted.load()
+        if not isinstance(refiner, Refiner):
+            raise InputError(f"--weights {options.weights}: the stages are those of a network")
         pair = bundled_setup(folder) if image1 is None else user_setup(image1, image2, k)
-        nets = {dense.name: load_network(options.weights)}
+        nets = {refiner.name: load_network(options.weights)}
         for name, config in configs.items():
             torch.manual_seed(0)
             nets[name] = DGCNet(config).eval().requires_grad_(False)
-        setup = Setup(*pair, dense, refined(dense, MatcherOptions()))
+        nets = {name: net.to(device) for name, net in nets.items()}
+        setup = Setup(*pair, refiner, device)
         data = _measure(setup, nets, options.repetitions)
         if options.json_path is not None:
             save_text(stage(options.json_path), json_text(finite_data(data)))
@@ -89,8 +101,9 @@ def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict
     """Measure, print, and return what is written as JSON."""
     images = [load_image(path) for path in (setup.path1, setup.path2)]
     facts = {
-        "weights": setup.dense.name,
-        "runtime": "onnx" if isinstance(setup.dense.engine, OnnxEngine) else "torch",
+        "weights": setup.refiner.name,
+        "device": setup.device,
+        "runtime": "onnx" if isinstance(setup.refiner.matcher.engine, OnnxEngine) else "torch",
         "size": "x".join(map(str, images[0].size)),
         "repetitions": repetitions,
         "torch_threads": torch.get_num_threads(),
@@ -98,22 +111,24 @@ def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict
         "torch": torch.__version__,
     }
     click.echo(", ".join(f"{name} {value}" for name, value in facts.items()))
-    timed = stages(setup, repetitions, matrix_rate)
+    rate = partial(matrix_rate, setup.device)
+    timed = stages(setup, repetitions, rate)
     click.echo("\n" + stages_text(timed) + "\n")
-    size, device = (INPUT_SIZE, INPUT_SIZE), torch.device("cpu")
+    size, device = (INPUT_SIZE, INPUT_SIZE), torch.device(setup.device)
     inputs = [network_input(image.pixels, size, device) for image in images]
     forwards = [
         forward
         for name, net in nets.items()
-        for forward in time_forwards(name, net, inputs, repetitions, matrix_rate)
+        for forward in time_forwards(name, net, inputs, repetitions, rate)
     ]
     click.echo(table(FORWARD_COLUMNS, forwards) + "\n")
-    seconds = {stage.name: stage.seconds for stage in timed}
-    ratio = seconds[SIFT_TOTAL] / seconds[TOTAL]
-    click.echo(f"sift over dgc-pose, in all: {ratio:.2f}")
+    totals = {stage.part: stage.seconds for stage in timed if stage.name == TOTAL}
+    ratios = {effort: totals[effort] / totals[SIFT] for effort in get_args(Effort)}
+    for effort, ratio in ratios.items():
+        click.echo(f"effort {effort} over sift, in all: {ratio:.2f}")
     return {
         **facts,
         "stages": [asdict(stage) for stage in timed],
-        "sift_over_dgc_pose": ratio,
+        "over_sift": ratios,
         "forwards": [asdict(forward) for forward in forwards],
     }

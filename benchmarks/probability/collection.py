@@ -24,7 +24,7 @@ from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
-from dgc_pose.pose import pose_of_result
+from dgc_pose.pose import pose_of_pair
 
 _ENGINE = "engine.json"
 _FIELDS = ("points1", "points2", "confidence", "error_px", "key_points")  # of Matches
@@ -107,11 +107,12 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
 
 
 def match_and_pool(matcher: Matcher, posed: PosedPair) -> tuple[MatchResult, Matches | None]:
-    """The matches of a pair, and with those searched again if its pose is in doubt."""
+    """The matches of a pair, and with those searched again if its pose is in doubt. The matcher is
+    to have no quick pass."""
     images, truth = (posed.image1, posed.image2), posed.truth
     result = matcher.match(*images)
     cameras = truth.camera1, truth.camera2
-    _, last = pose_of_result(matcher, *images, result, *cameras, EstimationOptions())
+    _, last = pose_of_pair(matcher, *images, *cameras, EstimationOptions(), whole=lambda: result)
     return result, None if last is result else last.matches
 
 

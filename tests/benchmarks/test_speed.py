@@ -10,7 +10,7 @@ from command_line import assert_refused, run
 from map_nets import SMALL
 
 from dgc_pose.benchmarks import speed
-from dgc_pose.benchmarks.speed import SIFT_TOTAL, TOTAL, multiply_adds, time_forwards
+from dgc_pose.benchmarks.speed import TOTAL, multiply_adds, time_forwards
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
@@ -62,19 +62,24 @@ def test_the_table_adds_up(quick: None, tmp_path: Path) -> None:
     result = run("bench-speed", *words)
     assert result.exit_code == 0, result.output
     data = json.loads(out.read_text())
-    seconds = {stage["name"]: stage["seconds"] for stage in data["stages"]}
-    parts = ("read", "encoder", "decoders", "map in pixels", "rotated tries")
-    parts += ("selection", "refinement", "pose", "search")
-    assert seconds[TOTAL] == pytest.approx(sum(seconds[name] for name in parts))
-    sift = seconds["read"] + seconds["sift, matching"] + seconds["sift, pose"]
-    assert seconds[SIFT_TOTAL] == pytest.approx(sift)
-    assert data["sift_over_dgc_pose"] == pytest.approx(sift / seconds[TOTAL])
-    floors = {stage["name"] for stage in data["stages"] if stage["floor_seconds"] is not None}
-    assert floors == {"encoder", "decoders", "pose"}
+    parts: dict[str, dict[str, float]] = {}
+    for stage in data["stages"]:
+        parts.setdefault(stage["part"], {})[stage["name"]] = stage["seconds"]
+    assert set(parts) == {"quick", "match", "sift", "fast", "auto", "thorough"}
+    for seconds in parts.values():
+        total = seconds.pop(TOTAL)
+        assert total == pytest.approx(sum(seconds.values())) and total > 0
+    steps = {effort: set(parts[effort]) for effort in ("fast", "auto", "thorough")}
+    assert all({"read", "estimate"} < names for names in steps.values())
+    assert "quick" not in steps["thorough"] and "match" in steps["thorough"]
+    floors = {(s["part"], s["name"]) for s in data["stages"] if s["floor_seconds"] is not None}
+    of_steps = {(part, name) for part in ("quick", "match") for name in ("encoder", "pose")}
+    assert floors == of_steps | {("match", "decoders")}
+    assert set(data["over_sift"]) == {"fast", "auto", "thorough"}
     assert data["size"] == "400x300" and data["torch_threads"] == torch.get_num_threads()
     assert {one["network"] for one in data["forwards"]} == {"dgcm-lite0"}
-    for name in seconds:
-        assert name in result.output
+    for stage in data["stages"]:
+        assert stage["name"] in result.output
 
 
 def test_images_of_one_s_own_need_k(quick: None, tmp_path: Path) -> None:
@@ -83,3 +88,4 @@ def test_images_of_one_s_own_need_k(quick: None, tmp_path: Path) -> None:
     assert_refused(run("bench-speed", image), "both images and K")
     assert_refused(run("bench-speed", image, "nowhere.png", "40,40,20,15"), "nowhere.png")
     assert_refused(run("bench-speed", "--forward", "vgg"), "no preset 'vgg'")
+    assert_refused(run("bench-speed", "--weights", "sift"), "--weights sift")
