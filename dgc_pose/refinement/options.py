@@ -35,9 +35,8 @@ class AlignmentOptions:
 
     align: bool = True  # whether patches of the originals are aligned around each match
     neighbours: int = option(12, min=4)  # nearest matches whose affinity a match must fit
-    corner_radius: int = option(
-        CORNER_RADIUS, min=0
-    )  # pixels, along each axis, that a match moves to a corner
+    # Pixels of image 2, along each axis, that a match moves at most, to a corner.
+    corner_radius: int = option(CORNER_RADIUS, min=0)
     patch_radius: int = option(7, min=2)  # pixels of image 2; patches of 15x15
     min_zncc: float = option(0.8, above=0, max=1)  # least correlation of a pair of aligned patches
     min_matches: int = option(50, min=1)  # a step that leaves fewer is undone
