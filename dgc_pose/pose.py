@@ -44,6 +44,7 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
 _HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which no more is searched
 _ROUGHLY = 1.5  # standard deviations of a focal length that the matches suggest
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
+_LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
 
 @dataclass(frozen=True)
@@ -215,8 +216,8 @@ def _may_gain(
         return certain(pose) and not (accurate(pose) and right_cameras(pose))
     if step == "match":
         return effort != "fast" and not certain(pose)
-    loose = effort == "thorough" and pose.success and not accurate(pose)
-    return exact and (in_doubt(pose) or loose)
+    limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
+    return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 
 
 def certain(pose: RelativePose) -> bool:
@@ -224,10 +225,10 @@ def certain(pose: RelativePose) -> bool:
     return pose.success and (pose.probability or 0.0) >= _CERTAIN
 
 
-def accurate(pose: RelativePose) -> bool:
-    """Whether more matches would hardly make the pose more accurate."""
+def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
+    """Whether the expected errors of the pose are known, and below a limit."""
     errors = pose.rotation_error_90_deg, pose.translation_error_90_deg
-    return all(error is not None and error < _ACCURATE_DEG for error in errors)
+    return all(error is not None and error < limit_deg for error in errors)
 
 
 def right_cameras(pose: RelativePose) -> bool:

@@ -216,7 +216,8 @@ def _doubt(probability: float | None, *others: float | None) -> dict[str, Any]:
     return {"probability": probability, "alternatives": poses}
 
 
-CERTAIN, LOOSE = _doubt(0.995), _doubt(0.995) | {"covariance": np.eye(6)}
+CERTAIN = _doubt(0.995)
+LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
 SEARCHED = ["squeezed", "near"]
 
 
@@ -228,7 +229,8 @@ SEARCHED = ["squeezed", "near"]
         ("auto", [LOOSE], ["quick", "fine"]),  # certain, but not accurate
         ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["quick", "fine", "match"]),
         ("auto", [CERTAIN | {"status": "ambiguous"}, CERTAIN], ["quick", "match"]),
-        ("auto", [CERTAIN | {"covariance": None}], ["quick", "fine"]),
+        ("auto", [LOOSER], ["quick", "fine", *SEARCHED]),
+        ("auto", [CERTAIN | {"covariance": None}, CERTAIN], ["quick", "fine"]),
         ("auto", [_doubt(None)], ["quick", "match"]),
         ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
         ("auto", [_doubt(0.0, 0.5, 0.4)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
@@ -267,7 +269,7 @@ def test_a_quick_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.Monkey
         _with(monkeypatch, CERTAIN)
         matcher = _Stepwise()
         pose_of_pair(matcher, *PICTURES, camera, camera, OPTIONS)
-        assert matcher.steps == steps
+        assert matcher.steps[:2] == steps
 
 
 @pytest.mark.parametrize("uncertain", [1, 2])
