@@ -65,7 +65,8 @@ class Setup:
     path2: Path
     camera1: Camera
     camera2: Camera
-    refiner: Refiner  # of a network
+    dense: DenseMatcher
+    refiner: Refiner  # of `dense`
     device: str  # that the network runs on
 
     @property
@@ -88,9 +89,10 @@ def time_parts(setup: Setup) -> dict[str, Seconds]:
     """Seconds of a pair, once, by part and stage: the steps "quick" and "match", SIFT through the
     same estimator, and the whole by each effort, step by step. Beside them PoseLib alone."""
     timed: dict[str, Seconds] = {}
-    steps = {"match": setup.refiner} | ({"quick": quick} if (quick := setup.refiner.quick) else {})
-    for step, refiner in steps.items():
-        timed[step] = _stages_of(setup, refiner)
+    timed["match"] = _stages_of(setup, setup.dense, setup.refiner)
+    coarse, quick = setup.dense.coarser(), setup.refiner.quick
+    if coarse is not None and quick is not None:
+        timed["quick"] = _stages_of(setup, coarse, quick)
     watch = _Watch(setup.device)
     images = watch(READ, lambda: _read(setup))
     matched = watch("matching", lambda: SiftMatcher().match(*images))
@@ -106,11 +108,9 @@ def time_parts(setup: Setup) -> dict[str, Seconds]:
     return timed
 
 
-def _stages_of(setup: Setup, refiner: Refiner) -> Seconds:
+def _stages_of(setup: Setup, dense: DenseMatcher, refiner: Refiner) -> Seconds:
     """Of a step; all that a pair costs by it alone but reading the images."""
     watch = _Watch(setup.device)
-    dense = refiner.matcher
-    assert isinstance(dense, DenseMatcher)
     engine = dense.engine
     first, second = images = _read(setup)
     source, target = watch("encoder", lambda: [engine.encode(image.pixels) for image in images])
@@ -170,9 +170,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
     others, as the rotated tries, may be slightly negative.
     """
     # Of a network of the same configuration, before its layers are folded.
-    dense = setup.refiner.matcher
-    assert isinstance(dense, DenseMatcher)
-    encoder, decoders = multiply_adds(DGCNet(dense.engine.config).eval())
+    encoder, decoders = multiply_adds(DGCNet(setup.dense.engine.config).eval())
     time_parts(setup)  # the first pass pays for what is set up once
     rows, rates = [], []
     for _ in range(repetitions):

@@ -31,12 +31,11 @@ from dgc_pose.estimation.options import Effort
 from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import save_text, scratch_folder, staged
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching import DEFAULT_WEIGHTS
+from dgc_pose.matchers import MatcherOptions, refined
+from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
 from dgc_pose.network.config import INPUT_SIZE, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import Refiner
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.torch_engine import network_input
@@ -82,16 +81,21 @@ def bench_speed(
         configs = {f"{name}, random": preset(name) for name in split_names(options.forward)}
         device = device_type(options.device)
         wanted = MatcherOptions(options.weights, device, options.runtime, options.half_precision)
-        refiner = wanted.load()
-        if not isinstance(refiner, Refiner):
+        if not wanted.kind.network:
             raise InputError(f"--weights {options.weights}: the stages are those of a network")
+        dense = load_dense_matcher(
+            options.weights,
+            device=device,
+            runtime=options.runtime,
+            half_precision=options.half_precision,
+        )
         pair = bundled_setup(folder) if image1 is None else user_setup(image1, image2, k)
-        nets = {refiner.name: load_network(options.weights)}
+        nets = {dense.name: load_network(options.weights)}
         for name, config in configs.items():
             torch.manual_seed(0)
             nets[name] = DGCNet(config).eval().requires_grad_(False)
         nets = {name: net.to(device) for name, net in nets.items()}
-        setup = Setup(*pair, refiner, device)
+        setup = Setup(*pair, dense, refined(dense, wanted), device)
         data = _measure(setup, nets, options.repetitions)
         if options.json_path is not None:
             save_text(stage(options.json_path), json_text(finite_data(data)))
@@ -101,9 +105,9 @@ def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict
     """Measure, print, and return what is written as JSON."""
     images = [load_image(path) for path in (setup.path1, setup.path2)]
     facts = {
-        "weights": setup.refiner.name,
+        "weights": setup.dense.name,
         "device": setup.device,
-        "runtime": "onnx" if isinstance(setup.refiner.matcher.engine, OnnxEngine) else "torch",
+        "runtime": "onnx" if isinstance(setup.dense.engine, OnnxEngine) else "torch",
         "size": "x".join(map(str, images[0].size)),
         "repetitions": repetitions,
         "torch_threads": torch.get_num_threads(),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching.dense import DenseMatcher, FeatureCache, feature_cache, load_dense_matcher
+from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.key_points import KeyPointCache, key_point_cache
 from dgc_pose.matching.matcher import Matcher
@@ -157,20 +157,16 @@ def refined(
 
 
 def _quick(matcher: Matcher, options: MatcherOptions, native: NativeCache | None) -> Refiner | None:
-    """What makes the quick pass: the coarsest map, upright, and the features of small images. None
-    for a matcher whose map comes from elsewhere, and for a mask network, which needs the finest."""
-    features = options.refinement.features
-    if not isinstance(matcher, DenseMatcher) or features.quick_side == 0:
+    """What makes the quick pass: the coarsest map, and the features of small images. None for a
+    matcher that has no coarser map."""
+    features, coarse = options.refinement.features, matcher.coarser()
+    if features.quick_side == 0 or coarse is None or coarse.engine is None:
         return None
-    if matcher.engine.config.matchability == "network":
-        return None
-    matching = replace(options.matching, finest=60, cycle_px=None, search_below=0.0)
-    dense = DenseMatcher(matcher.engine, matching, matcher.cache)
     small = replace(features, long_side=features.quick_side)
-    source = FeatureMatches(matcher.engine, small, native)
+    source = FeatureMatches(coarse.engine, small, native)
     # Its cells are larger, so that the strongest corner of one is further away.
     alignment = replace(options.refinement.alignment, corner_radius=_QUICK_CORNER_RADIUS)
-    return Refiner(dense, [source], alignment, matching.max_matches)
+    return Refiner(coarse, [source], alignment, options.matching.max_matches)
 
 
 def _network(

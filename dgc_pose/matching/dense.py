@@ -1,6 +1,9 @@
 """The frozen network as a matcher of images of any size."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -66,6 +69,13 @@ class DenseMatcher(Matcher):
             MatchResult(select_matches(correspondence_map, self.options), correspondence_map)
             for correspondence_map in self.correspondence_maps(pairs)
         ]
+
+    def coarser(self) -> DenseMatcher | None:
+        """As `Matcher`; None for a mask network, which needs the finest map."""
+        if self.engine.config.matchability == "network":
+            return None
+        options = replace(self.options, finest=60, cycle_px=None, search_below=0.0)
+        return DenseMatcher(self.engine, options, self.cache)
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""

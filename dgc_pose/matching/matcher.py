@@ -100,6 +100,11 @@ class Matcher:
             for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
         ]
 
+    def coarser(self) -> Matcher | None:
+        """The matcher of the coarsest map, of upright images of one scale, for a quick pass; None
+        if there is none."""
+        return None
+
     def match_quickly(self, image1: Image, image2: Image) -> MatchResult | None:
         """As `match`, with less of everything: enough for a pair that is easy. None from a matcher
         that has no quick pass, and where it shows that the pair is not easy."""
