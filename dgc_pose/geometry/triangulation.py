@@ -32,17 +32,6 @@ def depths(
     return np.nan_to_num(depth1, nan=np.inf), np.nan_to_num(depth2, nan=np.inf)
 
 
-def triangulated(
-    points1: np.ndarray, points2: np.ndarray, R: np.ndarray, t: np.ndarray
-) -> np.ndarray:
-    """Points (N, 3) in camera 1's axes, in units of |t|, on the rays of camera 1 at `depths`.
-
-    points1, points2: normalised (N, 2); pose: x2 = R x1 + t. Not finite for parallel rays.
-    """
-    with np.errstate(invalid="ignore"):  # infinite times a zero coordinate
-        return homogeneous(points1) * depths(points1, points2, R, t)[0][:, None]
-
-
 def triangulation_angles_deg(points1: np.ndarray, points2: np.ndarray, R: np.ndarray) -> np.ndarray:
     """Angle (N,) between the two rays of each normalised match, degrees, 0 to 180."""
     rays1, rays2 = unit_rays(points1) @ R.T, unit_rays(points2)

@@ -13,7 +13,6 @@ from dgc_pose.images.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.matching.warp import warp_image
-from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace, match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.decoder import picture_url, shrunk
@@ -78,13 +77,8 @@ def _matches(trace: Trace) -> dict[str, list[Any]]:
     """At most `SHOWN_MATCHES` matches, inliers before outliers, each in a random order, so that the
     first few are spread over the images: points to 0.01 pixels, whether they are inliers,
     confidence, and the residual in pixels or null."""
-    matches, pose = trace.matches, trace.pose
+    matches, pose, residuals = trace.matches, trace.pose, trace.residuals_px
     points = np.hstack([matches.points1, matches.points2])
-    residuals = np.full(len(matches), np.nan)
-    if pose.E is not None:
-        residuals = epipolar_residuals_px(
-            matches.points1, matches.points2, trace.camera1, trace.camera2, pose.E
-        )
     chosen = np.flatnonzero(np.isfinite(points).all(1))
     chosen = np.random.default_rng(0).permutation(chosen)
     chosen = chosen[np.argsort(~pose.inliers[chosen], kind="stable")][:SHOWN_MATCHES]

@@ -26,8 +26,8 @@ def draw_cameras(
 
     axes: made with projection="3d". R, t: of the pose x2 = R x1 + t. camera1, camera2: their sizes
     give the pyramids' shapes; without a size, twice the principal point counts. points: (N, 3) in
-    units of |t|, such as `dgc_pose.geometry.triangulation.triangulated`; those behind camera 1, the
-    farthest twentieth and those not finite are left out. colours: (N, 3) RGB in [0, 1]; None for
+    units of |t|, such as `Trace.points3d`; those behind camera 1, the farthest twentieth and those
+    not finite are left out. colours: (N, 3) RGB in [0, 1]; None for
     grey.
 
     Raises InputError if the axes are not of three dimensions.

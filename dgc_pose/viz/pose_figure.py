@@ -11,7 +11,6 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.epipolar import epipolar_residuals_px
 from dgc_pose.pose import Trace
 from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
@@ -95,11 +94,11 @@ def _rows(trace: Trace, counts: str) -> list[list[Panel]]:
 
 
 def _draw_matches(axes: Axes, trace: Trace, drawn: np.ndarray) -> None:
-    matches, E = trace.matches.subset(drawn), trace.pose.E
+    matches = trace.matches.subset(drawn)
     points1, points2 = matches.points1, matches.points2
     values, colours, label = matches.confidence, None, "confidence"
-    if E is not None:
-        values = epipolar_residuals_px(points1, points2, trace.camera1, trace.camera2, E)
+    if trace.pose.E is not None:
+        values = trace.residuals_px[drawn]
         colours, label = residual_colours(values), "residual (px)"
     pixels1, pixels2 = trace.image1.pixels, trace.image2.pixels
     colours = draw_matches(axes, pixels1, pixels2, points1, points2, values, colours=colours)
