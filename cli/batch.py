@@ -26,18 +26,26 @@ CAMERAS_SHOWN = 5
 _SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
 
 
+OUT = click.option(
+    "--out",
+    type=OutputFolder(path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Folder of the results.",
+)
+
+
 @dataclass(frozen=True)
 class SourceChoice(KChoice):
     """The images, their pairs and cameras."""
 
-    root: Path | None = option(
-        None, "Folder of the image names in a list or database; by default the file's own."
-    )
+    root: Path | None = option(None, "Of a list's image names; default: its own folder.")
     pairs: str | None = option(
         None,
-        "How pairs are chosen: exhaustive; sequential:W, images at most W apart in the order of "
-        "their names; auto:K, the K most similar images of each image.",
-        metavar="exhaustive|sequential:W|auto:K",
+        "exhaustive; sequential:W, images at most W apart in the order of their names; auto:K, the "
+        "K most similar images of each. Default: exhaustive for up to 20 images of a folder, "
+        "auto:10 for more.",
+        metavar="WAY",
     )
 
 
@@ -125,7 +133,7 @@ def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
 
 @click.command()
 @click.argument("source", metavar="SOURCE")
-@click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
+@OUT
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(BatchOptions, "work")
 @dataclass_options(MatcherOptions, "matcher")

@@ -42,7 +42,7 @@ class RunChoice:
     )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
-    runtime: RuntimeName = option("auto", RUNTIME_HELP)
+    runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
 
     def evaluation(
         self, pairs: PairSet[Score], methods: Sequence[Method], passes: Passes

@@ -55,7 +55,7 @@ class SpeedOptions:
         None, "Threads of torch and OpenCV; default: their own choice.", min=1, max=1024
     )
     device: str = option("cpu", DEVICE_HELP, metavar="NAME")
-    runtime: RuntimeName = option("auto", RUNTIME_HELP)
+    runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
     half_precision: bool = option(False, "The network's convolutions in bfloat16, by torch.")
     json_path: str | None = option(
         None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()

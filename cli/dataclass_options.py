@@ -18,6 +18,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import click
 
+from dgc_pose.cli.guard import SectionedOption
 from dgc_pose.system.options import OptionInfo, check_options, field_types, option_info
 
 _FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
@@ -75,6 +76,7 @@ def _options(
 def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
     """What click is told of an option; without a default it is required."""
     settings: dict[str, Any] = {"help": info.help, "metavar": info.metavar}
+    settings |= {"cls": SectionedOption, "section": info.section}
     settings |= {"required": True} if default is MISSING else {"default": default}
     if kind is bool:
         return settings | {"is_flag": True}

@@ -1,4 +1,5 @@
-"""What every sub-command gets: --debug, --max-pixels, --overwrite, and the check of its outputs.
+"""What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, and a
+help with its options in sections.
 
 Outputs are options of the types `OutputFile` and `OutputFolder`; all others may name inputs. Before
 the command runs: an output that exists is replaced with --overwrite alone, an input never.
@@ -9,16 +10,18 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import output_target, require_no_input
+from dgc_pose.system.options import Section
 
 STDOUT = "-"
 DEBUG = "--debug"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
+_COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
 # Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
 _SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
 
@@ -75,30 +78,66 @@ class OutputFolder(click.Path):
                 )
 
 
-def guarded(command: click.Command) -> click.Command:
+class SectionedOption(click.Option):
+    """An option that says in which section of the help it stands."""
+
+    def __init__(self, *arguments: Any, section: Section, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.section = section
+
+
+class SectionedCommand(click.Command):
+    """A command whose help has its options in sections."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        for section in get_args(Section):
+            records = [o.get_help_record(ctx) for o in options if _section(o) == section]
+            if shown := [(r[0].ljust(_COLUMN), r[1]) for r in records if r is not None]:
+                with formatter.section(section.capitalize()):
+                    formatter.write_dl(shown, col_max=_COLUMN)
+
+
+def _section(parameter: click.Parameter) -> Section:
+    if isinstance(parameter.type, OutputFile | OutputFolder):
+        return "output"
+    return parameter.section if isinstance(parameter, SectionedOption) else "options"
+
+
+def guarded(command: click.Command, *, reads_images: bool = True) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
-    if any(DEBUG in parameter.opts for parameter in command.params):
-        return command  # guarded already: click asks for a command more than once
-    command.params += [
-        click.Option(
-            ["--max-pixels"],
-            type=click.IntRange(1, 2**30),
-            metavar="N",
-            expose_value=False,
-            callback=_set_max_pixels,
-            help="Most pixels of an image that is decoded; default: 210 million.",
-        ),
-        click.Option([DEBUG], is_flag=True, expose_value=False, help="Show the trace of an error."),
-    ]
-    kinds = [parameter.type for parameter in command.params]
+    params = list(command.params)
+    kinds = [parameter.type for parameter in params]
     if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
-        command.params.append(
-            click.Option(
+        params.append(
+            SectionedOption(
                 ["--overwrite"],
                 is_flag=True,
-                help="Replace outputs that exist. An input is never replaced.",
+                section="output",
+                help="Replace outputs that exist, but never an input.",
             )
         )
+    if reads_images:
+        params.append(
+            SectionedOption(
+                ["--max-pixels"],
+                type=click.IntRange(1, 2**30),
+                metavar="N",
+                expose_value=False,
+                callback=_set_max_pixels,
+                section="advanced",
+                help="Most pixels of an image that is decoded; default: 210 million.",
+            )
+        )
+    params.append(
+        SectionedOption(
+            [DEBUG],
+            is_flag=True,
+            expose_value=False,
+            section="advanced",
+            help="Show the trace of an error.",
+        )
+    )
     run = command.callback
     assert run is not None
 
@@ -108,8 +147,9 @@ def guarded(command: click.Command) -> click.Command:
         kwargs.pop("overwrite", None)
         return run(*args, **kwargs)
 
-    command.callback = checked
-    return command
+    order = get_args(Section)
+    params.sort(key=lambda parameter: order.index(_section(parameter)))
+    return SectionedCommand(command.name, callback=checked, params=params, help=command.help)
 
 
 def overwrites() -> bool:

@@ -12,6 +12,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from difflib import get_close_matches
 from typing import Any, NoReturn
 
 import click
@@ -31,27 +32,38 @@ INTERRUPTED = 130  # what shells report after SIGINT
 # time spinning.
 SPIN_COUNT = "10000"
 
-# By name, the line in the help. `some-name` is the function `some_name` of cli/some_name.py.
-SUBCOMMANDS = {
-    "estimate": "Estimate the relative pose of two photographs.",
-    "match": "Match two photographs, no K needed.",
-    "serve": "Estimate poses on a page in the browser.",
-    "demo": "Estimate the pose of the bundled pair.",
-    "batch": "Match many pairs: a folder, a list, a database.",
-    "reconstruct": "From a folder of photographs to a COLMAP model.",
-    "export-colmap": "Write a batch as a COLMAP database.",
-    "bench-pairs": "Score methods on pairs with known poses.",
-    "bench-hpatches": "Score maps on pairs with homographies.",
-    "bench-synthetic": "Score maps on synthetic pairs.",
-    "bench-dtu": "Repeat the paper's pose experiment on DTU.",
-    "bench-verdicts": "Measure how far success can be trusted.",
-    "fit-probability": "Fit the probability that a pose is right.",
-    "bench-reconstruct": "Score reconstructions on known cameras.",
-    "bench-speed": "Show where the time of a pair goes.",
-    "dtu-pairs": "Make a pair list from DTU's calibration.",
-    "train": "Train a network on photographs.",
-    "info": "Show versions, weights, devices and threads.",
+# By section of the help and by name, the line in the help. `some-name` is the function `some_name`
+# of cli/some_name.py.
+SECTIONS = {
+    "Poses": {
+        "estimate": "Estimate the relative pose of two photographs.",
+        "match": "Match two photographs, no K needed.",
+        "demo": "Estimate the pose of the bundled pair.",
+        "serve": "Estimate poses on a page in the browser.",
+    },
+    "Many photographs": {
+        "batch": "Match many pairs: a folder, a list, a database.",
+        "reconstruct": "From a folder of photographs to a COLMAP model.",
+        "export-colmap": "Write a batch as a COLMAP database.",
+    },
+    "Benchmarks": {
+        "bench-pairs": "Score methods on pairs with known poses.",
+        "bench-hpatches": "Score maps on pairs with homographies.",
+        "bench-synthetic": "Score maps on synthetic pairs.",
+        "bench-dtu": "Repeat the paper's pose experiment on DTU.",
+        "bench-verdicts": "Measure how far success can be trusted.",
+        "bench-reconstruct": "Score reconstructions on known cameras.",
+        "bench-speed": "Show where the time of a pair goes.",
+        "dtu-pairs": "Make a pair list from DTU's calibration.",
+    },
+    "Training": {
+        "train": "Train a network on photographs.",
+        "fit-probability": "Fit the probability that a pose is right.",
+    },
+    "About": {"info": "Show versions, weights, devices and threads."},
 }
+SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
+NO_IMAGES = {"info", "dtu-pairs"}  # that read none
 
 
 class LazyGroup(click.Group):
@@ -66,11 +78,21 @@ class LazyGroup(click.Group):
         name = cmd_name.replace("-", "_")
         command = getattr(importlib.import_module(f"dgc_pose.cli.{name}"), name)
         assert isinstance(command, click.Command)
-        return guarded(command)
+        return guarded(command, reads_images=cmd_name not in NO_IMAGES)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        near = get_close_matches(args[0], SUBCOMMANDS, n=1)
+        if near and near[0] != args[0]:
+            ctx.fail(f"No such command {args[0]!r}. Did you mean {near[0]!r}?")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([*SUBCOMMANDS.items()])
+        width = max(map(len, SUBCOMMANDS))
+        for name, commands in SECTIONS.items():
+            with formatter.section(name):
+                formatter.write_dl([(name.ljust(width), text) for name, text in commands.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         try:

@@ -44,25 +44,28 @@ class KChoice:
 
     k: str | None = option(
         None,
-        "Camera of all images: fx,fy,cx,cy; a COLMAP camera MODEL,w,h,params; a file of COLMAP, "
-        "OpenCV, ROS, Kalibr, KITTI or NeRF, a .csv, JSON, or a 3x3 matrix; or auto: not known. "
-        "auto:shared says that one camera took all images, auto:two that each has its own.",
+        "Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file (COLMAP, OpenCV, "
+        "ROS, Kalibr, KITTI, NeRF, .csv, JSON, 3x3 matrix); or auto: not known (auto:shared: one "
+        "camera took all, auto:two: each has its own).",
         flag="--K",
         metavar="K|FILE|auto",
+        section="cameras",
     )
     k_size: tuple[int, int] | None = option(
         None,
-        "Size of the images that K is for: K is scaled from it to each image.",
+        "Size of the images that K is for: K is scaled.",
         flag="--K-size",
         metavar="WxH",
         parse=parse_size,
+        section="advanced",
     )
     k_std: tuple[float, float] | None = option(
         None,
-        "Standard deviation of K: relative of the focal length, and pixels of the principal point.",
+        "Standard deviation of f, relative, and centre, px.",
         flag="--K-std",
         metavar="F[,C]",
         parse=parse_deviations,
+        section="advanced",
     )
 
     @property
@@ -75,8 +78,12 @@ class KChoice:
 class CameraChoice(KChoice):
     """What the user said about the cameras of two images. --K1 and --K2 override --K."""
 
-    k1: str | None = option(None, "Camera of image 1 alone.", flag="--K1", metavar="K|FILE|auto")
-    k2: str | None = option(None, "Camera of image 2 alone.", flag="--K2", metavar="K|FILE|auto")
+    k1: str | None = option(
+        None, "Camera of image 1 alone.", flag="--K1", metavar="K|FILE|auto", section="cameras"
+    )
+    k2: str | None = option(
+        None, "Camera of image 2 alone.", flag="--K2", metavar="K|FILE|auto", section="cameras"
+    )
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked. Raises InputError, naming the option, if one is

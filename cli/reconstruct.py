@@ -7,10 +7,9 @@ from pathlib import Path
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import CAMERAS_SHOWN, SourceChoice, report, work_through
+from dgc_pose.cli.batch import CAMERAS_SHOWN, OUT, SourceChoice, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
-from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
@@ -24,7 +23,7 @@ EXHAUSTIVE_UP_TO = 20  # images
 
 @click.command()
 @click.argument("source", metavar="FOLDER")
-@click.option("--out", type=OutputFolder(path_type=Path), required=True, metavar="DIR")
+@OUT
 @dataclass_options(SourceChoice, "inputs")
 @dataclass_options(ReconstructionOptions, "options")
 @dataclass_options(BatchOptions, "work")
@@ -41,8 +40,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct cameras and points from a folder of photographs.
 
-    FOLDER may also be a list of pairs or a COLMAP database, as for `dgc-pose batch`. Without
-    --pairs, a folder of up to 20 images is matched exhaustively, a larger one by auto:10.
+    FOLDER may also be a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
     Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
     the folder of the batch.

@@ -55,14 +55,16 @@ class MatcherOptions:
 
     weights: str = option(
         DEFAULT_WEIGHTS,
-        "Shipped weights by name, or a path to .safetensors or to an authors' .pth; or a matcher "
-        "without a network of ours: sift, dis (optical flow), a detector with descriptors as "
-        "MODEL.onnx, or vismatch:NAME of the package vismatch.",
+        "Shipped weights by name; a file, .safetensors or an authors' .pth; or another matcher: "
+        "sift, dis (optical flow), MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
+        metavar="NAME|FILE",
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
-    runtime: RuntimeName = option("auto", RUNTIME_HELP)
+    runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
     half_precision: bool = option(
-        False, "Convolutions in bfloat16, by torch: less exact, faster on a device that has it."
+        False,
+        "bfloat16, by torch: less exact, faster on some GPUs.",
+        section="matching",
     )
     matching: MatchingOptions = field(default_factory=MatchingOptions)
     refinement: RefinementOptions = field(default_factory=RefinementOptions)

@@ -19,22 +19,30 @@ class BatchOptions:
 
     workers: int | None = option(
         None,
-        "Processes that match; default: one for each core. The result is the same.",
+        "Processes that match; default: one for each core.",
+        metavar="N",
         min=1,
         max=1024,
     )
     memory: float | None = option(
         None,
-        "GiB of images and features kept, all workers together; default: 0.375 for each.",
+        "GiB kept by all workers; default: 0.375 for each.",
         metavar="GIB",
         above=0,
         max=10**6,
+        section="advanced",
     )
     engine: Literal["local", "ray"] = option(
-        "local", "Workers on this machine, or actors of a Ray cluster (extra dgc-pose[ray])."
+        "local",
+        "local: this machine; ray: actors of a Ray cluster (extra ray).",
+        metavar="NAME",
+        section="advanced",
     )
     format: RowFormat = option(
-        "jsonl", "Of the table of poses; parquet needs the extra dgc-pose[batch]."
+        "jsonl",
+        "Table of poses: jsonl, or parquet (extra batch).",
+        metavar="NAME",
+        section="output",
     )
     resume: bool = option(False, "Continue the batch in --out, if there is one.")
 

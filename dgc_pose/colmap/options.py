@@ -18,11 +18,18 @@ class SharingOptions:
 
     sharing: Sharing = option(
         "tracks",
-        "Key points of an image: tracks, corners located anew in each of its pairs, which reads "
-        "the images again; or cells, matches merged as hloc does.",
+        "Key points: tracks, corners located anew in each pair, which reads the images again; or "
+        "cells, matches merged as hloc does.",
+        metavar="NAME",
+        section="reconstruction",
     )
     per_image: int | None = option(
-        None, "Most corners (1000) or cells (8192) of an image.", metavar="N", min=1, max=10**7
+        None,
+        "Most corners (1000) or cells (8192) of an image.",
+        metavar="N",
+        min=1,
+        max=10**7,
+        section="reconstruction",
     )
     cell: float = option(
         1.0,
@@ -30,6 +37,7 @@ class SharingOptions:
         metavar="PX",
         above=0,
         max=10**4,
+        section="reconstruction",
     )
 
     def __post_init__(self) -> None:
@@ -40,17 +48,21 @@ class SharingOptions:
 class MappingOptions:
     """How images are mapped. Raises InputError, naming the field, for a value out of range."""
 
-    mapper: MapperName = option("incremental", "Of pycolmap.")
+    mapper: MapperName = option(
+        "incremental", "incremental or global.", metavar="NAME", section="reconstruction"
+    )
     refine_intrinsics: bool = option(
         False,
-        "Let bundle adjustment change focal lengths and distortion; always with --K auto.",
+        "Bundle adjustment changes focal lengths and distortion; always with --K auto.",
+        section="reconstruction",
     )
     mapper_threads: int = option(
         1,
-        "Threads of the mapper; with more than one, models of the same photographs differ in "
-        "their last digits.",
+        "With more than one, models differ in their last digits.",
+        metavar="N",
         min=1,
         max=1024,
+        section="reconstruction",
     )
 
     def __post_init__(self) -> None:

@@ -18,10 +18,11 @@ class VerdictOptions:
     # those of too few matches, false alarms, a rotation, a line and the cameras always hold.
     min_probability: float | None = option(
         0.5,
-        "Least probability, that R and t are both within 10 degrees, of a success.",
+        "Least probability of a success: that R and t are both within 10 degrees.",
         metavar="P",
         min=0,
         max=1,
+        section="estimation",
     )
     # Least probability of the likeliest of several poses, if one of them is right. Below it, none
     # is claimed.
@@ -67,26 +68,39 @@ class EstimationOptions:
 
     effort: Effort = option(
         "auto",
-        "auto: a quick pass over small images, and more as long as the pose is uncertain; fast: "
-        "the quick pass alone; thorough: all that may help, at once.",
+        "fast: a quick pass over small images; auto: and more while the pose is uncertain; "
+        "thorough: all that may help.",
+        metavar="HOW",
     )
     # Runs have different seeds; the model with most inliers is kept.
-    runs: int = option(5, "Runs of RANSAC, the best kept.", min=1, max=10_000)
-    iterations: int = option(1000, "Most iterations of each run.", min=1, max=2**31 - 1)
+    runs: int = option(
+        5, "Runs of RANSAC, the best kept.", metavar="N", min=1, max=10_000, section="estimation"
+    )
+    iterations: int = option(
+        1000,
+        "Most iterations of each run.",
+        metavar="N",
+        min=1,
+        max=2**31 - 1,
+        section="estimation",
+    )
     # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC
     # grows with the matches that it scores. The models are compared and refined on all matches.
     max_sampled: int = option(3000, min=100)
     threshold_px: float | None = option(
         None,
-        "Largest epipolar error of an inlier, original pixels; by default 2 times the error that "
-        "the matcher expects.",
+        "Largest epipolar error of an inlier, original pixels; default: 2 times what the matcher "
+        "expects.",
         flag="--threshold",
         metavar="PX",
         above=0,
         max=1000,
+        section="estimation",
     )
     threshold_factor: float = option(2.0, above=0)  # of the matches' error_px, without threshold_px
-    seed: int = option(0, "The same seed, the same pose.", min=0, max=MAX_SEED)
+    seed: int = option(
+        0, "The same seed, the same pose.", metavar="N", min=0, max=MAX_SEED, section="estimation"
+    )
     refine: bool = True  # on the inliers of the best model
     verdict: VerdictOptions = field(default_factory=VerdictOptions)
 

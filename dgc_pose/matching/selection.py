@@ -22,26 +22,37 @@ class MatchingOptions:
     out of range."""
 
     # Cells a side of the level that the map is taken from.
-    finest: FinestLevel = option(240, "Cells a side of the dense map: the coarser, the faster.")
+    finest: FinestLevel = option(
+        240,
+        "Cells a side of the dense map, 240, 120 or 60: fewer are faster.",
+        metavar="CELLS",
+        section="matching",
+    )
     matchability: float = option(
         0.7,
-        "Least matchability of a match of the map, 0 to 1. The matches of --refine features and "
-        "auto are not selected by it.",
+        "Least matchability of a match of the map, 0 to 1; for --refine none and map.",
         metavar="T",
         min=0,
         max=1,
+        section="matching",
     )
     cycle_px: float | None = option(  # pixels of image 2
         None,
-        "Compute the reverse map too, and drop matches of the map with a larger cycle error. The "
-        "matches of --refine features and auto are not selected by it.",
+        "Compute the reverse map too, and drop matches with a larger cycle error; for --refine "
+        "none and map.",
         flag="--cycle",
         metavar="PX",
         above=0,
         max=10**6,
+        section="matching",
     )
     max_matches: int = option(
-        2000, "Keep an even subsample of at most N matches.", metavar="N", min=1, max=2**31
+        2000,
+        "Most matches, evenly spread.",
+        metavar="N",
+        min=1,
+        max=2**31,
+        section="matching",
     )
     # Share of all cells that must pass; a smaller patch matches by chance.
     min_share: float = option(0.01, min=0, max=1)

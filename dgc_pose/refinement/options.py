@@ -53,10 +53,11 @@ class RefinementOptions:
 
     source: SourceName = option(
         "auto",
-        "Which matches are aligned on the original photographs: those of the map, or those of the "
-        "encoder's features at native resolution; auto: the features', and the map's if those are "
-        "few.",
+        "Matches aligned on the originals: none; map; features, of the encoder at native "
+        "resolution; auto: these, and the map's if they are few.",
+        metavar="SOURCE",
         flag="--refine",
+        section="matching",
     )
     features: FeatureOptions = field(default_factory=FeatureOptions)
     alignment: AlignmentOptions = field(default_factory=AlignmentOptions)

@@ -12,10 +12,9 @@ from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.graphs import PRESETS
 
 RuntimeName = Literal["auto", "onnx", "torch"]
-DEVICE_HELP = "Where the network runs: auto, cpu, cuda or cuda:N."
+DEVICE_HELP = "auto, cpu, cuda or cuda:N."
 RUNTIME_HELP = (
-    "What runs the network: ONNX Runtime, on the CPU, or torch; auto: ONNX Runtime for shipped "
-    "weights on the CPU, torch for all others."
+    "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for shipped weights on the CPU, else torch."
 )
 _DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of a graphics card, on Linux and in WSL
 

@@ -16,6 +16,11 @@ from dgc_pose.errors import InputError
 
 MAX_SEED = 2**63 - 1  # what torch takes
 
+# Of a command's help, in the order that they have there.
+Section = Literal[
+    "cameras", "output", "options", "reconstruction", "matching", "estimation", "advanced"
+]
+
 _KEY = "option"
 _NUMBERS: dict[type, type] = {int: Integral, float: Real}  # those of NumPy too
 _TYPE_NAMES = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
@@ -34,6 +39,7 @@ class OptionInfo:
     above: float | None = None  # the value must be larger
     max: float | None = None  # largest allowed value
     type: Any = None  # of click, for a text that is more than that, such as an output's path
+    section: Section = "options"  # of the command's help
 
 
 def option(default: Any = MISSING, help: str = "", **info: Any) -> Any:

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import guarded
 from dgc_pose.errors import InputError
 from dgc_pose.system.options import check_options, option
 
@@ -37,7 +38,9 @@ class Options:
     folder: Path = option(help="Where.")
     kind: Literal["fast", "good"] = option("good", "Which.", flag="--how")
     level: Literal[60, 240] = option(240, "Cells.")
-    limit_px: float | None = option(None, "At most.", flag="--limit", metavar="PX", above=0)
+    limit_px: float | None = option(
+        None, "At most.", flag="--limit", metavar="PX", above=0, section="advanced"
+    )
     names: tuple[str, ...] = option((), "May be repeated.")
     size: tuple[int, int] = option((4, 3), "Of views.", parse=_pair, text="4x3")
     quick: bool = option(False, "Be quick.")
@@ -98,6 +101,18 @@ def test_the_help_has_texts_choices_and_defaults() -> None:
     for part in ("Cells. [default: 240]", "Of views. [default: 4x3]", "pairs. [default: 0.5"):
         assert part in text
     assert "--secret" not in text and "--plain" not in text and "--hidden" not in text
+
+
+def test_each_option_stands_in_its_section() -> None:
+    @click.command()
+    @click.option("--plain")
+    @dataclass_options(Options, "options")
+    def command(plain: str | None, options: Options) -> None: ...
+
+    text = CliRunner().invoke(guarded(command), ["--help"]).output
+    options, _, advanced = text.partition("Advanced:")
+    assert "--plain" in options and "--folder" in options and "--limit" not in options
+    assert "--limit PX" in advanced and "--debug" in advanced
 
 
 def test_some_fields_alone_may_be_options() -> None:

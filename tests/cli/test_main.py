@@ -11,7 +11,7 @@ import click
 import pytest
 from command_line import assert_refused, run
 
-from dgc_pose.cli.main import SUBCOMMANDS
+from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS
 from dgc_pose.errors import DgcPoseError, ImageSizeError, WeightsError
 from dgc_pose.version import build
 
@@ -48,7 +48,51 @@ def test_threads_wait_as_the_user_says_or_not_for_long(monkeypatch, given, expec
 def test_help_names_every_subcommand():
     for result in (run("--help"), run("-h"), run()):
         assert result.exit_code == 0
+        headings = [line[:-1] for line in result.stdout.splitlines() if line[:1].isupper()]
+        assert headings[-len(SECTIONS) :] == [*SECTIONS]
         assert all(f"  {name} " in result.stdout for name in SUBCOMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("command", "first", "then"),
+    [
+        ("estimate", ("Cameras", "Output", "Options"), ("Matching", "Estimation", "Advanced")),
+        (
+            "reconstruct",
+            ("Cameras", "Output", "Options"),
+            ("Reconstruction", "Matching", "Estimation", "Advanced"),
+        ),
+    ],
+)
+def test_what_people_use_first_is_first(monkeypatch, command, first, then):
+    """In 80 columns the help's first part, which ends with --help, has a dozen options."""
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = run(command, "--help").stdout.splitlines()
+    assert max(map(len, lines)) <= 80
+    headings = [line[:-1] for line in lines if line.endswith(":") and line[0] != " "]
+    assert headings == [*first, *then]
+    options = [line.split()[0] for line in lines if line.startswith("  -")]
+    assert {"--K", "--weights", "--device", "--effort"} < {*options[: options.index("-h,")]}
+    assert options.index("-h,") < 13
+    assert {"--K-size", "--K-std", "--max-pixels", "--debug"} < {*options[options.index("-h,") :]}
+
+
+@pytest.mark.parametrize(
+    ("word", "line"),
+    [
+        ("estimte", "No such command 'estimte'. Did you mean 'estimate'?"),
+        ("reconstuct", "No such command 'reconstuct'. Did you mean 'reconstruct'?"),
+        ("zzz", "No such command 'zzz'."),
+    ],
+)
+def test_the_nearest_command_is_named(word, line):
+    result = run(word)
+    assert (result.exit_code, result.stdout, result.stderr) == (2, "", f"error: {line}\n")
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_commands_that_read_images_bound_their_pixels(name):
+    assert ("--max-pixels" in run(name, "--help").stdout) == (name not in ("info", "dtu-pairs"))
 
 
 @pytest.mark.parametrize(
