@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -50,6 +51,12 @@ class Outputs:
         metavar="PATH.png",
         type=OutputFile(),
     )
+    ply: str | None = option(
+        None,
+        "Write the inliers' points in space, coloured; nothing without a pose.",
+        metavar="PATH.ply",
+        type=OutputFile(),
+    )
 
 
 @click.command()
@@ -74,7 +81,7 @@ def estimate(
     """
     check_picture(outputs.plot)
     json_file = None if outputs.json == STDOUT else outputs.json
-    with staged(json_file, outputs.matches, outputs.plot) as stage:
+    with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
         trace = run_pipeline(image1, image2, cameras.resolve, matcher, estimation)
         pose, data = trace.pose, json_text(pose_data(trace.pose))
         if json_file is not None:
@@ -83,6 +90,8 @@ def estimate(
             arrays = matches_arrays(trace.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)
         draw(trace, stage, outputs.plot)
+        if outputs.ply is not None and pose.success:
+            _write_points(trace, stage(outputs.ply), outputs.ply)
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
     else:
@@ -123,6 +132,15 @@ def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:
     from dgc_pose.viz import plot_pose, save_figure
 
     save_figure(plot_pose(trace), stage(name))
+
+
+def _write_points(trace: Trace, file: Path, name: str) -> None:
+    """Write the points of a trace, in camera 1's axes, as PLY."""
+    from dgc_pose.colmap.points_file import write_points
+
+    points = trace.points3d
+    known = np.isfinite(points).all(axis=1)
+    write_points(file, points[known], trace.colours[known], name)
 
 
 def check_picture(name: str | None) -> None:

@@ -11,6 +11,7 @@ from dgc_pose.batch.run import Batch
 from dgc_pose.colmap.export import Exported, share, write_shared
 from dgc_pose.colmap.mapping import map_database
 from dgc_pose.colmap.options import ReconstructionOptions
+from dgc_pose.colmap.points_file import write_model_points
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder
@@ -18,7 +19,6 @@ from dgc_pose.system.colmap_library import pycolmap
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
-_POINT_BYTES = 15  # of points.ply: three floats and three colours
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 
 
@@ -80,10 +80,7 @@ def reconstruct(
             reconstruction.write_binary(folder)
             _require_model(reconstruction, folder, out / MODEL)
         with replaced(out / POINTS) as temporary:
-            reconstruction.export_PLY(temporary)
-            size, least = temporary.stat().st_size, _POINT_BYTES * reconstruction.num_points3D()
-            if size < least:
-                raise DgcPoseError(f"{out / POINTS}: {size} of {least} bytes were written")
+            write_model_points(temporary, reconstruction, out / POINTS)
     return sparse_model(reconstruction), exported
 
 

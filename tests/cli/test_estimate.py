@@ -112,6 +112,28 @@ def test_outputs_go_to_exactly_the_path_given(folder, network):
     assert (folder / "p.svg").read_text().startswith("<?xml")
 
 
+def test_the_points_in_space_are_written_with_their_colours(folder, network):
+    result = estimate("--ply", "points.ply", "--matches", "m.npz")
+    assert result.exit_code == 0, result.output
+    header, data = (folder / "points.ply").read_bytes().split(b"end_header\n")
+    kinds = [(axis, "<f4") for axis in "xyz"] + [(colour, "u1") for colour in "rgb"]
+    vertices = np.frombuffer(data, kinds)
+    assert f"element vertex {len(vertices)}\n".encode() in header
+    points = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(float)
+    colours = np.stack([vertices[colour] for colour in "rgb"], axis=1)
+    with np.load("m.npz") as file:
+        assert len(points) == file["inliers"].sum()
+    # The points lie on the surface: where camera 2 sees them, the true map leads to camera 1's.
+    local = points @ dense_scene.R.T + dense_scene.T
+    pixels1, pixels2 = (
+        300 * part[:, :2] / part[:, 2:] + dense_scene.K[:2, 2] for part in (points, local)
+    )
+    assert np.abs(dense_scene.points_in_image1(pixels2) - pixels1).max() < 0.5
+    x, y = np.rint(pixels1).astype(int).T
+    same = (colours == dense_scene.pictures()[0][y, x]).all(axis=1)
+    assert same.mean() > 0.99  # but for points half-way between two pixels
+
+
 def test_matching_options_reach_the_matcher(folder, network):
     few = json.loads(estimate("--json", "-", "--max-matches", "500").stdout)
     assert 100 < few["num_matches"] <= 500
@@ -122,7 +144,7 @@ def test_matching_options_reach_the_matcher(folder, network):
 
 def test_noise_has_no_pose(folder, network):
     network(dense_scene.noise_map())
-    result = estimate("--json", "-", "--plot", "p.png")
+    result = estimate("--json", "-", "--plot", "p.png", "--ply", "p.ply")
     assert result.exit_code == 3
     data = json.loads(result.stdout)
     assert list(data) == KEYS
@@ -130,7 +152,7 @@ def test_noise_has_no_pose(folder, network):
     assert data["R"] is None and data["t"] is None and data["quaternion_wxyz"] is None
     assert data["warnings"], "the reason must be told"
     assert result.stderr == f"no pose: {data['warnings'][0]}\n"
-    assert (folder / "p.png").exists()
+    assert sorted(os.listdir(folder)) == ["one.png", "p.png", "two.png"]
     text = estimate()
     assert text.exit_code == 3
     assert text.stdout.startswith("no pose ") and data["warnings"][0] in text.stdout
@@ -226,6 +248,8 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
         (("--plot", "p.txt"), "p.txt"),
         (("--plot", "plain"), "plain"),
         (("--matches", "p.json"), "same file"),
+        (("--ply", "nowhere/p.ply"), "nowhere/p.ply"),
+        (("--ply", "two.png"), "two.png"),
         (("--matchability", "1.5"), "matchability"),
         (("--threshold", "0"), "threshold"),
         (("--weights", "nosuch.safetensors"), "nosuch.safetensors"),

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import dense_scene
 import pytest
 from batch_runs import view_folder
 from fuzz.readers import make_batch
@@ -52,3 +53,12 @@ def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> 
     assert again.returncode == 0, again.stderr
     names = {"plan.json", "pairs.jsonl", "matches.h5", "summary.json"}
     assert set(os.listdir(tmp_path / "out")) == names
+
+
+def test_points_onto_a_full_disk_are_one_line(tmp_path: Path) -> None:
+    dense_scene.write_pictures(tmp_path)
+    words = ("--K", dense_scene.K_TEXT, "--weights", "sift", "--ply", "points.ply")
+    ended = full(tmp_path, 500, "estimate", "one.png", "two.png", *words)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("error: points.ply: ") and ended.stderr.count("\n") == 1
+    assert sorted(os.listdir(tmp_path)) == ["one.png", "two.png"]
