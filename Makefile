@@ -11,7 +11,7 @@ PACKAGING := setup.cfg pyproject.toml constraints.txt
 # As the command sets it (cli/main.py), so that the tests bear a busy machine.
 export GOMP_SPINCOUNT ?= 10000
 
-.PHONY: demo test test-processors lint fuzz docs clean
+.PHONY: demo test test-processors lint fuzz docs figures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
@@ -51,6 +51,10 @@ fuzz: $(VENV)/.installed-dev
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
+
+# What the documentation shows of the tool's own output; the tests say when it is out of date.
+figures: $(VENV)/.installed
+	$(BIN)/python docs/figures.py
 
 clean:
 	rm -rf $(VENV) build site dgc_pose.egg-info

@@ -1,7 +1,9 @@
 """The documentation names what is there: public names, sub-commands, files that are linked."""
 
+import importlib.util
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -51,3 +53,49 @@ def test_every_page_is_in_the_navigation() -> None:
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     navigation = set(re.findall(r": ([\w-]+\.md)$", settings, re.MULTILINE))
     assert navigation == {page.name for page in DOCS.glob("*.md")}
+
+
+@pytest.fixture(scope="module")
+def figures() -> ModuleType:
+    """docs/figures.py, which `make figures` runs."""
+    spec = importlib.util.spec_from_file_location("figures", DOCS / "figures.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_quoted_outputs_are_what_the_tool_prints(figures: ModuleType) -> None:
+    """Else `make figures` brings them up to date."""
+    pages = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+    blocks = [(name, *block) for name, text in pages.items() for block in figures.quoted(text)]
+    blocks.append((figures.PICTURE.name, figures.DEMO, figures.picture_text(figures.PICTURE)))
+    assert {"quick-start.md", "demo.png"} <= {name for name, *_ in blocks}
+    printed = {command: figures.output(command) for command in {block[1] for block in blocks}}
+    for name, command, block in blocks:
+        assert figures.agree(block, printed[command]), (name, block, printed[command])
+
+
+@pytest.mark.parametrize(
+    ("other", "same"),
+    [
+        ("  t  [-0.954951 -0.000001]\n601 of 609 inliers\nload 12.16 s, match 0.50 s", True),
+        ("  t  [-0.924898 -0.000002]\n602 of 610 inliers\nload 0.16 s, match 0.62 s", False),
+        ("  t  [-0.954898 -0.000002]\n642 of 656 inliers\nload 0.16 s, match 0.62 s", False),
+        ("  t  [-0.954898 -0.000002]\n602 of 610 matches\nload 0.16 s, match 0.62 s", False),
+        ("  t  [-0.954898 -0.000002]\n602 of 610 inliers\nload 0.16 s", False),
+    ],
+)
+def test_outputs_agree_to_what_differs_between_processors(
+    figures: ModuleType, other: str, same: bool
+) -> None:
+    text = "  t  [-0.954898 -0.000002]\n602 of 610 inliers\nload 0.16 s, match 0.62 s"
+    assert figures.agree(text, other) == same
+
+
+def test_quoted_outputs_are_replaced_between_their_fences(figures: ModuleType) -> None:
+    page = "a\n\n<!-- output of: dgc-pose {} -->\n```text\n{}\n```\n\n```\nb\n```\n"
+    before = page.format("demo", "old\nold") + page.format("info", "")
+    after = page.format("demo", "[demo]\nnew") + page.format("info", "[info]\nnew")
+    assert figures.renewed(before, lambda line: f"[{line.split()[1]}]\nnew") == after
+    assert list(figures.quoted(after))[1] == ("dgc-pose info", "[info]\nnew")

@@ -1,0 +1,100 @@
+"""Write what the documentation shows of the tool's own output on the bundled pair.
+
+    make figures
+
+A line `<!-- output of: dgc-pose COMMAND -->` stands above each block of such output, in README.md
+and docs/*.md; the block is replaced. docs/demo.png is drawn anew, and carries the text of its pose,
+by which tests/test_docs.py sees whether it is the picture of what the tool prints today.
+"""
+
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PICTURE = ROOT / "docs" / "demo.png"
+DEMO = "dgc-pose demo"
+PALETTE = 256  # colours of the picture: a quarter of the bytes
+RELATIVE, PLACES = 0.01, 2  # between processors: a share, and units of the last place printed
+
+_BLOCK = re.compile(r"(<!-- output of: (dgc-pose [^\n]+) -->\n+```\w*\n)(.*?)(\n```)", re.DOTALL)
+_TIME = re.compile(r"\d+\.\d+ s\b")
+_NUMBER = re.compile(r"-?\d+(?:\.(\d+))?")
+
+
+def output(command: str) -> str:
+    """What a command prints, with paths as seen from the repository."""
+    words = [sys.executable, "-m", "dgc_pose", *shlex.split(command)[1:]]
+    text = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    lines = text.replace(f"{ROOT}/", "").strip("\n").splitlines()
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def quoted(text: str) -> Iterator[tuple[str, str]]:
+    """The blocks of output in a page: each command and what the page says that it prints."""
+    for _, command, block, _ in _BLOCK.findall(text):
+        yield command, block
+
+
+def renewed(text: str, run: Callable[[str], str]) -> str:
+    """A page with its blocks of output replaced by what `run` prints of their commands."""
+    return _BLOCK.sub(lambda block: block[1] + run(block[2]) + block[4], text)
+
+
+def agree(left: str, right: str) -> bool:
+    """Whether two outputs differ only as those of two processors do: in times and last digits."""
+    left, right = _TIME.sub("", left), _TIME.sub("", right)
+    # The space in front of a number depends on its sign and its length.
+    if _words(left) != _words(right):
+        return False
+    for one, other in zip(_NUMBER.finditer(left), _NUMBER.finditer(right), strict=True):
+        first, second = float(one[0]), float(other[0])
+        place = 10.0 ** -len(one[1] or "")
+        tolerance = RELATIVE * max(abs(first), abs(second)) + PLACES * place
+        if abs(first - second) > tolerance * (1 + 1e-9):
+            return False
+    return True
+
+
+def _words(text: str) -> str:
+    return re.sub(r" *#", " #", _NUMBER.sub("#", text))
+
+
+def picture_text(path: Path) -> str:
+    """The output that a picture carries."""
+    with Image.open(path) as picture:
+        return str(picture.info["Comment"])
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        drawn = Path(folder, "demo.png")
+        outputs = {DEMO: output(f"{DEMO} --plot {drawn}")}
+        text = PngInfo()
+        text.add_text("Comment", outputs[DEMO])
+        with Image.open(drawn) as picture:
+            colours = picture.convert("RGB").quantize(
+                PALETTE, Image.Quantize.FASTOCTREE
+            )  # keeps the colours of lines
+        colours.save(PICTURE, optimize=True, pnginfo=text)
+
+    def run(command: str) -> str:
+        if command not in outputs:
+            outputs[command] = output(command)
+        return outputs[command]
+
+    for page in PAGES:
+        before = page.read_text(encoding="utf-8")
+        page.write_text(renewed(before, run), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
