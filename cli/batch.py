@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import KChoice
 from dgc_pose.cli.progress import progress_bars
@@ -20,9 +23,11 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
+    from dgc_pose.batch.rows import PairRow
     from dgc_pose.batch.run import Batch
 
 CAMERAS_SHOWN = 5
+PAIRS_SHOWN = 20
 _SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
 
 
@@ -56,13 +61,11 @@ def work_through(
     work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
-    default_pairs: Callable[[int], str] | None = None,
     least_images: int = 2,
 ) -> Batch:
     """Run the batch that the options describe, with a progress bar on a terminal.
 
-    default_pairs: from the number of images of a folder to its --pairs, if that is absent. Raises
-    InputError for fewer than `least_images`.
+    Raises InputError for fewer than `least_images`.
     """
     from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.run import run_batch
@@ -74,10 +77,7 @@ def work_through(
         click.echo(f"warning: {line}", err=True)
     if len(images.names) < least_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {least_images}")
-    pairs = inputs.pairs
-    if pairs is None and images.pairs is None and default_pairs is not None:
-        pairs = default_pairs(len(images.names))
-    choice = None if pairs is None else parse_pair_choice(pairs)
+    choice = None if inputs.pairs is None else parse_pair_choice(inputs.pairs)
     with progress_bars() as progress:
         return run_batch(
             images,
@@ -131,6 +131,36 @@ def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
         click.echo(f"{len(cameras) - CAMERAS_SHOWN} more cameras: see cameras.csv")
 
 
+def _echo_pairs(rows: Sequence[PairRow]) -> None:
+    """Print a table of the first pairs, and how many more there are."""
+    from dgc_pose.benchmarks.table import aligned
+    from dgc_pose.geometry.rotation import rotation_angle_deg
+
+    lines = [("pair", "status", "rotation", "inliers")]
+    for row in rows[:PAIRS_SHOWN]:
+        R = None if row.R is None else np.reshape(row.R, (3, 3))
+        angle = "-" if R is None else f"{rotation_angle_deg(R):.2f} deg"
+        inliers = f"{row.num_inliers} of {row.num_matches}"
+        lines.append((f"{row.name1} {row.name2}", row.status, angle, inliers))
+    click.echo(aligned(lines))
+    if len(rows) > PAIRS_SHOWN:
+        click.echo(f"... and {len(rows) - PAIRS_SHOWN} more")
+
+
+def _echo_files(batch: Batch) -> None:
+    """Print the files of a batch, and what can be done with them."""
+    from dgc_pose.batch.pooling import CAMERAS
+    from dgc_pose.batch.store import MATCHES, rows_path
+
+    click.echo(f"{rows_path(batch.folder, batch.plan)}: status, R, t and errors of each pair")
+    click.echo(f"{batch.folder / MATCHES}: the matches, in hloc's layout")
+    if batch.plan.uncertain:
+        click.echo(f"{batch.folder / CAMERAS}: the cameras, which --K reads")
+    if batch.summary["poses"]:
+        folder = shlex.quote(str(batch.folder))
+        click.echo(f"for COLMAP: dgc-pose export-colmap {folder} --database database.db")
+
+
 @click.command()
 @click.argument("source", metavar="SOURCE")
 @OUT
@@ -145,7 +175,7 @@ def batch(
     work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
-) -> None:
+) -> int:
     """Match many pairs of photographs and estimate their poses.
 
     SOURCE is a folder of photographs, a list of pairs (two names a line, SuperGlue's lines, or a
@@ -154,6 +184,11 @@ def batch(
     Writes pairs.jsonl (or .parquet), a row for each pair: status, R, t, expected errors, counts;
     matches.h5, the matches in hloc's layout; and summary.json. With --K auto also cameras.csv, the
     cameras that all pairs together tell, which --K reads. A bad image is reported and does
-    not stop the batch. A batch that was stopped continues with --resume.
+    not stop the batch. A batch that was stopped continues with --resume. Exits with 3 if no pair
+    has a pose.
     """
-    report(work_through(source, out, inputs, work, matcher, estimation))
+    done = work_through(source, out, inputs, work, matcher, estimation)
+    _echo_pairs(done.rows)
+    report(done)
+    _echo_files(done)
+    return 0 if done.summary["poses"] else NO_POSE

@@ -18,7 +18,6 @@ from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
 
 BATCH, PICTURE = "batch", "picture.png"
-EXHAUSTIVE_UP_TO = 20  # images
 
 
 @click.command()
@@ -67,7 +66,6 @@ def reconstruct(
         work,
         matcher,
         estimation,
-        default_pairs=lambda n: "exhaustive" if n <= EXHAUSTIVE_UP_TO else "auto:10",
         least_images=LEAST_IMAGES,
     )
     report(batch)
@@ -86,11 +84,15 @@ def reconstruct(
         f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "
         f"reprojection error {data['reprojection_error_px']:.3f} px"
     )
-    if batch.plan.uncertain:
-        for number, camera in enumerate(model.cameras[:CAMERAS_SHOWN], start=1):
-            click.echo(
-                f"camera {number} ({camera.images} images): {camera.model}, "
-                f"f = {camera.focal_px:.1f} px after bundle adjustment"
-            )
+    click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
+    click.echo(f"{out / PICTURE}: cameras and points, from above and from the front")
+    after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
+    for number, camera in enumerate(model.cameras[:CAMERAS_SHOWN], start=1):
+        click.echo(
+            f"camera {number} ({camera.images} images): {camera.model}, "
+            f"f = {camera.focal_px:.1f} px{after}"
+        )
+    if (more := len(model.cameras) - CAMERAS_SHOWN) > 0:
+        click.echo(f"{more} more cameras: see {out / reconstruction.SUMMARY}")
     for name in data["not_registered"]:
         click.echo(f"not registered: {name}", err=True)

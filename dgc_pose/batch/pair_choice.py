@@ -11,6 +11,7 @@ from dgc_pose.errors import InputError
 
 Way = Literal["exhaustive", "sequential", "auto"]
 _DIGITS = 10  # of a number of images
+_EXHAUSTIVE_UP_TO = 20  # images
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class PairChoice:
             return []
         widest = count if self.way == "exhaustive" else self.number
         return [(i, j) for i in range(count) for j in range(i + 1, min(i + widest + 1, count))]
+
+
+def default_pair_choice(count: int) -> PairChoice:
+    """How the pairs of so many images are chosen, if nothing else is said."""
+    return PairChoice("exhaustive") if count <= _EXHAUSTIVE_UP_TO else PairChoice("auto", 10)
 
 
 def parse_pair_choice(text: str) -> PairChoice:

@@ -16,7 +16,7 @@ import numpy as np
 from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
+from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
 from dgc_pose.batch.ray_engine import ray_workers
@@ -79,8 +79,9 @@ def run_batch(
 ) -> Batch:
     """Match the pairs of a source and put the result into `out`.
 
-    choice: how pairs are chosen; None for those of the source. start_workers: None for those of
-    `options.engine`.
+    choice: how pairs are chosen; None for those of the source, or if it has none, all pairs of up
+    to 20 images, and of more each image with its 10 most similar ones. start_workers: None for
+    those of `options.engine`.
 
     Where a focal length has a deviation, each pair fits its own, and the principal point. They are
     pooled over the pairs of a camera, and the poses are estimated again with the pooled cameras,
@@ -99,6 +100,8 @@ def run_batch(
         require_pyarrow()
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
+    if choice is None and source.pairs is None:
+        choice = default_pair_choice(len(source.names))
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
         "weights": matcher.weights,
@@ -201,11 +204,9 @@ def _first_plan(
     """The plan; without pairs where they are chosen by the images' features."""
     if choice is not None:
         chosen = choice.pairs(len(source.names))
-    elif source.pairs is None:
-        raise InputError("a folder needs --pairs exhaustive, sequential:W or auto:K")
     else:
         position = {name: i for i, name in enumerate(source.names)}
-        chosen = [(position[a], position[b]) for a, b in source.pairs]
+        chosen = [(position[a], position[b]) for a, b in source.pairs or ()]
     pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
     return Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
 

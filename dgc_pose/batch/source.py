@@ -1,5 +1,6 @@
 """What a batch works on: photographs, their cameras and sizes, and the pairs if they are given."""
 
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -34,7 +35,8 @@ def open_source(path: Path, root: Path | None = None) -> Source:
 
     root: folder of the image names of a list or database; by default the file's own.
 
-    Raises InputError if the source has no image, or a single one; OSError if it cannot be read.
+    Raises InputError if the source has no image, or a single one, or if none of its images is in
+    `root`; OSError if it cannot be read.
     """
     if path.is_dir():
         if root is not None:
@@ -53,7 +55,12 @@ def open_source(path: Path, root: Path | None = None) -> Source:
             "; ".join([f"{path}: {what} there, and a pair needs two", *source.left_out])
         )
     if not source.root.is_dir():
-        raise InputError(f"{source.root}: no such folder of images")
+        raise InputError(f"--root: {source.root}: no such folder of images")
+    if not any(os.path.isfile(source.root / name) for name in source.names):
+        raise InputError(
+            f"--root: none of the {len(source.names)} images of {path} is in {source.root} "
+            f"(first: {source.names[0]})"
+        )
     return source
 
 

@@ -68,8 +68,7 @@ def reconstruct(
     be read any more; DgcPoseError if what was written is not whole.
     """
     options = options or ReconstructionOptions()
-    refines = options.mapping.refine_intrinsics or batch.plan.uncertain
-    mapping = replace(options.mapping, refine_intrinsics=refines)
+    mapping = replace(options.mapping, refine_intrinsics=refines(batch, options))
     require_model_folder(out / MODEL)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
@@ -82,6 +81,11 @@ def reconstruct(
         with replaced(out / POINTS) as temporary:
             write_model_points(temporary, reconstruction, out / POINTS)
     return sparse_model(reconstruction), exported
+
+
+def refines(batch: Batch, options: ReconstructionOptions) -> bool:
+    """Whether bundle adjustment changes the cameras."""
+    return options.mapping.refine_intrinsics or batch.plan.uncertain
 
 
 def _require_model(expected: pycolmap.Reconstruction, folder: Path, path: Path) -> None:

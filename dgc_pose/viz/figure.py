@@ -16,9 +16,13 @@ _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
 
 
 def new_figure(
-    width: float, height: float, *, layout: Literal["constrained"] | None = "constrained"
+    width: float,
+    height: float,
+    *,
+    layout: Literal["constrained", "compressed"] | None = "constrained",
 ) -> Figure:
-    """An empty figure with its canvas, sizes in inches."""
+    """An empty figure with its canvas, sizes in inches. layout: "compressed" for axes of a fixed
+    aspect."""
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure

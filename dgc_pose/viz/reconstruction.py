@@ -26,7 +26,7 @@ def plot_reconstruction(
     axes = Rotation.from_matrix(R).mean().as_matrix()  # rows
     chosen = np.linspace(0, len(points) - 1, min(_MOST, len(points))).astype(int)
     dots, cameras, directions = points[chosen] @ axes.T, centres @ axes.T, R[:, 2] @ axes.T
-    figure = new_figure(12, 6)
+    figure = new_figure(12, 6, layout="compressed")
     above, front = figure.subplots(1, 2)
     above.set(title=f"from above: {len(poses)} cameras, {len(points)} points", ylabel="z")
     front.set(title="from the cameras", ylabel="-y")

@@ -4,7 +4,12 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from dgc_pose.batch.pair_choice import most_similar, parse_pair_choice, similarities
+from dgc_pose.batch.pair_choice import (
+    default_pair_choice,
+    most_similar,
+    parse_pair_choice,
+    similarities,
+)
 from dgc_pose.errors import InputError
 
 
@@ -20,6 +25,13 @@ from dgc_pose.errors import InputError
 )
 def test_the_pairs_of_a_choice(text: str, count: int, pairs: list[tuple[int, int]]) -> None:
     assert parse_pair_choice(text).pairs(count) == pairs
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(2, "exhaustive"), (20, "exhaustive"), (21, "auto:10")]
+)
+def test_the_pairs_of_a_folder_of_which_nothing_is_said(count: int, text: str) -> None:
+    assert default_pair_choice(count) == parse_pair_choice(text)
 
 
 @pytest.mark.parametrize("text", ["all", "auto", "auto:0", "auto:-1", "sequential:x", "", "a:1"])

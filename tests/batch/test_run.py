@@ -188,8 +188,6 @@ def test_unusable_input(photos: tuple[Path, list[View]], whole: Path, tmp_path: 
     ):
         with pytest.raises(InputError, match=reason):
             run_sift(source, tmp_path / out)
-    with pytest.raises(InputError, match="--pairs"):
-        run_sift(folder, tmp_path / "out", pairs=None)
     with pytest.raises(InputError, match="that batch had the option pairs"):
         run_sift(folder, whole, pairs="sequential:1", resume=True)
     with pytest.raises(InputError, match="auto needs the features of a network"):

@@ -40,3 +40,22 @@ def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.Monkey
         f"{tmp_path}: no image there, and a pair needs two; 2 files left out (first: 1.heic): "
         "HEIC, which needs pillow-heif: pip install pillow-heif"
     )
+
+
+@pytest.mark.parametrize("root", ["photos/other", None])
+def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | None) -> None:
+    """The argument is named; one image that is there is enough, since a bad image stops nothing."""
+    (tmp_path / "photos" / "other").mkdir(parents=True)
+    (tmp_path / "list.txt").write_text("a.png b.png\nb.png c.png\n")
+    folder = tmp_path if root is None else tmp_path / root
+    with pytest.raises(InputError) as caught:
+        open_source(tmp_path / "list.txt", None if root is None else folder)
+    assert str(caught.value) == (
+        f"--root: none of the 3 images of {tmp_path / 'list.txt'} is in {folder} (first: a.png)"
+    )
+    _save(tmp_path / "photos" / "c.png", "PNG")
+    assert open_source(tmp_path / "list.txt", tmp_path / "photos").names == (
+        "a.png",
+        "b.png",
+        "c.png",
+    )

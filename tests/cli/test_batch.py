@@ -1,6 +1,7 @@
 """`batch`, `export-colmap` and `reconstruct` with unusable input: one line, exit code 2,
 nothing written."""
 
+import shlex
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
@@ -104,7 +105,7 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     )
     (folder / "notes.txt").write_text("of the day")
     done = run("batch", folder, *options, "--K", table)
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 3, done.output  # the images are the same
     left_out = "1 file left out (first: notes.txt): not an image of a known format"
     assert f"warning: {left_out}\n" in done.stderr
 
@@ -202,8 +203,44 @@ def test_failed_pairs_are_told(
     monkeypatch.setattr(SiftMatcher, "match", fail)
     options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
     done = run("batch", photos, *options)
-    assert done.exit_code == 0 and "0 poses of 3 pairs (failed 3)" in done.stdout
+    assert done.exit_code == 3 and "0 poses of 3 pairs (failed 3)" in done.stdout
     assert done.stderr == (
         "3 pairs failed (first: view0.png view1.png: LinAlgError: singular): "
         "--resume matches them again\n"
     )
+
+
+def test_a_batch_ends_with_a_table_and_its_files(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without --pairs all pairs of three images; the angle is that of the row."""
+    monkeypatch.setattr("dgc_pose.cli.batch.PAIRS_SHOWN", 2)
+    out = tmp_path / "o ut"
+    done = run("batch", photos, "--out", out, "--K", K_text(), *SIFT)
+    assert done.exit_code == 0, done.output
+    rows = read_batch(out).rows
+    heading, first, second, more, counts, *files = done.stdout.splitlines()
+    assert heading.split() == ["pair", "status", "rotation", "inliers"]
+    for line, row in zip((first, second), rows, strict=False):
+        angle = np.linalg.norm(cv2.Rodrigues(np.reshape(row.R, (3, 3)))[0]) * 180 / np.pi
+        cells = [row.name1, row.name2, row.status, f"{angle:.2f}", "deg"]
+        assert line.split() == [*cells, str(row.num_inliers), "of", str(row.num_matches)]
+    assert more == "... and 1 more" and counts.startswith(f"{out}: 3 poses of 3 pairs (ok 3), ")
+    assert [line.split(": ")[0] for line in files[:2]] == [
+        str(out / "pairs.jsonl"),
+        str(out / "matches.h5"),
+    ]
+    command = "for COLMAP: dgc-pose "
+    assert files[2].startswith(command)
+    words = shlex.split(files[2].removeprefix(command))
+    words[-1] = str(tmp_path / words[-1])
+    assert run(*words).exit_code == 0 and (tmp_path / "database.db").is_file()
+
+
+def test_a_wrong_root_leaves_nothing_that_blocks_the_next_run(photos: Path, tmp_path: Path) -> None:
+    listed, out = tmp_path / "list.txt", tmp_path / "out"
+    listed.write_text("view0.png view1.png\n")
+    options = ["--out", out, "--K", K_text(), *SIFT]
+    assert_refused(run("batch", listed, *options), "--root: none of the 2 images", str(tmp_path))
+    assert not out.exists()
+    assert run("batch", listed, "--root", photos, *options).exit_code == 0

@@ -82,7 +82,14 @@ def test_cameras_are_those_that_rendered_the_views(
 def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ("reconstruct", views[0], "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
-    assert run(*arguments).exit_code == 0
+    result = run(*arguments)
+    assert result.exit_code == 0
+    for name in ("sparse", "points.ply", "picture.png"):
+        assert f"{out / name}: " in result.stdout
+    assert (
+        f"camera 1 ({COUNT} images): PINHOLE, f = {K.diagonal()[:2].mean():.1f} px\n"
+        in result.stdout
+    )
     summary = json.loads((out / "summary.json").read_text())
     assert summary["images"] == summary["registered"] == COUNT
     assert summary["pairs"] == 10
