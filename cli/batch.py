@@ -101,8 +101,8 @@ def report(batch: Batch) -> None:
     if failed := [row for row in batch.rows if row.status == FAILED]:
         first = failed[0]
         click.echo(
-            f"{len(failed)} pairs failed (first: {first.name1} {first.name2}: {first.reason}): "
-            "--resume matches them again",
+            f"{counted(len(failed), 'pair')} failed (first: {first.name1} {first.name2}: "
+            f"{first.reason}): --resume matches them again",
             err=True,
         )
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
@@ -116,15 +116,19 @@ def report(batch: Batch) -> None:
     )
 
 
+def counted(number: int, noun: str) -> str:
+    """`1 pair`, `2 pairs`."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
     """Print the pooled cameras of a summary: each of the first, and how many more there are."""
     for number, camera in enumerate(cameras[:CAMERAS_SHOWN], start=1):
         focal, std = camera["focal_px"], camera["focal_std"]
-        images = "1 image" if camera["images"] == 1 else f"{camera['images']} images"
-        what = f"camera {number} ({images}): f = {focal:.0f} +- {focal * std:.0f} px"
+        what = f"camera {number} ({counted(camera['images'], 'image')}): f = {focal:.0f}"
+        what += f" +- {focal * std:.0f} px"
         if camera["focal_source"] == "matches":
-            pairs = "1 pair" if camera["pairs"] == 1 else f"{camera['pairs']} pairs"
-            click.echo(f"{what} from {pairs}")
+            click.echo(f"{what} from {counted(camera['pairs'], 'pair')}")
         else:
             click.echo(f"{what} from the {_SOURCES[camera['focal_source']]}: no pair tells it")
     if len(cameras) > CAMERAS_SHOWN:

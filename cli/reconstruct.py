@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import CAMERAS_SHOWN, OUT, SourceChoice, report, work_through
+from dgc_pose.cli.batch import CAMERAS_SHOWN, OUT, SourceChoice, counted, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
 from dgc_pose.cli.progress import progress_bars
@@ -89,7 +89,7 @@ def reconstruct(
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
     for number, camera in enumerate(model.cameras[:CAMERAS_SHOWN], start=1):
         click.echo(
-            f"camera {number} ({camera.images} images): {camera.model}, "
+            f"camera {number} ({counted(camera.images, 'image')}): {camera.model}, "
             f"f = {camera.focal_px:.1f} px{after}"
         )
     if (more := len(model.cameras) - CAMERAS_SHOWN) > 0:
