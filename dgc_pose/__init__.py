@@ -11,7 +11,13 @@ if TYPE_CHECKING:
     from dgc_pose.cameras.calibration import parse_camera
     from dgc_pose.cameras.camera import Camera
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
-    from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+    from dgc_pose.estimation import (
+        Alternative,
+        EstimationOptions,
+        RelativePose,
+        VerdictOptions,
+        estimate_pose,
+    )
     from dgc_pose.images.image import Image, load_image
     from dgc_pose.matchers import MatcherCaches, MatcherOptions, load_matcher
     from dgc_pose.matches import Matches
@@ -23,7 +29,7 @@ if TYPE_CHECKING:
         MatchResult,
         load_dense_matcher,
     )
-    from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
+    from dgc_pose.pose import Trace, estimate_relative_pose, trace_relative_pose
     from dgc_pose.refinement import RefinementOptions, Refiner
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
@@ -31,7 +37,13 @@ _PUBLIC = {
     "cameras.calibration": ("parse_camera",),
     "cameras.camera": ("Camera",),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
-    "estimation": ("EstimationOptions", "RelativePose", "estimate_pose"),
+    "estimation": (
+        "Alternative",
+        "EstimationOptions",
+        "RelativePose",
+        "VerdictOptions",
+        "estimate_pose",
+    ),
     "images.image": ("Image", "load_image"),
     "matchers": ("MatcherCaches", "MatcherOptions", "load_matcher"),
     "matches": ("Matches",),
@@ -44,11 +56,12 @@ _PUBLIC = {
         "load_dense_matcher",
     ),
     "refinement": ("RefinementOptions", "Refiner"),
-    "pose": ("estimate_relative_pose", "trace_relative_pose"),
+    "pose": ("Trace", "estimate_relative_pose", "trace_relative_pose"),
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
+    "Alternative",
     "Camera",
     "CorrespondenceMap",
     "DenseMatcher",
@@ -66,6 +79,8 @@ __all__ = [
     "RefinementOptions",
     "Refiner",
     "RelativePose",
+    "Trace",
+    "VerdictOptions",
     "WeightsError",
     "estimate_pose",
     "estimate_relative_pose",

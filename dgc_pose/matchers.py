@@ -35,11 +35,16 @@ class MatcherCaches:
 
     Features belong to the network that made them: two matchers never share an instance. `asked` and
     `made` of each count the look-ups and the computations.
+
+    Attributes:
+        features: Features of the encoder at 240x240.
+        native: Features of the encoder at native resolution, for refinement.
+        key_points: Key points of a detector.
     """
 
-    features: FeatureCache = field(default_factory=feature_cache)  # the encoder's, at 240x240
-    native: NativeCache = field(default_factory=native_cache)  # the encoder's, for refinement
-    key_points: KeyPointCache = field(default_factory=key_point_cache)  # of a detector
+    features: FeatureCache = field(default_factory=feature_cache)
+    native: NativeCache = field(default_factory=native_cache)
+    key_points: KeyPointCache = field(default_factory=key_point_cache)
 
     def forget(self, image: Image) -> None:
         """Drop all that is kept of an image."""
@@ -51,7 +56,12 @@ class MatcherCaches:
 @dataclass(frozen=True)
 class MatcherOptions:
     """Which matcher, and how it matches. Raises InputError, naming the field, for a value out of
-    range."""
+    range.
+
+    Attributes:
+        matching: How matches are selected from a dense map.
+        refinement: How a network's matches are refined.
+    """
 
     weights: str = option(
         DEFAULT_WEIGHTS,

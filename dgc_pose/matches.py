@@ -16,14 +16,20 @@ class Matches:
 
     Raises InputError if the shapes do not agree or `error_px` is not positive. Coordinates may be
     non-finite: the estimation drops and counts such matches.
+
+    Attributes:
+        points1: Points (N, 2) float64 in image 1, pixels of the original.
+        points2: Points (N, 2) float64 in image 2, pixels of the original.
+        confidence: Confidence (N,) float64 in [0, 1]; of a map's matches the matchability.
+        error_px: Expected error of a good match, pixels of the original images.
+        key_points: Whether the matches are independent detections (key points). Errors of a dense
+            map's matches are correlated among neighbours.
     """
 
-    points1: np.ndarray  # (N, 2) float64, pixels of the original image 1
-    points2: np.ndarray  # (N, 2) float64, pixels of the original image 2
-    confidence: np.ndarray  # (N,) float64 in [0, 1]
-    error_px: float  # expected error of a good match, pixels of the original images
-    # Whether the matches are independent detections (key points). Errors of a dense map's matches
-    # are correlated among neighbours.
+    points1: np.ndarray
+    points2: np.ndarray
+    confidence: np.ndarray
+    error_px: float
     key_points: bool = False
 
     def __post_init__(self) -> None:

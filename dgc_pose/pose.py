@@ -52,15 +52,27 @@ _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
 @dataclass(frozen=True)
 class Trace:
-    """A pose with everything that it was computed from."""
+    """A pose with everything that it was computed from.
+
+    Attributes:
+        image1: Image 1, as it was read.
+        image2: Image 2, likewise.
+        camera1: Camera of image 1 that the pose is of, as in `pose`; without a pose, `prior1`.
+        camera2: Camera of image 2, likewise.
+        prior1: Camera of image 1 before the estimation: of the K given, or of what the image says.
+        prior2: Camera of image 2, likewise.
+        correspondence_map: The dense map; None for a matcher that makes none.
+        matches: The N matches that the pose was estimated from.
+        pose: The pose, or why there is none.
+    """
 
     image1: Image
     image2: Image
-    camera1: Camera  # those that the pose is of, as in `pose`; without a pose, the priors
+    camera1: Camera
     camera2: Camera
-    prior1: Camera  # those before the estimation: of the K given, or of what the image says
+    prior1: Camera
     prior2: Camera
-    correspondence_map: CorrespondenceMap | None  # None for a matcher that makes no dense map
+    correspondence_map: CorrespondenceMap | None
     matches: Matches
     pose: RelativePose
 

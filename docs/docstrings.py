@@ -1,44 +1,74 @@
 """For the API reference: fields and properties of dataclasses as a list, doctest lines as code.
 
-A Griffe extension, loaded by mkdocs.yml. The code documents a field by the comment behind it or by
-the comment lines above it, where shapes and units are.
+A Griffe extension, loaded by mkdocs.yml. The list is the section "Attributes" of the docstring;
+fields that are options of the commands have their help text, and classes that are not public the
+comment behind a field or above it.
 """
 
+import importlib
 import re
+from dataclasses import MISSING, Field, fields
 from typing import Any
 
 import griffe
 
+from dgc_pose.system.options import option_info
+
 _BEHIND = re.compile(r"\s{2}# (.*)$")
 _ABOVE = re.compile(r"^\s*# ?(.*)$")
-_FACTORY = re.compile(r"field\(default_factory=(\w+)\)")
+_ENTRY = re.compile(r"^    (?:    )?(\w+): (.*(?:\n {8,}\S.*)*)", re.MULTILINE)
+_SECTION = "\n\nAttributes:\n"
 _DOCTEST = re.compile(r"(?:^>>> .*\n?)+", re.MULTILINE)
 
 
-class SourceComments(griffe.Extension):
-    """Adds to the docstring of each dataclass a section with its fields and properties."""
+class Attributes(griffe.Extension):
+    """Completes the section of a dataclass's docstring with its fields and properties."""
 
     def on_class(self, *, cls: griffe.Class, **_: Any) -> None:
         if "dataclass" not in cls.labels or cls.docstring is None:
             return
+        text, _, section = cls.docstring.value.partition(_SECTION)
+        described = {name: " ".join(words.split()) for name, words in _ENTRY.findall(section)}
+        known = {of.name: of for of in fields(_class(cls))}
         lines = []
         for name, attribute in cls.attributes.items():
             if name.startswith("_"):
                 continue
-            if "property" not in attribute.labels:
-                lines.append(f"    {name}: {_comment(attribute)}")
-            elif attribute.docstring is not None:
+            if name in known:
+                of = known[name]
+                words = _help(of), described.get(name) or _comment(attribute), _default(of)
+                lines.append(f"    {name}: {' '.join(filter(None, words))}")
+            elif "property" in attribute.labels and attribute.docstring is not None:
                 lines.append(f"    {name}: {' '.join(attribute.docstring.value.split())}")
                 attribute.docstring = None  # else the property would be listed once more
-        cls.docstring.value += "\n\nAttributes:\n" + "\n".join(lines)
+        cls.docstring.value = text + _SECTION + "\n".join(lines)
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring is not None:
             obj.docstring.value = _DOCTEST.sub(_as_code, obj.docstring.value)
 
 
+def _class(cls: griffe.Class) -> Any:
+    """The class itself."""
+    return getattr(importlib.import_module(cls.module.path), cls.name)
+
+
+def _help(of: Field[Any]) -> str:
+    """The help text of a field that is an option of the commands."""
+    info = option_info(of)
+    return "" if info is None else info.help
+
+
+def _default(of: Field[Any]) -> str:
+    if of.default is not MISSING:
+        return f"(default `{of.default!r}`)"
+    if of.default_factory is not MISSING:
+        return f"(default `{of.default_factory.__name__}()`)"
+    return ""
+
+
 def _comment(attribute: griffe.Attribute) -> str:
-    """The comment lines above a field, then the comment behind it, then the default."""
+    """The comment lines above a field, then the comment behind it."""
     assert attribute.lineno is not None and attribute.endlineno is not None
     lines = attribute.lines_collection[attribute.filepath]  # type: ignore[index]
     comment: list[str] = []
@@ -48,9 +78,6 @@ def _comment(attribute: griffe.Attribute) -> str:
         row -= 1
     if behind := _BEHIND.search(lines[attribute.endlineno - 1]):
         comment.append(behind[1])
-    if attribute.value is not None:
-        default = _FACTORY.sub(r"\1()", str(attribute.value))
-        comment.append(f"(default `{default}`)")
     return " ".join(comment)
 
 

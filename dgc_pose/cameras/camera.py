@@ -24,19 +24,28 @@ class Camera:
 
     Raises InputError unless K is finite, invertible and upper triangular with positive focal
     lengths and a last row of 0 0 1.
+
+    Attributes:
+        K: Intrinsic matrix (3, 3) float64, pixels.
+        size: (width, height) of the image K refers to; None if unknown.
+        distortion: Distortion of the lens; None for a pinhole.
+        warnings: Sentences about the origin of K, for the user.
+        focal_std: Standard deviation of the logarithm of the focal lengths; 0: they are exact. The
+            estimation fits the focal lengths of a camera with a deviation, with K as the prior.
+        centre_std: Standard deviation of each coordinate of the principal point, pixels.
+        focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
+            image, or the matches.
+        identity: Images whose cameras have the same identity were taken by one camera: K is wrong
+            by the same factor. None: a camera of its image alone.
     """
 
-    K: np.ndarray  # (3, 3) float64, pixels
-    size: tuple[int, int] | None = None  # (width, height) of the image K refers to; None if unknown
-    distortion: Distortion | None = None  # of the lens; None for a pinhole
-    warnings: tuple[str, ...] = ()  # about the origin of K, for the user
-    # Standard deviation of the logarithm of the focal lengths; 0: they are exact. The estimation
-    # fits the focal lengths of a camera with a deviation, with K as the prior.
+    K: np.ndarray
+    size: tuple[int, int] | None = None
+    distortion: Distortion | None = None
+    warnings: tuple[str, ...] = ()
     focal_std: float = 0.0
-    centre_std: float = 0.0  # of each coordinate of the principal point, pixels
-    focal_source: FocalSource = "given"  # what says the focal length: "size" is the image's
-    # Images whose cameras have the same identity were taken by one camera: K is wrong by the same
-    # factor. None: a camera of its image alone.
+    centre_std: float = 0.0
+    focal_source: FocalSource = "given"
     identity: str | None = None
 
     def __post_init__(self) -> None:

@@ -35,10 +35,14 @@ class Distortion:
     """Lens distortion by one of COLMAP's models, in normalised coordinates, independent of K.
 
     Raises InputError if COLMAP has no such model, or if the coefficients do not fit it.
+
+    Attributes:
+        model: COLMAP's name, such as "OPENCV" or "SIMPLE_RADIAL".
+        coefficients: The parameters after focal length and principal point.
     """
 
-    model: str  # COLMAP's name, such as "OPENCV" or "SIMPLE_RADIAL"
-    coefficients: tuple[float, ...] = ()  # the parameters after focal length and principal point
+    model: str
+    coefficients: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         camera = _model(self.model)

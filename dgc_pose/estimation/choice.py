@@ -40,13 +40,22 @@ class Choosable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose, and what the choice among several rests on (a `Choosable`)."""
+    """A pose, and what the choice among several rests on (a `Choosable`).
+
+    Attributes:
+        model: The pose, and its inliers.
+        likely: Whether it explains the matches about as well as the first.
+        likelihood: Logarithm of the likelihood of all matches, over the root of the number of
+            inliers.
+        map_agreement: Share of the dense map that agrees, by matchability; None without a map.
+        share: The probability that it is right if one is; 0 if it is not likely.
+    """
 
     model: Model
-    likely: bool  # whether it explains the matches about as well as the first
+    likely: bool
     likelihood: float
     map_agreement: float | None
-    share: float = math.nan  # the probability that it is right if one is; 0 if it is not likely
+    share: float = math.nan
 
 
 def hypotheses(

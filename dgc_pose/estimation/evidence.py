@@ -43,46 +43,80 @@ class FocalCheck(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the verdict rests on."""
+    """What the verdict rests on.
+
+    Attributes:
+        num_inliers: Number of matches that the model explains.
+        inlier_ratio: The same, as a share of all matches.
+        chance_ratio: The inlier ratio of the same model, of the same points paired wrongly.
+        log10_false_alarms: Decimal logarithm of the expected number of models with so many inliers
+            in random matches.
+        cheirality_ratio: Share of inliers in front of both cameras.
+        rotation: The rotation (3, 3) that explains most matches without a translation.
+        num_rotation_inliers: Matches that `rotation` explains, on which the parallax is measured.
+        rotation_share: `num_rotation_inliers` over the inliers.
+        strict_rotation_share: Share of inliers that `rotation` explains within the threshold.
+        parallax: Spread of the motion left by `rotation`, over the spread of the epipolar error.
+        median_triangulation_angle_deg: Median angle between the two rays of an inlier, degrees.
+        homography_ratio: Share of inliers that one homography explains.
+        collinear: Whether the inliers of either image lie on one line.
+        occupied_cells: Grid cells with inliers, in the image with fewer of them.
+        key_points: Whether the matches are independent detections.
+        jackknife_rotation_90_deg: Nine times in ten the error of R is below, as the jackknife has
+            it, not calibrated; None if it is not known.
+        jackknife_translation_90_deg: The same of the direction of t.
+        jackknife_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
+            K is exact.
+        focal_ratio: Of an exact K: the focal lengths that the matches suggest, over those of K;
+            None if they agree.
+        focal_ratio_std: The jackknife's deviation of its logarithm; None likewise.
+        focal_angle_deg: The angle between this pose and that of the focal lengths suggested; None
+            likewise.
+        focal_angle_90_deg: The error that the latter pose is below nine times in ten, by the
+            jackknife; None likewise.
+        residual: Median epipolar error of the inliers, over the threshold.
+        threshold_cells: The threshold over the side of a grid cell, mean of both images.
+        hull_cells: Area of the inliers' convex hull in grid cells, the smaller of both images.
+        depth_spread: Interquartile range of the logarithm of the inliers' depths.
+        confidence: Median confidence of the inliers.
+        run_agreement: Share of the RANSAC runs whose pose is within 10 degrees of this one.
+        rotation_angle_deg: Angle of the pose's R.
+        rival_ratio: Most inliers in front of another pose, over this one's.
+        map_matchability: Mean matchability of the dense map; None without one.
+        map_agreement: Share of its cells, by matchability, that agree with the pose; None likewise.
+        map_chance: The same of those cells paired wrongly; None likewise.
+    """
 
     num_inliers: int
-    inlier_ratio: float  # of all matches
-    chance_ratio: float  # the same model's, of the same points paired wrongly
-    log10_false_alarms: float  # number of models with so many inliers expected in random matches
-    cheirality_ratio: float  # share of inliers in front of both cameras
-    rotation: np.ndarray  # (3, 3) the rotation that explains most matches without a translation
-    num_rotation_inliers: int  # matches that it explains, on which the parallax is measured
-    rotation_share: float  # the same, over the inliers
-    strict_rotation_share: float  # share of inliers that it explains within the threshold itself
-    parallax: float  # spread of the motion left by it, over the spread of the epipolar error
-    median_triangulation_angle_deg: float  # of the inliers
-    homography_ratio: float  # share of inliers that one homography explains
-    collinear: bool  # the inliers of either image lie on one line
-    occupied_cells: int  # grid cells with inliers, in the image with fewer of them
-    key_points: bool  # whether the matches are independent detections
-    # Nine times in ten the error is below, as the jackknife has it, not calibrated; or unknown.
+    inlier_ratio: float
+    chance_ratio: float
+    log10_false_alarms: float
+    cheirality_ratio: float
+    rotation: np.ndarray
+    num_rotation_inliers: int
+    rotation_share: float
+    strict_rotation_share: float
+    parallax: float
+    median_triangulation_angle_deg: float
+    homography_ratio: float
+    collinear: bool
+    occupied_cells: int
+    key_points: bool
     jackknife_rotation_90_deg: float | None
     jackknife_translation_90_deg: float | None
-    # The same of the logarithm of the focal length, per cent; None if K is exact.
     jackknife_focal_90_percent: float | None
-    # Of an exact K: the focal lengths that the matches suggest over those of K, and the jackknife's
-    # deviation of the logarithm; None if they agree.
     focal_ratio: float | None
     focal_ratio_std: float | None
-    # The angle between this pose and that of the focal lengths suggested, and the error that the
-    # latter is below nine times in ten by the jackknife; None likewise.
     focal_angle_deg: float | None
     focal_angle_90_deg: float | None
-    residual: float  # median epipolar error of the inliers, over the threshold
-    threshold_cells: float  # the threshold over the side of a grid cell, mean of both images
-    hull_cells: float  # area of the inliers' convex hull in grid cells, the smaller of both images
-    depth_spread: float  # interquartile range of the logarithm of the inliers' depths
-    confidence: float  # median confidence of the inliers
-    run_agreement: float  # share of the RANSAC runs whose pose is within 10 degrees of this one
-    rotation_angle_deg: float  # of the pose's R
-    rival_ratio: float  # most inliers in front of another pose, over this one's
-    # Of the dense map, None without one: the mean matchability, and by matchability the share of
-    # cells that agree with the pose, and of the same cells paired wrongly.
+    residual: float
+    threshold_cells: float
+    hull_cells: float
+    depth_spread: float
+    confidence: float
+    run_agreement: float
+    rotation_angle_deg: float
+    rival_ratio: float
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None

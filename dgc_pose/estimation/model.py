@@ -18,12 +18,19 @@ _MIN_SCALE = 0.02  # of the threshold: matches are not trusted to be more accura
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A pose x2 = R x1 + t with its inliers among the N matches of a problem."""
+    """A pose x2 = R x1 + t with its inliers among the N matches of a problem.
 
-    R: np.ndarray  # (3, 3)
-    t: np.ndarray  # (3,), unit length
-    inliers: np.ndarray  # (N,) bool, Sampson distance below the problem's threshold
-    in_front: np.ndarray  # (N,) bool, in front of both cameras
+    Attributes:
+        R: Rotation (3, 3).
+        t: Translation (3,), unit length.
+        inliers: Which matches have a Sampson distance below the problem's threshold, (N,) bool.
+        in_front: Which matches lie in front of both cameras, (N,) bool.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    inliers: np.ndarray
+    in_front: np.ndarray
 
     @classmethod
     def of_pose(cls, problem: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> Model:

@@ -17,12 +17,20 @@ from dgc_pose.geometry.rotation import quaternion_wxyz
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A pose that explains the matches about as well as another."""
+    """A pose that explains the matches about as well as another.
 
-    R: np.ndarray  # (3, 3)
-    t: np.ndarray  # (3,), unit length
+    Attributes:
+        R: Rotation (3, 3) from camera 1 to camera 2.
+        t: Direction (3,) of the translation, unit length, in camera 2's axes.
+        num_inliers: Number of matches that it explains.
+        probability: Probability that R and t are both within 10 degrees of the truth; None if no
+            model of it is fitted for such matches.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
     num_inliers: int
-    probability: float | None  # that R and t are both within 10 degrees
+    probability: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,38 +39,56 @@ class RelativePose:
 
     `success` means that R and t are known. With "rotation_only" (also for identical images) R is
     known and t is None; with any other failure both are None.
+
+    Attributes:
+        status: "ok" or "planar" with a pose; any other status names why there is none.
+        reason: Why there is no pose, or what kind of pose it is: one sentence for people.
+        inliers: Which of the matches agree with the pose, (N,) bool, over the matches as they were
+            given.
+        num_matches: Number of matches used: without those that are not finite, duplicates and the
+            like.
+        R: Rotation (3, 3) from camera 1 to camera 2; None if it is not known.
+        t: Direction (3,) of the translation, unit length, in camera 2's axes: where camera 1 is
+            seen from camera 2. None if it is not known.
+        covariance: Covariance (6, 6), rad^2, of rank 5, of a rotation vector w and a change d of t,
+            in camera 2's axes; the true pose is exp([w]x) R and t + d. None without a pose, and if
+            the inliers do not determine it. Scaled so that the expected error of right poses holds
+            nine times in ten; it does not include an alternative pose, a wrong K or a wrong
+            verdict.
+        camera1: Camera of image 1 that the pose is of: as it was given, or with the focal length
+            that the matches tell, if its own had a deviation. None without a pose.
+        camera2: Camera of image 2, likewise.
+        camera_covariance: Covariance (6, 6) of ln f and the principal point, pixels, of camera 1
+            and then of camera 2, which the matches tell; None for cameras that were not fitted.
+        evidence: What the verdict rests on; None without a model.
+        probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
+            model, with "rotation_only" and with "ambiguous". None if no model of the probability is
+            fitted for such matches.
+        alternatives: Poses more than 10 degrees from this one that explain the matches about as
+            well, the likeliest first: of a plane, of repeated structure, of a mirrored depth. With
+            "ambiguous" all poses.
+        hypotheses: All poses that were considered, also those that explain fewer matches, this one
+            first; none without a model.
+        warnings: Sentences about what makes the pose uncertain, for people.
+        seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose.Step`),
+            "estimate".
     """
 
     status: Status
-    reason: str  # one sentence for people
-    inliers: np.ndarray  # (N,) bool, over the matches as they were given
-    num_matches: int  # matches used: without those dropped as not finite, duplicates and the like
-    R: np.ndarray | None = None  # (3, 3)
-    t: np.ndarray | None = None  # (3,), unit length
-    # (6, 6), rad^2, of rank 5: a rotation vector w and a change d of t, in camera 2's axes; the
-    # true pose is exp([w]x) R and t + d. None without a pose, and if the inliers do not determine
-    # it. Scaled so that the expected error of right poses holds nine times in ten; it does not
-    # include an alternative pose, a wrong K or a wrong verdict.
+    reason: str
+    inliers: np.ndarray
+    num_matches: int
+    R: np.ndarray | None = None
+    t: np.ndarray | None = None
     covariance: np.ndarray | None = None
-    # The cameras that the pose is of: as they were given, or with the focal lengths that the
-    # matches tell, if theirs had a deviation. None without a pose.
     camera1: Camera | None = None
     camera2: Camera | None = None
-    # (6, 6) of ln f and the principal point, pixels, of camera 1 and then of camera 2, which the
-    # matches tell; None for cameras that were not fitted.
     camera_covariance: np.ndarray | None = None
-    evidence: Evidence | None = None  # what the verdict rests on; None without a model
-    # That R and t are both within 10 degrees; 0 without a model, with "rotation_only" and with
-    # "ambiguous". None if no model of the probability is fitted for such matches.
+    evidence: Evidence | None = None
     probability: float | None = 0.0
-    # Poses more than 10 degrees from this one that explain the matches about as well, the likeliest
-    # first: of a plane, of repeated structure, of a mirrored depth. With "ambiguous" all poses.
     alternatives: tuple[Alternative, ...] = ()
-    # All poses that were considered, also those that explain fewer matches, this one first; none
-    # without a model.
     hypotheses: tuple[Hypothesis, ...] = ()
     warnings: tuple[str, ...] = ()
-    # By what was done: "load", the steps of the matching (`dgc_pose.pose.Step`), "estimate".
     seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property

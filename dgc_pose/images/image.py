@@ -30,14 +30,22 @@ _HEADER_BYTES = 2**17  # read first for an image's size alone
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """An image of 8-bit RGB. Raises InputError for pixels of another type or shape."""
+    """An image of 8-bit RGB. Raises InputError for pixels of another type or shape.
 
-    pixels: np.ndarray  # (H, W, 3) uint8, RGB, contiguous
-    name: str = "image"  # the path, or the argument's name
-    # (width, height) as stored, if `pixels` were resized after reading; None if they were not
+    Attributes:
+        pixels: Colours (H, W, 3) uint8, RGB, contiguous.
+        name: The path, or the argument's name.
+        stored_size: Size (width, height) as stored, if `pixels` were resized after reading; None if
+            they were not.
+        exif: The file's EXIF block, see `Header`.
+        orientation: Orientation by EXIF, 1 to 8, which is not applied to `pixels`; 1 is upright.
+    """
+
+    pixels: np.ndarray
+    name: str = "image"
     stored_size: tuple[int, int] | None = None
-    exif: bytes = b""  # the file's EXIF block, see `Header`
-    orientation: int = 1  # by EXIF, 1 to 8, which is not applied to `pixels`; 1 is upright
+    exif: bytes = b""
+    orientation: int = 1
 
     def __post_init__(self) -> None:
         pixels = self.pixels

@@ -22,15 +22,24 @@ _SAMPLE = 40  # cells a row of the sample of a map
 
 @dataclass(frozen=True, eq=False)
 class CorrespondenceMap:
-    """A dense map over image 2's grid. All points are in pixels of the original images."""
+    """A dense map over image 2's grid. All points are in pixels of the original images.
 
-    map: np.ndarray  # (H, W, 2) float32, for each cell of image 2 its x and y in image 1; no NaN
-    grid: np.ndarray  # (H, W, 2) float32, the cells' x and y in image 2
-    matchability: np.ndarray  # (H, W) float32 in [0, 1]; 1 everywhere for a net without a mask
-    size1: tuple[int, int]  # (width, height) of image 1
-    size2: tuple[int, int]  # (width, height) of image 2
-    # (H, W) float32, pixels of image 2: cycle error, the distance between the cell and its point in
-    # image 1 mapped back by the reverse map; None if that map was not computed
+    Attributes:
+        map: For each cell of image 2 its x and y in image 1, (H, W, 2) float32; no NaN.
+        grid: The cells' x and y in image 2, (H, W, 2) float32.
+        matchability: Probability that a cell's match can be used, (H, W) float32; 1 everywhere for
+            a net without a mask.
+        size1: Size (width, height) of image 1, pixels.
+        size2: Size (width, height) of image 2, pixels.
+        cycle: Cycle error (H, W) float32, pixels of image 2: the distance between the cell and its
+            point in image 1 mapped back by the reverse map; None if that map was not computed.
+    """
+
+    map: np.ndarray
+    grid: np.ndarray
+    matchability: np.ndarray
+    size1: tuple[int, int]
+    size2: tuple[int, int]
     cycle: np.ndarray | None = None
 
     @property
@@ -54,11 +63,16 @@ class CorrespondenceMap:
 
 @dataclass(frozen=True, eq=False)
 class MatchResult:
-    """The matches of two images."""
+    """The matches of two images.
 
-    matches: Matches  # those that a pose is estimated from, pixels of the images matched
-    correspondence_map: CorrespondenceMap | None  # None for a matcher of key points
-    # Of refined matches those whose patches are aligned; None without refinement.
+    Attributes:
+        matches: Matches that a pose is estimated from, pixels of the images matched.
+        correspondence_map: The dense map; None for a matcher of key points.
+        aligned: Those of refined matches whose patches are aligned; None without refinement.
+    """
+
+    matches: Matches
+    correspondence_map: CorrespondenceMap | None
     aligned: Matches | None = None
 
     @property

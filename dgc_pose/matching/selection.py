@@ -19,9 +19,15 @@ WEAK = 0.25  # mean matchability of a map that may be of images rotated or of di
 @dataclass(frozen=True)
 class MatchingOptions:
     """Which cells of the dense map become matches. Raises InputError, naming the field, for a value
-    out of range."""
+    out of range.
 
-    # Cells a side of the level that the map is taken from.
+    Attributes:
+        finest: Cells a side of the level that the map is taken from.
+        min_share: Share of all cells that must pass; a smaller patch matches by chance.
+        search_below: The network is trained on upright photographs of similar scale. If the mean
+            matchability is below this, other rotations of image 2 and other scales are searched.
+    """
+
     finest: FinestLevel = option(
         240,
         "Cells a side of the dense map, 240, 120 or 60: fewer are faster.",
@@ -36,7 +42,7 @@ class MatchingOptions:
         max=1,
         section="matching",
     )
-    cycle_px: float | None = option(  # pixels of image 2
+    cycle_px: float | None = option(
         None,
         "Compute the reverse map too, and drop matches with a larger cycle error; for --refine "
         "none and map.",
@@ -54,10 +60,7 @@ class MatchingOptions:
         max=2**31,
         section="matching",
     )
-    # Share of all cells that must pass; a smaller patch matches by chance.
     min_share: float = option(0.01, min=0, max=1)
-    # The network is trained on upright photographs of similar scale. If the mean matchability is
-    # below this, other rotations of image 2 and other scales are searched.
     search_below: float = option(WEAK, min=0, max=1)
 
     def __post_init__(self) -> None:

@@ -1,0 +1,50 @@
+"""What `help()` says of the public names."""
+
+import inspect
+import re
+from dataclasses import fields, is_dataclass
+
+import pytest
+
+import dgc_pose
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation.choice import Hypothesis
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.refinement.options import AlignmentOptions, FeatureOptions
+from dgc_pose.system.options import option_info
+
+PUBLIC = [getattr(dgc_pose, name) for name in dgc_pose.__all__]
+# What fields of public results and options are.
+REACHED = [AlignmentOptions, Distortion, Evidence, FeatureOptions, Hypothesis]
+DATACLASSES = [value for value in PUBLIC if is_dataclass(value)] + REACHED
+
+
+def attributes(cls: type) -> dict[str, str]:
+    """The names under "Attributes" in the docstring, with what is said of them."""
+    section = inspect.getdoc(cls).partition("\nAttributes:\n")[2]
+    return dict(re.findall(r"^    (\w+): (\S.*\S)", section, re.MULTILINE))
+
+
+def test_the_results_are_public() -> None:
+    names = {cls.__name__ for cls in DATACLASSES}
+    assert {"RelativePose", "Alternative", "Trace", "Matches", "MatchResult", "Camera"} <= names
+
+
+@pytest.mark.parametrize("cls", DATACLASSES, ids=lambda cls: cls.__name__)
+def test_each_field_is_described(cls: type) -> None:
+    described = attributes(cls)
+    names = [of.name for of in fields(cls)]
+    assert [name for name in names if name in described] == list(described)  # in their order
+    for of in fields(cls):
+        info = option_info(of)
+        assert of.name in described or (info is not None and info.help), of.name
+
+
+@pytest.mark.parametrize("value", PUBLIC, ids=lambda value: value.__name__)
+def test_each_public_name_and_its_members_are_described(value: type) -> None:
+    assert inspect.getdoc(value)
+    for name, member in inspect.getmembers(value):
+        if not name.startswith("_") and (
+            inspect.isfunction(member) or isinstance(member, property)
+        ):
+            assert inspect.getdoc(member), name
