@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg
 
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_text
@@ -77,7 +76,9 @@ def decompose(P: np.ndarray, name: str) -> DtuView:
         raise InputError(f"{name}: the matrix is no camera: its left 3x3 is singular")
     if np.linalg.det(P[:, :3]) < 0:
         P = -P
-    upper, R = scipy.linalg.rq(P[:, :3])
+    # Of the rows and the columns in reverse order RQ is QR.
+    q, r = np.linalg.qr(P[::-1, :3].T)
+    upper, R = r.T[::-1, ::-1], q.T[::-1]
     signs = np.sign(np.diag(upper))
     upper, R = upper * signs, signs[:, None] * R
     return DtuView(K=upper / upper[2, 2], R=R, t=np.linalg.solve(upper, P[:, 3]))

@@ -7,10 +7,10 @@ moves each match by up to the side of a cell, as hloc does with dense matchers.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, one_to_one, pairs_by_image
+from dgc_pose.geometry.neighbours import nearest_to
 
 _PER_IMAGE = 8192  # key points of an image, unless the options say another number
 
@@ -24,11 +24,10 @@ def merge_by_cells(pairs: Sequence[PairGeometry], options: SharingOptions) -> Sh
         name: _best_of_cells(name, its_pairs, options)
         for name, its_pairs in pairs_by_image(pairs).items()
     }
-    trees = {name: cKDTree(points) for name, points in key_points.items()}
     matches = {}
     for pair in pairs:
-        distance1, nearest1 = trees[pair.row.name1].query(pair.points1)
-        distance2, nearest2 = trees[pair.row.name2].query(pair.points2)
+        distance1, nearest1 = nearest_to(pair.points1, key_points[pair.row.name1])
+        distance2, nearest2 = nearest_to(pair.points2, key_points[pair.row.name2])
         near = np.maximum(distance1, distance2) <= options.cell
         if near.any():
             index = np.column_stack([nearest1, nearest2])[near].astype(np.uint32)

@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
@@ -56,11 +54,25 @@ class SharedMatches:
             for (name1, name2), index in self.pairs.items()
         ]
         ends = np.concatenate([np.zeros((0, 2), np.int64), *edges])
-        graph = coo_matrix((np.ones(len(ends), np.int8), ends.T), (len(image), len(image)))
-        _, track = connected_components(graph, directed=False)
+        track = _connected(len(image), ends)
         images_of_tracks = np.unique(np.column_stack([track, image]), axis=0)
         lengths = np.bincount(images_of_tracks[:, 0])
         return lengths[lengths > 1]
+
+
+def _connected(count: int, ends: np.ndarray) -> np.ndarray:
+    """A number (count,) of each node of a graph with edges (E, 2): the least node that a path leads
+    to."""
+    label = np.arange(count)
+    while True:
+        least = label.copy()
+        least_of_edges = label[ends].min(1)
+        np.minimum.at(least, label[ends[:, 0]], least_of_edges)  # of the nodes that stand for both
+        np.minimum.at(least, label[ends[:, 1]], least_of_edges)
+        least = least[least[label]]
+        if np.array_equal(least, label):
+            return label
+        label = least
 
 
 def epipolar_error_px(

@@ -13,7 +13,6 @@ from itertools import combinations
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import (
@@ -24,6 +23,7 @@ from dgc_pose.colmap.shared import (
     one_to_one,
     pairs_by_image,
 )
+from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import locate, nearby_corners, spread
@@ -136,7 +136,7 @@ def _predicted(corners: np.ndarray, matches: LocalMatches, reach: float) -> Loca
     `index` is that of the corners."""
     if len(matches.index) == 0 or len(corners) == 0:
         return LocalMatches(corners[:0], corners[:0], np.zeros((0, 2, 2)), np.zeros(0, np.int64))
-    distance, nearest = cKDTree(matches.points2).query(corners)
+    distance, nearest = nearest_to(corners, matches.points2)
     index = np.flatnonzero(distance <= reach)
     near = matches.subset(nearest[index])
     start = near.points1 + np.einsum("nij,nj->ni", near.affinity, corners[index] - near.points2)

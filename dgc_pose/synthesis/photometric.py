@@ -9,12 +9,15 @@ import math
 import numpy as np
 import torch
 import torch.nn.functional as F
-from scipy.fft import dct
 from torch import Tensor
 
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import PhotometricOptions
 
+_STEP = np.arange(8)
+# The orthonormal cosine transform of 8 values (DCT-II).
+_COSINES = np.cos(np.pi * (2 * _STEP + 1) * _STEP[:, None] / 16) / 2
+_COSINES[0] /= math.sqrt(2)
 _FOCUS_RADIUS = 3  # pixels, of the focus blur's kernel
 # T.81, annex K.1: quantisation of luminance and chrominance at quality 50.
 _LUMINANCE = (
@@ -157,7 +160,7 @@ def _table(base: tuple[tuple[int, ...], ...], quality: Tensor) -> Tensor:
 
 def _quantised(planes: Tensor, steps: Tensor) -> Tensor:
     """Planes (B, C, H, W) with each 8x8 block's cosine coefficients rounded to whole steps."""
-    basis = _as(planes, torch.from_numpy(dct(np.eye(8), axis=0, norm="ortho")))
+    basis = _as(planes, torch.from_numpy(_COSINES))
     blocks = planes.unfold(2, 8, 8).unfold(3, 8, 8)  # (B, C, H / 8, W / 8, 8, 8)
     coefficients = basis @ blocks @ basis.T
     coefficients = (coefficients / steps).round() * steps

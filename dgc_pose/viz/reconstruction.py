@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Rotation
 
+from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.viz.figure import new_figure
 
 _SHOWN = 0.02  # share of the points at either end of an axis that does not count for the limits
@@ -23,7 +23,8 @@ def plot_reconstruction(
     """
     R = np.stack([pose[:, :3] for pose in poses])
     centres = np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses])
-    axes = Rotation.from_matrix(R).mean().as_matrix()  # rows
+    # The mean rotation, of least sum of |R_k - axes|^2; its rows are the axes.
+    axes = aligning_rotation(np.tile(np.eye(3), (len(R), 1)), R.transpose(0, 2, 1).reshape(-1, 3))
     chosen = np.linspace(0, len(points) - 1, min(_MOST, len(points))).astype(int)
     dots, cameras, directions = points[chosen] @ axes.T, centres @ axes.T, R[:, 2] @ axes.T
     figure = new_figure(12, 6, layout="compressed")

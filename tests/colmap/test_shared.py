@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from colmap_scene import camera, cloud_pairs, true_row
 from multi_view import render_views
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from dgc_pose.colmap.cells import merge_by_cells
 from dgc_pose.colmap.options import SharingOptions
@@ -25,6 +27,17 @@ def test_track_lengths_count_images() -> None:
     }
     assert _tracks(SharedMatches(points, pairs)) == {2: 2, 3: 1}
     assert _tracks(SharedMatches({}, {})) == {}
+
+
+@pytest.mark.parametrize("edges", [5, 60, 400])
+def test_track_lengths_are_the_sizes_of_the_components(edges: int) -> None:
+    """Of random graphs, each key point in an image of its own; against SciPy."""
+    ends = np.random.default_rng(edges).integers(0, 100, (edges, 2))
+    points = {str(k): np.zeros((1, 2)) for k in range(100)}
+    pairs = {(str(a), str(b)): np.zeros((1, 2), np.uint32) for a, b in ends.tolist()}
+    graph = coo_matrix((np.ones(edges), ends.T), (100, 100))
+    sizes = np.bincount(connected_components(graph, directed=False)[1])
+    assert _tracks(SharedMatches(points, pairs)) == Counter(sizes[sizes > 1].tolist())
 
 
 def test_one_to_one_keeps_the_best() -> None:

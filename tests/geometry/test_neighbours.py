@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from dgc_pose.geometry.neighbours import nearest
+from dgc_pose.geometry.neighbours import nearest, nearest_to
 
 
 def _grid() -> np.ndarray:
@@ -30,3 +30,20 @@ def test_the_distances_are_scipys_and_the_indices_lead_to_them(points: np.ndarra
     reached = np.linalg.norm(points[index] - points[:, None], axis=-1)
     np.testing.assert_allclose(np.sort(reached, 1), expected, atol=1e-2)
     assert all(len(set(row)) == count for row in index.tolist())
+
+
+def test_the_nearest_of_other_points_are_scipys_to_the_bit() -> None:
+    """Also of points that single precision cannot tell apart."""
+    rng = np.random.default_rng(2)
+    points = np.concatenate([rng.uniform(0, 6000, (2000, 2)), 5000 + rng.uniform(0, 1e-4, (3, 2))])
+    queries = np.concatenate([rng.uniform(-10, 6010, (5000, 2)), points[-3:] + 1e-6])
+    distance, index = nearest_to(queries, points)
+    expected, its_index = cKDTree(points).query(queries)
+    np.testing.assert_array_equal(index, its_index)
+    np.testing.assert_allclose(distance, expected, rtol=1e-12)
+
+
+def test_without_points_all_are_infinitely_far_and_without_queries_there_are_none() -> None:
+    some, none = np.ones((3, 2)), np.zeros((0, 2))
+    assert np.isinf(nearest_to(some, none)[0]).all()
+    assert [len(part) for part in nearest_to(none, some)] == [0, 0]
