@@ -38,7 +38,7 @@ from dgc_pose.cli.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_st
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import split_names
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import replaced, save_text, staged, write_text
@@ -116,6 +116,7 @@ class PairBenchOptions:
             raise InputError(
                 "give a LIST of pairs, or --rendered or --planes with --photos, one of them"
             )
+        require({"--rendered" if self.planes is None else "--planes": "torch"})
         if self.planes is not None:
             return PlanePairs(self.photos, self.planes, self.scene_seed)
         lens = None if self.lens is None else LENSES.get(self.lens)

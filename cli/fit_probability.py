@@ -12,7 +12,7 @@ from dgc_pose.benchmarks.probability.plan import PlanEntry, read_plan
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.runtime.load import DEVICE_HELP
@@ -56,6 +56,11 @@ def fit_probability(choice: FitChoice) -> None:
     scikit-learn (the extra "fit").
     """
     entries = read_plan(choice.plan)
+    drawn = {"rendered", "planes"} & {entry.kind for entry in entries}
+    needs = {"fit-probability": "fit"}  # told before the work
+    if drawn and not choice.collected:
+        needs[f"the plan's {min(drawn)}"] = "torch"
+    require(needs)
     methods = split_names(choice.methods)
     if not methods:
         raise InputError("no methods named")

@@ -152,11 +152,16 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
             return f"stopped by {signal.Signals(error.number).name}", 128 + error.number
         case OSError():
             return _describe(error), UNUSABLE_INPUT
-        case ModuleNotFoundError() if (missing := missing_package(error)) is not None:
-            return missing, UNUSABLE_INPUT
+        case ModuleNotFoundError() if (told := missing_package(error, _command(words))) is not None:
+            return told, UNUSABLE_INPUT
         case MemoryError():
             return f"not enough memory: {reason(error)}", UNUSABLE_INPUT
     return f"{type(error).__name__}: {reason(error)} ({DEBUG} shows the trace)", UNEXPECTED
+
+
+def _command(words: Sequence[str]) -> str:
+    """The name of the sub-command: the options before it have no values."""
+    return next((word for word in words if not word.startswith("-")), "this")
 
 
 def _with_path_hint(error: click.NoSuchOption, words: Sequence[str]) -> str:

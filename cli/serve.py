@@ -17,7 +17,7 @@ import click
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.output import pose_data
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
@@ -56,12 +56,10 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
     leaves the machine: the server answers only to its own address, and only with the token that it
     prints. Ends on Ctrl-C.
     """
-    try:
-        import uvicorn
+    require({"serve": "serve"})
+    import uvicorn
 
-        from dgc_pose.serve.app import Server
-    except ModuleNotFoundError as error:
-        raise InputError(f"{error.name} is not installed: pip install 'dgc-pose[serve]'") from None
+    from dgc_pose.serve.app import Server
     from dgc_pose.serve.guard import local_hosts
 
     pair = bundled_pair()

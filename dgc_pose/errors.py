@@ -1,5 +1,8 @@
 """The errors that dgc-pose raises. They share one base class."""
 
+from collections.abc import Mapping
+from importlib.util import find_spec
+
 _REASON = 160  # characters of a library's message that are told
 
 
@@ -23,20 +26,61 @@ class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
 
 
-# What `requirements-light.txt` leaves out: modules by the name that pip installs them by.
-_OPTIONAL = {
-    **{name: name for name in ("h5py", "jinja2", "matplotlib", "pycolmap", "scipy", "torch")},
-    "mpl_toolkits": "matplotlib",
-    "sklearn": "scikit-learn",
+# The modules that may be missing, by the name that pip installs them by: those of each extra of
+# setup.cfg, and some of the installation itself.
+EXTRAS = {
+    "": {
+        **{name: name for name in ("h5py", "jinja2", "matplotlib", "pycolmap")},
+        "mpl_toolkits": "matplotlib",
+    },
+    "batch": {"pyarrow": "pyarrow"},
+    "fit": {"scipy": "scipy", "sklearn": "scikit-learn"},
+    "heic": {"pillow_heif": "pillow-heif"},
+    "ray": {"ray": "ray"},
+    "serve": {"starlette": "starlette", "uvicorn": "uvicorn"},
+    "torch": {"torch": "torch"},
 }
 
 
-def missing_package(failure: ModuleNotFoundError) -> str | None:
-    """What a person is told of an import that failed; None if the module is never absent."""
-    name = _OPTIONAL.get((failure.name or "").split(".")[0])
-    if name is None:
+def is_installed(module: str) -> bool:
+    """Whether a module is there; it is not imported."""
+    return find_spec(module) is not None
+
+
+def require(needs: Mapping[str, str]) -> None:
+    """Raise InputError for what needs an extra of the installation whose packages are missing.
+
+    needs: what is asked for, such as an option, and the name of its extra. The error has all that
+    are missing, and the command that installs them from the repository.
+    """
+    message = _missing(needs)
+    if message is not None:
+        raise InputError(message)
+
+
+def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | None:
+    """What a person is told of an import that failed; None if the module is never absent.
+
+    what: the command or option that needed it.
+    """
+    module = (failure.name or "").split(".")[0]
+    extra = next((extra for extra, modules in EXTRAS.items() if module in modules), None)
+    return None if extra is None else _missing({what: extra})
+
+
+def _missing(needs: Mapping[str, str]) -> str | None:
+    missing = {}
+    for what, extra in needs.items():
+        names = {name for module, name in EXTRAS[extra].items() if not is_installed(module)}
+        if names:
+            missing[what] = sorted(names)
+    if not missing:
         return None
-    return f"this needs {name}, which is not installed: pip install {name}"
+    clauses = ", ".join(f"{what} needs {' and '.join(names)}" for what, names in missing.items())
+    verb = "is" if len({name for names in missing.values() for name in names}) == 1 else "are"
+    extras = ",".join(sorted({needs[what] for what in missing} - {""}))
+    target = f"'.[{extras}]'" if extras else "."
+    return f"{clauses}, which {verb} not installed: pip install {target}"
 
 
 def reason(failure: BaseException) -> str:

@@ -4,14 +4,14 @@ import configparser
 import re
 import subprocess
 import sys
-from importlib.metadata import requires
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 
+from dgc_pose import errors
+
 ROOT = Path(__file__).resolve().parents[1]
-LEFT_OUT = {"jinja2", "matplotlib", "pycolmap", "scipy", "torch"}  # of the light set
 # The folders that setup.cfg maps into the import root.
 MAPPED = {"dgc_pose": "dgc_pose", "cli": "dgc_pose.cli", "benchmarks": "dgc_pose.benchmarks"}
 
@@ -71,30 +71,33 @@ def test_constraints_pin_every_dependency_within_its_range(
     setup: configparser.ConfigParser,
 ) -> None:
     extras = setup["options.extras_require"].values()
-    wanted = requirements("\n".join([setup["options"]["install_requires"], *extras]))
+    every = requirements("\n".join([setup["options"]["install_requires"], *extras]))
+    wanted = [requirement for requirement in every if requirement.name != "dgc-pose"]
     assert len(wanted) > 10
     for requirement in wanted:
         assert requirement.specifier.contains(pins("constraints.txt")[requirement.name])
     assert pins("constraints-hashes.txt") == pins("constraints.txt")
 
 
-def test_the_light_set_is_what_is_needed_without_torch_colmap_and_figures(
+def test_each_missing_package_is_told_with_the_extra_that_has_it(
     setup: configparser.ConfigParser,
 ) -> None:
-    """With what those packages need in turn: it is installed with --no-deps."""
-    light, constraints = pins("requirements-light.txt"), pins("constraints.txt")
-    assert {name: constraints[name] for name in light} == light
-    direct = requirements(setup["options"]["install_requires"] + "\nstarlette\nuvicorn")
-    waiting = [requirement for requirement in direct if requirement.name not in LEFT_OUT]
-    assert len(waiting) == len(direct) - len(LEFT_OUT)
-    needed = set()
-    while waiting:
-        name = waiting.pop().name.lower().replace("_", "-")
-        if name not in needed:
-            needed.add(name)
-            further = map(Requirement, requires(name) or [])
-            waiting += [r for r in further if r.marker is None or r.marker.evaluate({"extra": ""})]
-    assert needed == set(light)
+    for extra, modules in errors.EXTRAS.items():
+        listed = (
+            setup["options.extras_require"][extra]
+            if extra
+            else setup["options"]["install_requires"]
+        )
+        names = {requirement.name for requirement in requirements(listed)}
+        assert set(modules.values()) <= names if extra == "" else set(modules.values()) == names
+
+
+def test_an_installation_of_everything_has_each_extra(setup: configparser.ConfigParser) -> None:
+    """`all` has those that a user asks for, and `dev` all of them."""
+    extras = setup["options.extras_require"]
+    (everything,) = requirements(extras["all"])
+    assert everything.extras == set(extras) - {"all", "dev", "docs", "export"}
+    assert "dgc-pose[all]" in extras["dev"].split()
 
 
 def run_elsewhere(code: str) -> str:

@@ -220,7 +220,4 @@ def _regression(strength: float) -> Any:
 
 
 def _linear_model() -> Any:
-    try:
-        return importlib.import_module("sklearn.linear_model")
-    except ModuleNotFoundError:
-        raise InputError("the fit needs scikit-learn: pip install 'dgc-pose[fit]'") from None
+    return importlib.import_module("sklearn.linear_model")

@@ -13,7 +13,7 @@ from typing import Any
 
 from dgc_pose.batch.local import RunTasks, core_worker, in_spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
-from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.errors import DgcPoseError, reason, require
 
 MOST_TRIES = 3  # of one block, whose worker may end each time
 
@@ -25,10 +25,9 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     Raises InputError without Ray. Running tasks raises DgcPoseError if a block kills its worker
     again and again; `--resume` goes on after that.
     """
-    try:
-        import ray
-    except ModuleNotFoundError:
-        raise InputError("--engine ray needs Ray: pip install 'dgc-pose[ray]'") from None
+    require({"--engine ray": "ray"})
+    import ray
+
     starts = not ray.is_initialized()
     if starts:
         ray.init(

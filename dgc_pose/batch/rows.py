@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files.inputs import open_regular, read_as
 from dgc_pose.files.json_files import finite_or_none
@@ -134,7 +134,7 @@ def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
 
 def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
     """Rows as a Parquet table. Raises InputError without pyarrow."""
-    arrow, parquet = require_pyarrow()
+    arrow, parquet = import_pyarrow()
     kinds = {
         str: arrow.string(),
         bool: arrow.bool_(),
@@ -161,7 +161,7 @@ def read_rows(path: Path) -> Iterator[PairRow]:
     Raises InputError, with the path, if it is cut short or none of these.
     """
     if path.suffix == ".parquet":
-        arrow, parquet = require_pyarrow()
+        arrow, parquet = import_pyarrow()
         try:
             for batch in parquet.ParquetFile(path).iter_batches():
                 for data in batch.to_pylist():
@@ -178,15 +178,12 @@ def read_rows(path: Path) -> Iterator[PairRow]:
             yield parse_row(data, f"{path}:{number}")
 
 
-def require_pyarrow() -> tuple[Any, Any]:
+def import_pyarrow() -> tuple[Any, Any]:
     """The modules pyarrow and pyarrow.parquet. Raises InputError without pyarrow."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise InputError(
-            "Parquet needs pyarrow: pip install 'dgc-pose[batch]', or take --format jsonl"
-        ) from None
+    require({"Parquet": "batch"})
+    import pyarrow
+    import pyarrow.parquet
+
     return pyarrow, pyarrow.parquet
 
 

@@ -20,7 +20,7 @@ from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_sim
 from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
 from dgc_pose.batch.ray_engine import ray_workers
-from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, require_pyarrow
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
 from dgc_pose.batch.source import Source, survey
 from dgc_pose.batch.store import (
@@ -35,7 +35,7 @@ from dgc_pose.batch.store import (
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Estimate, Job, Match, Matched
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import DgcPoseError, InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.files.inputs import read_bytes
@@ -96,8 +96,9 @@ def run_batch(
     """
     start = time.perf_counter()
     begin = start_workers or _ENGINES[options.engine]
-    if options.format == "parquet":
-        require_pyarrow()
+    extras = {("engine", "ray"): "ray", ("format", "parquet"): "batch"}
+    chosen = {pair: extra for pair, extra in extras.items() if getattr(options, pair[0]) == pair[1]}
+    require({f"--{name} {value}": extra for (name, value), extra in chosen.items()})
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     if choice is None and source.pairs is None:

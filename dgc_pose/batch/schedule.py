@@ -49,8 +49,8 @@ def loads(pairs: np.ndarray, capacity: int) -> int:
 def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
     """The images in an order in which those that are paired are near each other.
 
-    Breadth first from an image of few partners, those of fewest partners first. Without SciPy, so
-    that a batch needs none (`requirements-light.txt`).
+    Breadth first from an image of few partners, those of fewest partners first. Without SciPy,
+    which a batch does not need.
     """
     partners: list[set[int]] = [set() for _ in range(count)]
     for first, second in pairs.tolist():

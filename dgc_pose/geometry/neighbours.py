@@ -31,9 +31,7 @@ def nearest_to(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.
     return distance[rows, best], index[rows, best]
 
 
-def _search(
-    queries: np.ndarray, points: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _search(queries: np.ndarray, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     tree = cv2.flann.Index(np.ascontiguousarray(points, np.float32), _EXACT_TREE)
     asked = np.ascontiguousarray(queries, np.float32)
     index, squared = tree.knnSearch(asked, count, params=_ALL_LEAVES)

@@ -5,7 +5,6 @@ pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory f
 claims, so an image is decoded only after its size is known.
 """
 
-import importlib.util
 import io
 import re
 import warnings
@@ -14,6 +13,7 @@ from typing import Any
 
 import PIL.Image
 
+from dgc_pose.errors import is_installed
 from dgc_pose.images.exif import CAMERA_TAGS, EXIF_DIRECTORY, MAKE, MODEL
 
 START_BYTES = 4096  # of a file, by which its format is told
@@ -64,8 +64,8 @@ def image_format(start: bytes) -> str:
         raise UnreadableFormatError(
             "a camera's raw file, or begins with a thumbnail, and neither is read"
         )
-    if name == "HEIF" and importlib.util.find_spec("pillow_heif") is None:
-        raise UnreadableFormatError("HEIC, which needs pillow-heif: pip install pillow-heif")
+    if name == "HEIF" and not is_installed("pillow_heif"):
+        raise UnreadableFormatError("HEIC, which needs pillow-heif: pip install '.[heic]'")
     return name
 
 

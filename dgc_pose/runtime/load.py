@@ -1,11 +1,10 @@
 """Which engine runs given weights: ONNX Runtime where it can, otherwise torch."""
 
 import shutil
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, is_installed, require
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.network.stored import SUFFIX, find_weights, shipped
 from dgc_pose.runtime.engine import Engine
@@ -45,8 +44,9 @@ def load_engine(
         from dgc_pose.runtime.onnx_engine import load_onnx_engine
 
         return load_onnx_engine(path)
-    if not torch_is_installed():
-        raise InputError(f"{path.name} on {device} needs torch, which is not installed")
+    asked = {"runtime torch": runtime == "torch", "half_precision": half_precision}
+    asked |= {f"device {device}": device not in ("auto", "cpu"), path.name: path.suffix != SUFFIX}
+    require({what: "torch" for what, needed in asked.items() if needed})
     from dgc_pose.network.device import choose_device
     from dgc_pose.runtime.torch_engine import load_torch_engine
 
@@ -59,15 +59,10 @@ def default_runtime() -> RuntimeName:
     return "onnx" if onnx else "torch"
 
 
-def torch_is_installed() -> bool:
-    """Whether torch can be imported; it is not imported for that."""
-    return find_spec("torch") is not None
-
-
 def _prefers_onnx(name: str, path: Path, device: str) -> bool:
     if path.suffix != SUFFIX or device not in ("auto", "cpu"):
         return False
-    if not torch_is_installed():
+    if not is_installed("torch"):
         return True
     return name in PRESETS and name in shipped() and device_type(device) == "cpu"
 
@@ -78,10 +73,9 @@ def device_type(name: str) -> str:
     Imports torch only if it is asked for a GPU, or there is a GPU's driver. Raises InputError for
     an unknown name or a missing device.
     """
-    if name == "cpu" or (name == "auto" and not (torch_is_installed() and _may_have_gpu())):
+    if name == "cpu" or (name == "auto" and not (is_installed("torch") and _may_have_gpu())):
         return "cpu"
-    if not torch_is_installed():
-        raise InputError(f"device {name}: torch is not installed")
+    require({f"device {name}": "torch"})
     from dgc_pose.network.device import choose_device
 
     return choose_device(name).type

@@ -38,7 +38,7 @@ def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.Monkey
         open_source(tmp_path)
     assert str(caught.value) == (
         f"{tmp_path}: no image there, and a pair needs two; 2 files left out (first: 1.heic): "
-        "HEIC, which needs pillow-heif: pip install pillow-heif"
+        "HEIC, which needs pillow-heif: pip install '.[heic]'"
     )
 
 

@@ -61,11 +61,6 @@ def test_a_port_that_is_taken_is_refused(tmp_path):
         assert_refused(run("serve", "--no-browser", "--port", port), str(port))
 
 
-def test_without_the_extra_the_message_names_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
-    assert_refused(run("serve"), "dgc-pose[serve]")
-
-
 @pytest.mark.parametrize(
     "arguments", [("--port", "70000"), ("--max-megabytes", "0"), ("--estimate-seconds", "-1")]
 )

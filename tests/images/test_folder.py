@@ -60,7 +60,7 @@ def test_what_is_left_out_is_counted_by_its_reason(
         "1 file left out (first: h\udcfctte.png): a name that is not UTF-8",
         "1 file left out (first: pipe): no regular file",
         "2 files left out (first: cameras.bin): not an image of a known format",
-        "3 files left out (first: 1.heic): HEIC, which needs pillow-heif: pip install pillow-heif",
+        "3 files left out (first: 1.heic): HEIC, which needs pillow-heif: pip install '.[heic]'",
     ]
 
 

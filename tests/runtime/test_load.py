@@ -1,5 +1,7 @@
 """Which runtime is taken, and what is refused."""
 
+import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -29,7 +31,7 @@ def no_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load, "torch_is_installed", lambda: False)
+    monkeypatch.setitem(sys.modules, "torch", None)
 
 
 def _kind(*given: object, **options: object) -> str:
@@ -63,13 +65,22 @@ def test_a_gpu_is_torch_s(monkeypatch: pytest.MonkeyPatch, own_weights: Path) ->
 
 
 def test_without_torch_what_needs_it_is_refused(no_torch: None, own_weights: Path) -> None:
+    checkpoint = own_weights.with_suffix(".pth")
+    checkpoint.touch()
     assert _kind() == _kind(own_weights) == "OnnxEngine"
     assert device_type("auto") == device_type("cpu") == "cpu"
     for call in (lambda: device_type("cuda"), lambda: load_engine(device="cuda")):
         with pytest.raises(InputError, match="torch.*not installed"):
             call()
-    with pytest.raises(InputError, match="own.safetensors on cpu needs torch"):
-        load_engine(own_weights, device="cpu", runtime="torch")
+    for call, what in (
+        (partial(load_engine, own_weights, device="cpu", runtime="torch"), "runtime torch"),
+        (partial(load_engine, half_precision=True), "half_precision"),
+        (partial(load_engine, checkpoint), "own.pth"),
+    ):
+        with pytest.raises(InputError) as error:
+            call()
+        told = f"{what} needs torch, which is not installed: pip install '.[torch]'"
+        assert str(error.value) == told
 
 
 def test_other_requests_are_refused(no_gpu: None, tmp_path: Path) -> None:

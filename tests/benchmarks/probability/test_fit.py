@@ -215,16 +215,6 @@ def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
         fit_model(data, "network")
 
 
-def test_without_scikit_learn_the_fit_says_what_to_install(monkeypatch) -> None:
-    def missing(name: str) -> None:
-        raise ModuleNotFoundError(name)
-
-    monkeypatch.setattr("importlib.import_module", missing)
-    data = _records(400, 0, "fit")
-    with pytest.raises(InputError, match="dgc-pose\\[fit\\]"):
-        fit_model(data, "network")
-
-
 def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()

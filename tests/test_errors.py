@@ -1,0 +1,103 @@
+"""What is said of a package that is missing."""
+
+import sys
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from hidden_packages import EXTRAS, run_in, without
+
+from dgc_pose.errors import InputError, missing_package, require
+
+_PAIR = [str(resources.files("dgc_pose") / "data" / "demo" / f"image{k}.jpg") for k in (1, 2)]
+_K = ("--K", "460,460,319.5,239.5")
+_LENS = "OPENCV,800,600,820,820,404.8,297.3,0.1,0,0,0"
+_TORCH = "torch, which is not installed: pip install '.[torch]'"
+_CUDA = f"device cuda needs {_TORCH}"
+_ENTRY = '{"name": "PART", "part": "PART", "kind": "rendered", "path": ["photos"]}'
+_PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report")) + "]"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("train", "--photos", ".", "--out", "run", "--steps", "1"), f"train needs {_TORCH}"),
+        (("bench-speed",), f"bench-speed needs {_TORCH}"),
+        (("bench-synthetic", "--photos", "."), f"bench-synthetic needs {_TORCH}"),
+        (("bench-hpatches", "--root", "."), f"bench-hpatches needs {_TORCH}"),
+        (("bench-verdicts", "--photos", "."), f"bench-verdicts needs {_TORCH}"),
+        (("bench-pairs", "--rendered", "1", "--photos", "."), f"--rendered needs {_TORCH}"),
+        (("bench-pairs", "--planes", "1", "--photos", "."), f"--planes needs {_TORCH}"),
+        (("estimate", *_PAIR, *_K, "--weights", "{}/dgcm.pth"), f"dgcm.pth needs {_TORCH}"),
+        (("estimate", *_PAIR, *_K, "--runtime", "torch"), f"runtime torch needs {_TORCH}"),
+        (("estimate", *_PAIR, *_K, "--half-precision"), f"half_precision needs {_TORCH}"),
+        (("estimate", *_PAIR, *_K, "--device", "cuda"), _CUDA),
+        (("batch", "{}", *_K, "--pairs", "exhaustive", "--out", "x", "--device", "cuda"), _CUDA),
+        (
+            ("serve",),
+            "serve needs starlette and uvicorn, which are not installed: pip install '.[serve]'",
+        ),
+        (
+            (
+                *("batch", "{}", *_K, "--pairs", "exhaustive", "--out", "x"),
+                *("--engine", "ray", "--format", "parquet"),
+            ),
+            "--engine ray needs ray, --format parquet needs pyarrow, which are not installed: "
+            "pip install '.[batch,ray]'",
+        ),
+        (
+            ("fit-probability", "--data", ".", "--out", "x", "--plan", "{}/plan.json"),
+            "fit-probability needs scikit-learn and scipy, the plan's rendered needs torch, which "
+            "are not installed: pip install '.[fit,torch]'",
+        ),
+        (
+            ("estimate", "{}/1.heic", "{}/1.heic", *_K),
+            "{}/1.heic is HEIC, which needs pillow-heif: pip install '.[heic]'",
+        ),
+    ],
+    ids=lambda value: " ".join(word for word in value[:1]) if isinstance(value, tuple) else "",
+)
+def test_what_a_command_lacks_is_told_with_the_command_that_installs_it(
+    tmp_path: Path, words: tuple[str, ...], told: str
+) -> None:
+    (tmp_path / "dgcm.pth").touch()
+    (tmp_path / "plan.json").write_text(_PLAN)
+    (tmp_path / "1.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(2000))
+    for k in (1, 2):
+        (tmp_path / f"{k}.jpg").symlink_to(_PAIR[0])
+    environment = without(tmp_path / "site", *EXTRAS)
+    done = run_in(environment, *(word.replace("{}", str(tmp_path)) for word in words))
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("warning: ")]
+    assert (done.returncode, lines) == (2, ["error: " + told.replace("{}", str(tmp_path))])
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("estimate", *_PAIR, *_K, "--plot", "plot.png"), "matplotlib"),
+        (("estimate", *_PAIR, "--K1", _LENS, "--K2", "auto"), "pycolmap"),
+        (("bench-dtu", "--root", "."), "jinja2"),
+    ],
+    ids=["figures", "lenses", "report"],
+)
+def test_a_package_of_the_installation_itself_comes_with_it(
+    tmp_path: Path, words: tuple[str, ...], package: str
+) -> None:
+    done = run_in(without(tmp_path / "site", package), *words)
+    told = f"error: {words[0]} needs {package}, which is not installed: pip install ."
+    assert (done.returncode, done.stderr.splitlines()) == (2, [told])
+
+
+def test_a_module_that_a_library_lacks_is_no_missing_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """torch is here: a part of it that is not must not be told as its absence."""
+    assert missing_package(ModuleNotFoundError(name="torch.no_such_part")) is None
+    assert missing_package(ModuleNotFoundError(name="no_such_package")) is None
+    assert missing_package(ModuleNotFoundError()) is None
+    require({"train": "torch"})
+    monkeypatch.setitem(sys.modules, "torch", None)
+    told = missing_package(ModuleNotFoundError(name="torch.nn"))
+    assert told == f"this needs {_TORCH}"
+    with pytest.raises(InputError, match=r"^train needs torch"):
+        require({"train": "torch", "serve": "serve"})
