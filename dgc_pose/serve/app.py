@@ -5,6 +5,7 @@ import json
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
+from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
-from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest
+from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest, lens_note
 from dgc_pose.serve.decoder import ImageDecoder
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.options import ServeOptions
@@ -26,13 +27,11 @@ from dgc_pose.serve.store import ImageStore, StoredImage
 from dgc_pose.serve.worker import RequestWorker, Unavailable
 from dgc_pose.version import version
 
+_STATIC = resources.files("dgc_pose.serve") / "static"
+_PAGE = "page.html"
+_TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 # The files of the page by what a client may ask for; no other name reaches a path.
-_FILES = {
-    "page.css": "text/css",
-    "page.js": "text/javascript",
-    "view.js": "text/javascript",
-    "icon.svg": "image/svg+xml",
-}
+_FILES = {file.name: file for file in _STATIC.iterdir() if Path(file.name).suffix in _TYPES}
 _MAX_JSON = 10_000 + 4 * MAX_FILE_BYTES // 3  # bytes of a request; a file is in base 64
 _MAX_NAME = 200  # characters of an image's name
 _DECODER_MEMORY = 2 * 2**30  # bytes
@@ -87,15 +86,17 @@ class Server:
         self.estimator.close()
 
     async def _page(self, request: Request) -> Response:
-        text = _static("page.html").decode()
-        text = text.replace("{{token}}", self._token).replace("{{version}}", version())
+        text = (_STATIC / _PAGE).read_text(encoding="utf-8")
+        values = {"token": self._token, "version": version(), "lenses": escape(lens_note())}
+        for key, value in values.items():
+            text = text.replace(f"{{{{{key}}}}}", value)
         return Response(text, media_type="text/html")
 
     async def _file(self, request: Request) -> Response:
         name = request.path_params["name"]
         if name not in _FILES:
             raise HTTPException(404)
-        return Response(_static(name), media_type=_FILES[name])
+        return Response(_FILES[name].read_bytes(), media_type=_TYPES[Path(name).suffix])
 
     async def _image(self, request: Request) -> Response:
         """An image, the body as it is; answers with its identifier, its size and a picture."""
@@ -114,7 +115,7 @@ class Server:
 
     async def _bundled(self, request: Request) -> Response:
         """The bundled pair, as if it had been sent."""
-        images = [await self._described(path, str(path)) for path, _ in self._example]
+        images = [await self._described(path, path.name) for path, _ in self._example]
         return JSONResponse({"images": images, "k": [k for _, k in self._example]})
 
     async def _pose(self, request: Request) -> Response:
@@ -161,7 +162,10 @@ class Server:
     async def _receive(self, request: Request, path: Path) -> None:
         """The body into a new file. Raises HTTPException."""
         options = self.options
-        too_large = f"the file is too large: at most {options.max_megabytes:g} MB are taken"
+        too_large = (
+            f"the file is too large: at most {options.max_megabytes:g} MB are taken "
+            "(--max-megabytes of dgc-pose serve)"
+        )
         try:
             with anyio.fail_after(options.upload_seconds), path.open("xb") as file:
                 async for part in _body(request, int(options.max_megabytes * 1e6), too_large):
@@ -210,7 +214,3 @@ async def _json(request: Request) -> Mapping[str, Any]:
     if not isinstance(data, dict):
         raise InputError("the request must be an object")
     return data
-
-
-def _static(name: str) -> bytes:
-    return (resources.files("dgc_pose.serve") / "static" / name).read_bytes()

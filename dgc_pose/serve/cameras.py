@@ -9,13 +9,14 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Literal, get_args
 
 import numpy as np
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, missing_package
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.image import Image
 
@@ -98,6 +99,14 @@ class CameraRequest:
             except InputError as error:
                 raise InputError(as_named(str(error))) from None
         return renamed(camera1), renamed(camera2)
+
+
+def lens_note() -> str:
+    """What the page says of cameras with lens distortion, if they cannot be used; else nothing."""
+    if find_spec("pycolmap") is not None:
+        return ""
+    missing = missing_package(ModuleNotFoundError(name="pycolmap"))
+    return f"Cameras without lens distortion alone: for the others {missing}"
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from dgc_pose.errors import DgcPoseError, ImageError
+from dgc_pose.errors import DgcPoseError, ImageError, ImageSizeError
 from dgc_pose.images.image import MAX_PIXELS_VARIABLE, load_image, resize_by
 from dgc_pose.serve.worker import Report
 
@@ -38,7 +38,9 @@ class ImageDecoder:
         try:
             image = load_image(path)
         except DgcPoseError as error:
-            raise ImageError(str(error).replace(str(path), THE_FILE)) from None
+            option = " (--max-megapixels of dgc-pose serve)"
+            text = str(error).replace(str(path), THE_FILE)
+            raise ImageError(text + option * isinstance(error, ImageSizeError)) from None
         return {
             "size": list(image.size),
             "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),

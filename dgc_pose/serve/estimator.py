@@ -11,7 +11,7 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher
+from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.pose import Trace, match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
@@ -20,6 +20,10 @@ from dgc_pose.serve.store import StoredImage
 from dgc_pose.serve.worker import Report
 
 SHOWN_MATCHES = 3000  # more would slow the page down
+SHOWN_POINTS = 3000  # likewise
+SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
+_NEAR = 0.97  # of the points' depths that are shown: the farthest would shrink all others
+_COVERED = 0.01  # of image 2 that the map must cover, or there is nothing to see
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,9 @@ class Estimator:
             "sizes": [list(image1.size), list(image2.size)],
             "F": _fundamental(trace),
             "matches": _matches(trace),
+            "points": None if trace.pose.t is None else _points(trace),
             "map": None if trace.correspondence_map is None else _map(trace),
+            "correspondences": _correspondences(trace.correspondence_map),
             "command": command(names, texts, weights),
             "python": python_text(names, texts, "".join(map(repr, weights[1:]))),
         }
@@ -90,8 +96,36 @@ def _matches(trace: Trace) -> dict[str, list[Any]]:
     }
 
 
-def _map(trace: Trace) -> dict[str, str]:
-    """Image 1 warped onto image 2, as transparent as it is unmatchable, and the matchability."""
+def _points(trace: Trace) -> dict[str, list[Any]]:
+    """At most `SHOWN_POINTS` points of `Trace.points3d`, without the farthest, and their colours."""
+    points = trace.points3d
+    shown = np.flatnonzero(np.isfinite(points).all(1))
+    if len(shown):
+        shown = shown[points[shown, 2] <= np.quantile(points[shown, 2], _NEAR)]
+    shown = np.random.default_rng(0).permutation(shown)[:SHOWN_POINTS]
+    return {"xyz": points[shown].round(4).tolist(), "rgb": trace.colours[shown].tolist()}
+
+
+def _correspondences(dense_map: CorrespondenceMap | None) -> dict[str, Any] | None:
+    """The map at a grid of at most `SHOWN_CELLS` cells a side: row after row the points in image 1
+    to 0.1 pixels and the matchability, and the pixels of image 2 of the first and the last cell."""
+    if dense_map is None:
+        return None
+    thin = dense_map.thinned(-(-max(dense_map.matchability.shape) // SHOWN_CELLS))
+    rows, columns = thin.matchability.shape
+    return {
+        "columns": columns,
+        "rows": rows,
+        "first": thin.grid[0, 0].tolist(),
+        "last": thin.grid[-1, -1].tolist(),
+        "points": thin.map.reshape(-1, 2).astype(float).round(1).tolist(),
+        "matchability": thin.matchability.ravel().astype(float).round(2).tolist(),
+    }
+
+
+def _map(trace: Trace) -> dict[str, Any]:
+    """The share of image 2 that the map covers; unless that is next to nothing, image 1 warped onto
+    image 2, as transparent as it is unmatchable, and the matchability."""
     dense_map = trace.correspondence_map
     assert dense_map is not None
     height, width = shrunk(trace.image2.pixels).shape[:2]
@@ -99,12 +133,16 @@ def _map(trace: Trace) -> dict[str, str]:
     matchability = cv2.resize(dense_map.matchability.astype(np.float32), (width, height))
     inside = (dense_map.map >= -0.5) & (dense_map.map <= np.array(dense_map.size1) - 0.5)
     known = cv2.resize(np.asarray(inside.all(-1), np.float32), (width, height)) * matchability
+    covered = float((known > 0.5).mean())
+    if covered < _COVERED:
+        return {"covered": covered}
     alpha, shade = (
         (255 * np.clip(share, 0, 1)).astype(np.uint8) for share in (known, matchability)
     )
     coloured = cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS)[..., ::-1]
     pictures = {"warp": (warped, alpha), "matchability": (coloured, np.full_like(alpha, 255))}
-    return {
+    urls = {
         name: picture_url(np.dstack(channels), "webp", cv2.IMWRITE_WEBP_QUALITY, 85)
         for name, channels in pictures.items()
     }
+    return {"covered": covered, **urls}

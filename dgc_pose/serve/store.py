@@ -15,6 +15,12 @@ class StoredImage:
     name: str  # of the client; for texts alone, never opened
 
 
+class Gone(InputError):
+    """An image that the server has dropped, or never had."""
+
+    status = 410  # of HTTP: the page sends the image again
+
+
 class ImageStore:
     """The last images. What a client says is a key of a dictionary and never part of a path."""
 
@@ -37,9 +43,9 @@ class ImageStore:
         return identifier
 
     def get(self, identifier: object) -> StoredImage:
-        """An image by its identifier. Raises InputError if there is none."""
+        """An image by its identifier. Raises Gone if there is none."""
         key = str(identifier)
         if key not in self._images:
-            raise InputError("the image is no longer there: send it again")
+            raise Gone("the image is no longer there: send it again")
         self._images[key] = image = self._images.pop(key)
         return image

@@ -1,47 +1,36 @@
-// What is drawn: both images with their matches, the map, the histogram. Points are in pixels of the
-// originals, (0, 0) the centre of the top-left pixel.
+// Both images with their matches, and what belongs to the point under the pointer: the epipolar lines
+// and the point that the map has for it. Points are in pixels of the originals, (0, 0) the centre of
+// the top-left pixel.
+import { prepared } from "./canvas.js";
+import { Correspondences } from "./correspondences.js";
 
 const GAP = 8; // between the images, CSS pixels
 const NEAR = 12; // how far the pointer may be from a match, CSS pixels
-const INLIER = "#18b6c9";
-const OUTLIER = "#e26bb5";
+const NARROW = 560; // below, landscapes stand one above the other, CSS pixels
 const EPIPOLAR = "#ffe14d";
+const UNDECIDED = "#d5dbe1"; // of matches without a pose, which are neither inliers nor outliers
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** An image of an address, decoded; null for none. */
-export async function picture(url) {
-  if (!url) return null;
-  const image = new Image();
-  image.src = url;
-  await image.decode();
-  return image;
-}
-
-/** A canvas as large as it is shown, of this height over its width; in CSS pixels. */
-function prepared(canvas, aspect) {
-  const width = canvas.clientWidth;
-  const height = Math.round(width * aspect);
-  canvas.width = Math.round(width * devicePixelRatio);
-  canvas.height = Math.round(height * devicePixelRatio);
-  canvas.style.height = `${height}px`;
-  const paint = canvas.getContext("2d");
-  paint.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
-  return [paint, width, height];
-}
-
-/** Both images side by side at one height, and what is drawn on them. */
+/** Both images, and what is drawn on them. */
 export class View {
   constructor(canvas, text) {
     this.canvas = canvas;
     this.text = text;
     this.pointer = null; // [image, x, y], pixels of that image
     this.options = { count: 150, lines: true, outliers: false, epipolar: true };
-    canvas.addEventListener("pointermove", (event) => this.point(event));
-    canvas.addEventListener("pointerleave", () => { this.pointer = null; this.draw(); });
+    for (const name of ["pointerdown", "pointermove"]) {
+      canvas.addEventListener(name, (event) => this.point(event));
+    }
+    canvas.addEventListener("pointerleave", (event) => {
+      if (event.pointerType === "mouse") this.leave(); // a finger's point stays
+    });
+    canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
   show(result, first, second) {
     this.result = result;
     this.images = [first, second];
+    this.correspondences = result.correspondences && new Correspondences(result.correspondences, result.sizes[0]);
     this.pointer = null;
     const known = result.matches.residual.filter((value, n) => value !== null && result.matches.inlier[n]);
     known.sort((a, b) => a - b);
@@ -57,33 +46,35 @@ export class View {
 
   draw() {
     if (!this.result) return;
-    const [[w1, h1], [w2, h2]] = this.result.sizes;
-    const width = this.canvas.clientWidth;
-    const height = (width - GAP) / (w1 / h1 + w2 / h2);
-    const [paint] = prepared(this.canvas, height / width);
-    const left = height * w1 / h1 + GAP;
-    this.places = [{ left: 0, scale: height / h1 }, { left, scale: height / h2 }];
-    this.size = [[0, height * w1 / h1], [left, width]];
+    this.places = placed(this.result.sizes, this.canvas.clientWidth);
+    const last = this.places[1];
+    const [paint] = prepared(this.canvas, Math.round(last.top + last.height));
     this.images.forEach((image, n) => {
-      paint.drawImage(image, this.size[n][0], 0, this.size[n][1] - this.size[n][0], height);
+      const { left, top, width, height } = this.places[n];
+      paint.drawImage(image, left, top, width, height);
     });
     const nearest = this.nearest();
-    if (this.options.lines) for (const n of this.shown()) this.drawMatch(paint, n, nearest !== null);
+    if (this.options.lines) for (const n of this.shown()) this.drawMatch(paint, n, this.pointer !== null);
     if (nearest !== null) this.drawMatch(paint, nearest, false, true);
-    if (this.options.epipolar && this.pointer && this.result.F) this.drawEpipolar(paint, height);
-    this.describe(nearest);
+    const other = this.corresponding();
+    if (this.pointer) {
+      if (this.options.epipolar && this.result.F) this.drawEpipolar(paint);
+      this.drawPoint(paint, ...this.pointer, EPIPOLAR);
+      if (other) this.drawPoint(paint, 1 - this.pointer[0], other.x, other.y, "#ffffff");
+    }
+    this.describe(nearest, other);
   }
 
   /** The matches drawn, by number: inliers up to the residual, and outliers if asked for. */
   shown() {
     const { inlier, residual } = this.result.matches;
-    const anyInlier = inlier.includes(true);
+    const posed = this.scale !== null;
     const numbers = [];
     for (let n = 0; n < inlier.length && numbers.length < this.options.count; n++) {
       const fits = inlier[n] && (residual[n] === null || residual[n] <= this.limit);
-      if (fits || !anyInlier) numbers.push(n);
+      if (fits || !posed) numbers.push(n);
     }
-    if (this.options.outliers && anyInlier) {
+    if (this.options.outliers && posed) {
       inlier.forEach((fits, n) => { if (!fits && numbers.length < 2 * this.options.count) numbers.push(n); });
     }
     return numbers;
@@ -91,6 +82,7 @@ export class View {
 
   colour(n) {
     const { inlier, residual } = this.result.matches;
+    if (this.scale === null) return UNDECIDED;
     if (!inlier[n]) return "#ffb020";
     const share = residual[n] === null ? 0 : Math.min(1, residual[n] / this.scale);
     return `rgb(${Math.round(255 * share)}, ${Math.round(255 * (1 - share))}, 255)`;
@@ -98,8 +90,8 @@ export class View {
 
   /** A point of an image on the canvas. */
   place(image, x, y) {
-    const { left, scale } = this.places[image];
-    return [left + (x + 0.5) * scale, (y + 0.5) * scale];
+    const { left, top, scale } = this.places[image];
+    return [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
   }
 
   drawMatch(paint, n, faint, strong = false) {
@@ -120,36 +112,41 @@ export class View {
     paint.globalAlpha = 1;
   }
 
-  /** The lines of the pointer's epipolar plane in both images. */
-  drawEpipolar(paint, height) {
-    const [image, x, y] = this.pointer;
-    const F = this.result.F;
-    const transposed = F[0].map((_, column) => F.map((row) => row[column]));
-    const matrix = image === 0 ? F : transposed; // to lines of the other image
-    const epipole = nullVector(matrix); // of this image
-    this.drawLine(paint, image, cross([x, y, 1], epipole), height);
-    this.drawLine(paint, 1 - image, apply(matrix, [x, y, 1]), height);
-    const [px, py] = this.place(image, x, y);
+  drawPoint(paint, image, x, y, style) {
+    paint.lineWidth = 1.5;
     paint.strokeStyle = "#000";
-    paint.fillStyle = EPIPOLAR;
-    paint.lineWidth = 1;
+    paint.fillStyle = style;
     paint.beginPath();
-    paint.arc(px, py, 4.5, 0, 7);
+    paint.arc(...this.place(image, x, y), 5, 0, 7);
     paint.fill();
     paint.stroke();
   }
 
+  /** The lines of the pointer's epipolar plane: in its image (first) and in the other. */
+  epipolarLines() {
+    const [image, x, y] = this.pointer;
+    const F = this.result.F;
+    const matrix = image === 0 ? F : transposed(F); // to lines of the other image
+    return [cross([x, y, 1], nullVector(matrix)), apply(matrix, [x, y, 1])];
+  }
+
+  drawEpipolar(paint) {
+    const image = this.pointer[0];
+    this.epipolarLines().forEach((line, n) => this.drawLine(paint, n === 0 ? image : 1 - image, line));
+  }
+
   /** A line a x + b y + c = 0 across its image. */
-  drawLine(paint, image, [a, b, c], height) {
+  drawLine(paint, image, [a, b, c]) {
     const norm = Math.hypot(a, b);
     if (!(norm > 0)) return; // the point is the epipole
-    const [width, tall] = this.result.sizes[image];
+    const [wide, tall] = this.result.sizes[image];
     const foot = [-a * c / norm ** 2, -b * c / norm ** 2];
-    const far = Math.hypot(...foot) + width + tall;
+    const far = Math.hypot(...foot) + wide + tall;
     const along = [b / norm * far, -a / norm * far];
+    const { left, top, width, height } = this.places[image];
     paint.save();
     paint.beginPath();
-    paint.rect(this.size[image][0], 0, this.size[image][1] - this.size[image][0], height);
+    paint.rect(left, top, width, height);
     paint.clip();
     for (const [style, thick] of [["#000", 3.5], [EPIPOLAR, 1.8]]) {
       paint.strokeStyle = style;
@@ -163,17 +160,58 @@ export class View {
   }
 
   point(event) {
-    if (!this.places) return;
     const box = this.canvas.getBoundingClientRect();
-    const [x, y] = [event.clientX - box.left, event.clientY - box.top];
-    const image = this.size.findIndex(([low, high]) => low <= x && x <= high);
-    if (image < 0) {
-      this.pointer = null;
-    } else {
-      const { left, scale } = this.places[image];
-      this.pointer = [image, (x - left) / scale - 0.5, y / scale - 0.5];
+    this.pointAt(event.clientX - box.left, event.clientY - box.top);
+  }
+
+  /** Point at a place of the canvas, CSS pixels; at nothing beside the images. */
+  pointAt(x, y) {
+    if (!this.places) return;
+    const image = this.places.findIndex(({ left, top, width, height }) => (
+      left <= x && x <= left + width && top <= y && y <= top + height));
+    this.pointer = null;
+    if (image >= 0) {
+      const { left, top, scale } = this.places[image];
+      this.pointer = [image, (x - left) / scale - 0.5, (y - top) / scale - 0.5];
     }
     this.draw();
+  }
+
+  leave() {
+    this.pointer = null;
+    this.draw();
+  }
+
+  /** The arrows move the pointer, with Shift by one pixel of the screen; across the gap too. */
+  key(event) {
+    if (!this.places || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.key === "Escape") this.leave();
+    if (!(event.key in ARROWS)) return;
+    event.preventDefault();
+    const [dx, dy] = ARROWS[event.key].map((step) => step * (event.shiftKey ? 1 : 8));
+    if (!this.pointer) {
+      const { left, top, width, height } = this.places[0];
+      this.pointAt(left + width / 2, top + height / 2);
+      return;
+    }
+    const [first, second] = this.places;
+    const [x, y] = this.place(...this.pointer);
+    const from = this.places[this.pointer[0]];
+    const to = this.pointer[0] === 0 ? second : first;
+    const inside = (value, low, size) => Math.min(low + size, Math.max(low, value));
+    const beside = second.top === first.top; // the images stand side by side
+    const leaves = beside
+      ? (x + dx - from.left) * (to.left - from.left) > 0 && (x + dx < from.left || x + dx > from.left + from.width)
+      : (y + dy - from.top) * (to.top - from.top) > 0 && (y + dy < from.top || y + dy > from.top + from.height);
+    const place = leaves ? to : from;
+    this.pointAt(inside(x + dx, place.left, place.width), inside(y + dy, place.top, place.height));
+  }
+
+  /** The point that the map has for the pointer, in the other image; null for none. */
+  corresponding() {
+    if (!this.pointer || !this.correspondences) return null;
+    const [image, x, y] = this.pointer;
+    return image === 0 ? this.correspondences.inImage2(x, y) : this.correspondences.inImage1(x, y);
   }
 
   /** The match that the pointer is at, of those drawn; null for none. */
@@ -189,70 +227,56 @@ export class View {
     return best;
   }
 
-  describe(nearest) {
+  describe(nearest, other) {
     if (!this.pointer) {
-      this.text.textContent = this.result.F
-        ? "Point at an image: the epipolar lines of that point appear in both."
-        : "There is no pose, so there are no epipolar lines.";
+      const shown = this.result.F ? "the epipolar lines" : "There is no pose, so there are no epipolar lines.";
+      if (!this.correspondences) {
+        this.text.textContent = this.result.F ? `Point at an image, or use the arrow keys: ${shown} of that point appear in both.` : shown;
+      } else {
+        const lines = this.result.F ? `${shown} and its point in the other image appear.` : `its point in the other image appears. ${shown}`;
+        this.text.textContent = `Point at an image, or use the arrow keys: ${lines}`;
+      }
       return;
     }
     const [image, x, y] = this.pointer;
-    let text = `image ${image + 1}, pixel ${x.toFixed(1)}, ${y.toFixed(1)}`;
+    let text = `image ${image + 1} (${x.toFixed(1)}, ${y.toFixed(1)})`;
+    if (other) {
+      text += ` — image ${2 - image} (${other.x.toFixed(1)}, ${other.y.toFixed(1)}) by the map, matchability ${other.matchability.toFixed(2)}`;
+    } else if (this.correspondences) {
+      text += `: the map has no point in image ${2 - image}`;
+    }
     if (nearest !== null) {
       const { points, residual, confidence, inlier } = this.result.matches;
       const [x1, y1, x2, y2] = points[nearest];
-      text = `match (${x1}, ${y1}) — (${x2}, ${y2}), confidence ${confidence[nearest]}`;
+      text += `; match (${x1}, ${y1}) — (${x2}, ${y2}), confidence ${confidence[nearest]}`;
       if (residual[nearest] !== null) text += `, residual ${residual[nearest]} px`;
-      text += inlier[nearest] ? ", inlier" : ", outlier";
+      if (this.scale !== null) text += inlier[nearest] ? ", inlier" : ", outlier";
     }
     this.text.textContent = text;
   }
 }
 
-/** Image 2 with the warped image 1 over it, or with the matchability. share: of the upper one. */
-export function drawMap(canvas, second, warp, matchability, share) {
-  if (!warp) return;
-  const [paint, width, height] = prepared(canvas, second.naturalHeight / second.naturalWidth);
-  paint.drawImage(second, 0, 0, width, height);
-  paint.globalAlpha = share;
-  paint.drawImage(matchability ?? warp, 0, 0, width, height);
-  paint.globalAlpha = 1;
+/** Where the images stand on a canvas of this width: side by side, or one above the other. */
+function placed([[w1, h1], [w2, h2]], width) {
+  const most = Math.max(360, 0.85 * innerHeight); // of the height
+  if (width < NARROW && w1 > h1 && w2 > h2) {
+    const [tall1, tall2] = [width * h1 / w1, width * h2 / w2];
+    return [
+      { left: 0, top: 0, width, height: tall1, scale: width / w1 },
+      { left: 0, top: tall1 + GAP, width, height: tall2, scale: width / w2 },
+    ];
+  }
+  const height = Math.min(most, (width - GAP) / (w1 / h1 + w2 / h2));
+  const [wide1, wide2] = [height * w1 / h1, height * w2 / h2];
+  const left = (width - wide1 - GAP - wide2) / 2;
+  return [
+    { left, top: 0, width: wide1, height, scale: height / h1 },
+    { left: left + wide1 + GAP, top: 0, width: wide2, height, scale: height / h2 },
+  ];
 }
 
-/** Bars of the residuals, outliers on top of inliers; the last one holds all that are larger.
-    tall: height in CSS pixels; 0 for any. */
-export function drawHistogram(canvas, { residual, inlier }, tall) {
-  const [paint, width, height] = prepared(canvas, (tall || 0.62 * canvas.clientWidth) / canvas.clientWidth);
-  const known = residual.map((value, n) => [value, inlier[n]]).filter(([value]) => value !== null);
-  paint.font = "13px system-ui, sans-serif";
-  paint.fillStyle = "#5b6875";
-  if (!known.length) {
-    paint.fillText("no residuals without a pose", 8, 24);
-    return;
-  }
-  const sorted = known.filter(([, fits]) => fits).map(([value]) => value).sort((a, b) => a - b);
-  const quantile = sorted.length ? sorted[Math.floor(0.95 * (sorted.length - 1))] : 1;
-  const most = Math.max(0.01, 2 * quantile);
-  const bars = Array.from({ length: 30 }, () => [0, 0]);
-  for (const [value, fits] of known) bars[Math.min(29, Math.floor(30 * value / most))][fits ? 0 : 1]++;
-  const tallest = Math.max(...bars.map(([inliers, outliers]) => inliers + outliers));
-  const [left, bottom, room] = [44, height - 24, height - 34];
-  const step = (width - left - 8) / 30;
-  bars.forEach(([inliers, outliers], n) => {
-    const [low, high] = [room * inliers / tallest, room * outliers / tallest];
-    paint.fillStyle = INLIER;
-    paint.fillRect(left + n * step, bottom - low, step - 1, low);
-    paint.fillStyle = OUTLIER;
-    paint.fillRect(left + n * step, bottom - low - high, step - 1, high);
-  });
-  paint.fillStyle = "#5b6875";
-  paint.fillRect(left, bottom, width - left - 8, 1);
-  paint.textAlign = "right";
-  paint.fillText(String(tallest), left - 6, bottom - room + 8);
-  paint.fillText("0", left - 6, bottom);
-  paint.fillText(`${most.toFixed(2)} px or more`, width - 8, height - 6);
-  paint.textAlign = "left";
-  paint.fillText("0", left, height - 6);
+function transposed(matrix) {
+  return matrix[0].map((_, column) => matrix.map((row) => row[column]));
 }
 
 function apply(matrix, vector) {

@@ -1,0 +1,74 @@
+// What is asked of the server.
+
+const token = document.querySelector("meta[name=token]").content;
+const GONE = 410; // the status of an image that the server has dropped
+
+/** Its answer. Raises an Error with what it says, and the status if there is one. */
+async function ask(path, body, type) {
+  const headers = { "x-dgc-pose-token": token, "content-type": type };
+  const answer = await fetch(path, { method: "POST", headers, body }).catch(() => null);
+  if (answer === null) throw new Error("the server does not answer: is dgc-pose serve still running?");
+  if (answer.ok) return answer;
+  throw Object.assign(new Error(await answer.text()), { status: answer.status });
+}
+
+/** Send a photograph. Returns it as the server describes it, with a way to send it again. */
+export async function sendFile(file) {
+  const path = `/images?name=${encodeURIComponent(file.name)}`;
+  const content = await file.arrayBuffer().catch(() => {
+    throw new Error("the file cannot be read, or no longer");
+  });
+  const image = await (await ask(path, content, "application/octet-stream")).json();
+  return { ...image, again: () => sendFile(file) };
+}
+
+/** The bundled pair: both images likewise, and a text of K for each. */
+export async function bundledPair() {
+  const { images, k } = await (await ask("/example", "", "application/json")).json();
+  const again = async (index) => (await bundledPair()).images[index];
+  return { k, images: images.map((image, index) => ({ ...image, again: () => again(index) })) };
+}
+
+/** Lines of JSON: what is being done, and the result or an error. Images that the server has dropped
+    are sent again. */
+export async function* estimated(images, camera) {
+  const request = () => ask(
+    "/poses", JSON.stringify({ image1: images[0].id, image2: images[1].id, camera }), "application/json",
+  );
+  let answer;
+  try {
+    answer = await request();
+  } catch (error) {
+    if (error.status !== GONE) throw error;
+    for (const image of images) {
+      const { id } = await image.again().catch((failure) => {
+        throw new Error(`${image.name}: ${failure.message}`);
+      });
+      image.id = id;
+    }
+    answer = await request();
+  }
+  yield* lines(answer.body);
+}
+
+async function* lines(stream) {
+  const reader = stream.pipeThrough(new TextDecoderStream()).getReader();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    const parts = (rest + value).split("\n");
+    rest = parts.pop();
+    for (const part of parts) yield JSON.parse(part);
+  }
+}
+
+/** The content of a file in base 64. */
+export function base64(file) {
+  return new Promise((done, failed) => {
+    const reader = new FileReader();
+    reader.onload = () => done(reader.result.split(",")[1] ?? "");
+    reader.onerror = () => failed(new Error(`${file.name}: ${reader.error.message}`));
+    reader.readAsDataURL(file);
+  });
+}
