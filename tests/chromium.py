@@ -15,6 +15,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+_OWN: tuple[str, ...] = ("data:", "file:", "about:", "blob:")
+# A number that changes with what a canvas shows.
+_DRAWN = """(() => {
+  const canvas = document.querySelector(%s);
+  const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  return data.reduce((sum, value, n) => (sum + value * (n %% 251)) %% 1000003, 0);
+})()"""
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
@@ -33,7 +41,7 @@ class Page:
         self._commands, self._answers = commands, answers
         self._number = 0
         self._session: str | None = None
-        self.own: tuple[str, ...] = ("data:", "file:", "about:", "blob:")  # what may be requested
+        self.own = _OWN  # beginnings of addresses that may be requested
         self.errors: list[str] = []  # of the page, and requests that it made of the network
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
@@ -52,6 +60,26 @@ class Page:
             " : addEventListener('load', done))"
         )
 
+    def open_anew(self, url: str) -> None:
+        """Load a server's page as if for the first time; only that server may be asked."""
+        self.open("about:blank")
+        self.errors.clear()
+        self.own = (*_OWN, url.split("?")[0])
+        self.open(url)
+
+    def text(self, selector: str) -> str:
+        """What an element says."""
+        return self.evaluate(f"document.querySelector({json.dumps(selector)}).innerText")
+
+    def drawn(self, selector: str) -> int:
+        """A number that changes with what a canvas shows."""
+        return self.evaluate(_DRAWN % json.dumps(selector))
+
+    def redrawn(self, selector: str, before: int) -> int:
+        """The same, when it is another than before."""
+        self.wait(f"{_DRAWN % json.dumps(selector)} !== {before}")
+        return self.drawn(selector)
+
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression, awaited where it is a promise."""
         answer = self._call(
@@ -69,6 +97,19 @@ class Page:
     def hover(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
         """Move the mouse to a place of an element, in shares of its width and height."""
         self._mouse("mouseMoved", *self.middle(selector, at))
+
+    def drag(self, selector: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag the mouse from a place of an element to another, in shares of its size."""
+        first, last = self.middle(selector, start), self.middle(selector, end)
+        self._mouse("mousePressed", *first, button="left", clickCount=1)
+        self._mouse("mouseMoved", *last, button="left", buttons=1)
+        self._mouse("mouseReleased", *last, button="left", clickCount=1)
+
+    def touch(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
+        """Put a finger on a place of an element, and lift it."""
+        x, y = self.middle(selector, at)
+        self._call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
+        self._call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def choose(self, selector: str, *files: Path) -> None:
         """Choose files in an input, as by its dialogue."""

@@ -58,6 +58,7 @@ class Server:
     ) -> None:
         self.options = options
         self._example, self._token = example, token
+        self._bundled_images: list[dict[str, Any]] = []  # of the example, once they are asked for
         self._store = ImageStore(folder, options.images)
         decoder = partial(ImageDecoder, int(options.max_megapixels * 1e6))
         self._decoder = RequestWorker(decoder, waiting=options.waiting, memory=_DECODER_MEMORY)
@@ -108,15 +109,19 @@ class Server:
         try:
             async with self._uploads:
                 await self._receive(request, path)
-            return JSONResponse(await self._described(path, name))
+            return JSONResponse(await self._described(path, name, self._store.keep))
         except BaseException:
             path.unlink(missing_ok=True)
             raise
 
     async def _bundled(self, request: Request) -> Response:
-        """The bundled pair, as if it had been sent."""
-        images = [await self._described(path, path.name) for path, _ in self._example]
-        return JSONResponse({"images": images, "k": [k for _, k in self._example]})
+        """The bundled pair, each image as `_image` describes it, and K of both."""
+        if not self._bundled_images:
+            keep = self._store.keep_bundled
+            self._bundled_images = [
+                await self._described(path, path.name, keep) for path, _ in self._example
+            ]
+        return JSONResponse({"images": self._bundled_images, "k": [k for _, k in self._example]})
 
     async def _pose(self, request: Request) -> Response:
         """Lines of JSON: what is being done, and at last the result or an error."""
@@ -177,13 +182,14 @@ class Server:
             text = f"the server's temporary folder: {error.strerror}"
             raise HTTPException(507, text) from None
 
-    async def _described(self, path: Path, name: str) -> dict[str, Any]:
-        """The image, once it is decoded and stored, as the page is told of it."""
+    async def _described(
+        self, path: Path, name: str, keep: Callable[[StoredImage], str]
+    ) -> dict[str, Any]:
+        """The image, once it is decoded and kept, as the page is told of it."""
         preview = await asyncio.to_thread(
             self._decoder.call, "preview", path, seconds=self.options.decode_seconds
         )
-        identifier = self._store.keep(StoredImage(path, name))
-        return {"id": identifier, "name": name, **preview}
+        return {"id": keep(StoredImage(path, name)), "name": name, **preview}
 
 
 async def _refused(request: Request, error: Exception) -> Response:

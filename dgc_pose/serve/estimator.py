@@ -97,7 +97,7 @@ def _matches(trace: Trace) -> dict[str, list[Any]]:
 
 
 def _points(trace: Trace) -> dict[str, list[Any]]:
-    """At most `SHOWN_POINTS` points of `Trace.points3d`, without the farthest, and their colours."""
+    """At most `SHOWN_POINTS` of `Trace.points3d`, without the farthest, and their colours."""
     points = trace.points3d
     shown = np.flatnonzero(np.isfinite(points).all(1))
     if len(shown):

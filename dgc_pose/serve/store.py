@@ -27,6 +27,7 @@ class ImageStore:
     def __init__(self, folder: Path, most: int) -> None:
         self._folder, self._most = folder, most
         self._images: dict[str, StoredImage] = {}  # those used last are the last ones
+        self._bundled: dict[str, StoredImage] = {}
 
     def new_path(self) -> Path:
         """A path for the next upload, of random letters."""
@@ -37,14 +38,20 @@ class ImageStore:
         identifier = secrets.token_urlsafe(16)
         self._images[identifier] = image
         if len(self._images) > self._most:
-            dropped = self._images.pop(next(iter(self._images)))
-            if dropped.path.parent == self._folder:
-                dropped.path.unlink(missing_ok=True)
+            self._images.pop(next(iter(self._images))).path.unlink(missing_ok=True)
+        return identifier
+
+    def keep_bundled(self, image: StoredImage) -> str:
+        """Keep an image of the package, which is never dropped. Returns its identifier."""
+        identifier = secrets.token_urlsafe(16)
+        self._bundled[identifier] = image
         return identifier
 
     def get(self, identifier: object) -> StoredImage:
         """An image by its identifier. Raises Gone if there is none."""
         key = str(identifier)
+        if key in self._bundled:
+            return self._bundled[key]
         if key not in self._images:
             raise Gone("the image is no longer there: send it again")
         self._images[key] = image = self._images.pop(key)

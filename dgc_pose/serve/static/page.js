@@ -13,6 +13,7 @@ let result = null;
 let resultInputs = ""; // those that it is of, see `inputs`
 let pictures = null; // of both images, and of the map
 let running = 0; // of the newest request; older answers are ignored
+let drawn = 150; // matches, as chosen; a result may have fewer
 const view = new View(at("view"), at("pointed"));
 const scene = new Scene(at("scene"));
 
@@ -124,12 +125,16 @@ async function present(answer, pair, asked, how) {
   at("python").textContent = answer.python;
   for (const part of document.querySelectorAll("[data-posed]")) part.hidden = answer.F === null;
   for (const part of document.querySelectorAll("[data-covered]")) part.hidden = !map?.warp;
-  at("scene-part").hidden = answer.points === null;
   at("map-part").hidden = map === null;
   at("covered").textContent = covered(map);
-  at("count").max = Math.max(10, answer.matches.points.length);
+  const { points } = answer.matches;
+  at("view-title").textContent = answer.F === null ? "Matches" : "Matches and epipolar lines";
+  at("count").max = Math.max(10, points.length);
+  at("count").value = drawn;
+  at("view-tools").hidden = points.length === 0;
   view.show(answer, pictures[0], pictures[1]);
   scene.show(answer);
+  at("scene-part").hidden = scene.points === null;
   redraw();
   const seconds = Object.values(answer.pose.seconds).reduce((sum, part) => sum + part, 0);
   at("progress").textContent = `done in ${seconds.toFixed(2)} s`;
@@ -137,8 +142,8 @@ async function present(answer, pair, asked, how) {
 }
 
 function covered(map) {
-  if (!map?.warp) return "The map matches next to nothing of image 2 with image 1.";
-  return `The map matches ${(100 * map.covered).toFixed(0)} % of image 2 with image 1.`;
+  const share = map?.warp ? `${(100 * map.covered).toFixed(0)} %` : "less than 1 %";
+  return `The map has points in image 1 for ${share} of image 2.`;
 }
 
 function redraw() {
@@ -154,7 +159,7 @@ function redraw() {
     epipolar: at("show-epipolar").checked,
   };
   view.draw();
-  if (result.points) scene.draw();
+  scene.draw();
   const shown = at("show-matchability").checked;
   drawMap(at("map"), pictures[1], pictures[2], shown ? pictures[3] : null, Number(at("blend").value) / 100);
   if (result.F) drawHistogram(at("histogram"), result.matches);
@@ -192,6 +197,7 @@ at("camera").addEventListener("input", compare);
 at("camera").addEventListener("keydown", (event) => {
   if (event.key === "Enter" && !at("estimate").disabled) estimate();
 });
+at("count").addEventListener("input", () => { drawn = at("count").value; });
 for (const id of ["count", "limit", "blend", "show-lines", "show-outliers", "show-epipolar", "show-matchability"]) {
   at(id).addEventListener("input", redraw);
 }

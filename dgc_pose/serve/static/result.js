@@ -39,7 +39,7 @@ function verdict({ status, success, R, alternatives: others }, reason) {
   if (success) return { sort: "good", title: "A pose", why: SUCCESS[status] };
   if (status === "ambiguous") {
     const count = others.length === 2 ? "Two" : others.length;
-    const why = "The matches do not show which of them is right, so none is claimed. The likeliest stands first.";
+    const why = "The matches do not show which of them is right, so none is claimed. The likeliest stands first; each is x2 = R x1 + t.";
     return { sort: "doubt", title: `${count} poses explain these photographs`, why };
   }
   const why = `${reason[0].toUpperCase()}${reason.slice(1)} (${status}).`;

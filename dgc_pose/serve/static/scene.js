@@ -4,6 +4,8 @@ import { colour, prepared } from "./canvas.js";
 
 const VIEWS = { aslant: [-35, 25], above: [0, 89], behind: [0, 0] }; // azimuth and elevation, degrees
 const FRUSTUM = 0.18; // depth of a camera's pyramid, as a share of the median depth of the points
+const MARGIN = 1.15; // around what is drawn
+const CLOSEST = 1.6; // than a ball around all, at most: turned, more would leave the canvas
 const FAR = 2.6; // of the eye from the middle, in radii of what is drawn
 const STEP = 6; // degrees that an arrow key turns
 const KEYS = { ArrowLeft: [STEP, 0], ArrowRight: [-STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP] };
@@ -13,6 +15,7 @@ const EDGES = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]];
 export class Scene {
   constructor(canvas) {
     this.canvas = canvas;
+    this.points = null;
     this.fingers = new Map(); // places of the pointers that are down, by their identifiers
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -46,8 +49,8 @@ export class Scene {
     const second = frustum(pose.camera2.K, sizes[1], depth).map((point) => intoCamera1(point, pose));
     this.cameras = [first, second];
     this.points = points;
-    const all = [...points.xyz, ...first, ...second];
-    const axes = [0, 1, 2].map((axis) => all.map((point) => point[axis]));
+    this.all = [...points.xyz, ...first, ...second];
+    const axes = [0, 1, 2].map((axis) => this.all.map((point) => point[axis]));
     const bounds = axes.map((values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))]);
     this.middle = bounds.map(([low, high]) => (low + high) / 2);
     this.radius = Math.hypot(...bounds.map(([low, high]) => high - low)) / 2;
@@ -58,6 +61,9 @@ export class Scene {
   lookFrom(name, drawn = true) {
     [this.azimuth, this.elevation] = VIEWS[name];
     this.zoom = 1;
+    const places = this.all.map(this.projection(0, 0, 1));
+    const most = [0, 1].map((axis) => places.reduce((far, place) => Math.max(far, Math.abs(place[axis])), 0));
+    this.extent = most.map((far) => MARGIN * Math.max(far, 1 / FAR / CLOSEST));
     if (drawn) this.draw();
   }
 
@@ -91,10 +97,11 @@ export class Scene {
     if (!this.points) return;
     const wide = this.canvas.clientWidth;
     const [paint, width, height] = prepared(this.canvas, Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight))));
-    const seen = this.projection(width, height);
+    const [across, down] = this.extent;
+    const seen = this.projection(width / 2, height / 2, this.zoom * Math.min(width / across, height / down) / 2);
     const dots = this.points.xyz.map((point, n) => [...seen(point), this.points.rgb[n]]);
     dots.sort((a, b) => b[2] - a[2]); // the far ones first
-    const size = Math.max(1.6, width / 260);
+    const size = Math.max(2, width / (dots.length < 1200 ? 160 : 220));
     for (const [x, y, depth, [red, green, blue]] of dots) {
       if (depth <= 0) continue;
       const side = Math.min(8, size * FAR * this.radius / depth);
@@ -132,17 +139,17 @@ export class Scene {
     paint.stroke();
   }
 
-  /** A function of points: their places on the canvas, and the distance from the eye's plane. */
-  projection(width, height) {
+  /** A function of points: their places on the canvas, and the distance from the eye's plane. x, y: of
+      the middle. */
+  projection(x0, y0, scale) {
     const [azimuth, elevation] = [this.azimuth, this.elevation].map((angle) => angle * Math.PI / 180);
     const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
     const far = FAR * this.radius;
-    const scale = this.zoom * (FAR - 0.6) * Math.min(width, 1.25 * height) / 2;
     return (point) => {
       const [x, y, z] = point.map((value, axis) => value - this.middle[axis]);
       const [right, ahead] = [ca * x + sa * z, ca * z - sa * x];
       const [down, deep] = [ce * y - se * ahead, ce * ahead + se * y + far];
-      return [width / 2 + scale * right / deep, height / 2 + scale * down / deep, deep];
+      return [x0 + scale * right / deep, y0 + scale * down / deep, deep];
     };
   }
 }

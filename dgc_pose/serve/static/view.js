@@ -32,7 +32,7 @@ export class View {
     this.images = [first, second];
     this.correspondences = result.correspondences && new Correspondences(result.correspondences, result.sizes[0]);
     this.pointer = null;
-    const known = result.matches.residual.filter((value, n) => value !== null && result.matches.inlier[n]);
+    const known = (result.F ? result.matches.residual : []).filter((value, n) => value !== null && result.matches.inlier[n]);
     known.sort((a, b) => a - b);
     this.scale = known.length ? Math.max(0.01, known[Math.floor(0.95 * (known.length - 1))]) : null;
     this.largest = known.length ? known[known.length - 1] : null;
@@ -228,20 +228,19 @@ export class View {
   }
 
   describe(nearest, other) {
+    const { F } = this.result;
     if (!this.pointer) {
-      const shown = this.result.F ? "the epipolar lines" : "There is no pose, so there are no epipolar lines.";
-      if (!this.correspondences) {
-        this.text.textContent = this.result.F ? `Point at an image, or use the arrow keys: ${shown} of that point appear in both.` : shown;
-      } else {
-        const lines = this.result.F ? `${shown} and its point in the other image appear.` : `its point in the other image appears. ${shown}`;
-        this.text.textContent = `Point at an image, or use the arrow keys: ${lines}`;
-      }
+      const shown = [F && "the epipolar lines", this.correspondences && "its point in the other image"].filter(Boolean);
+      const hint = shown.length ? [`Point at an image, or use the arrow keys, to see ${shown.join(" and ")}.`] : [];
+      const lack = F ? [] : ["There is no pose, so there are no epipolar lines."];
+      this.text.textContent = [...hint, ...lack].join(" ");
       return;
     }
     const [image, x, y] = this.pointer;
     let text = `image ${image + 1} (${x.toFixed(1)}, ${y.toFixed(1)})`;
     if (other) {
       text += ` — image ${2 - image} (${other.x.toFixed(1)}, ${other.y.toFixed(1)}) by the map, matchability ${other.matchability.toFixed(2)}`;
+      if (F) text += `, ${distance(this.epipolarLines()[1], other).toFixed(2)} px from the epipolar line`;
     } else if (this.correspondences) {
       text += `: the map has no point in image ${2 - image}`;
     }
@@ -273,6 +272,11 @@ function placed([[w1, h1], [w2, h2]], width) {
     { left, top: 0, width: wide1, height, scale: height / h1 },
     { left: left + wide1 + GAP, top: 0, width: wide2, height, scale: height / h2 },
   ];
+}
+
+/** From a line a x + b y + c = 0 to a point. */
+function distance([a, b, c], { x, y }) {
+  return Math.abs(a * x + b * y + c) / Math.hypot(a, b);
 }
 
 function transposed(matrix) {

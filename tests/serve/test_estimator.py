@@ -1,0 +1,94 @@
+"""What the page is told of a pose, against the scene that the images are of."""
+
+import base64
+import io
+from dataclasses import replace
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+import serve_parts
+from PIL import Image
+
+from dgc_pose import trace_relative_pose
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from dgc_pose.serve.cameras import CameraRequest
+from dgc_pose.serve.estimator import _map
+from dgc_pose.serve.store import StoredImage
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    paths = dense_scene.write_pictures(tmp_path_factory.mktemp("pictures"))
+    stored = [StoredImage(path, path) for path in paths]
+    request = CameraRequest("k", dense_scene.K_TEXT)
+    return serve_parts.estimator().estimate(lambda text: None, *stored, request)
+
+
+def decoded(url):
+    return Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
+
+
+def test_a_pair_gives_its_pose_and_what_the_page_draws(result):
+    assert result["pose"]["success"] is True
+    assert rotation_error_deg(np.array(result["pose"]["R"]), dense_scene.R) < 0.1
+    assert translation_error_deg(np.array(result["pose"]["t"]), dense_scene.T) < 0.5
+    assert result["sizes"] == [[320, 240], [320, 240]]
+    for camera in ("camera1", "camera2"):
+        np.testing.assert_allclose(result["pose"][camera]["K"], dense_scene.K)
+    matches, F = result["matches"], np.array(result["F"])
+    points, inlier = np.array(matches["points"]), np.array(matches["inlier"])
+    assert len(points) <= 3000 and inlier.sum() > 100
+    assert (np.diff(inlier.astype(int)) <= 0).all()  # inliers come first
+    # The first few are spread over image 2.
+    assert (np.ptp(points[:100, 2:], axis=0) > 0.6 * np.array(dense_scene.SIZE)).all()
+    x1, x2 = (np.column_stack([part, np.ones(len(points))]) for part in np.split(points, 2, 1))
+    lines2, lines1 = x1 @ F.T, x2 @ F
+    value = np.abs((x2 * lines2).sum(1))
+    expected = sum(value / np.hypot(*lines[:, :2].T) for lines in (lines1, lines2)) / 2
+    np.testing.assert_allclose(matches["residual"], expected, atol=0.02)  # points are rounded
+    assert decoded(result["map"]["matchability"]).size == (320, 240)
+
+
+def test_the_points_lie_on_the_scenes_surface(result):
+    points, colours = (np.array(result["points"][name]) for name in ("xyz", "rgb"))
+    assert len(points) == len(colours) > 100
+    in_camera2 = points @ np.array(result["pose"]["R"]).T + result["pose"]["t"]
+    pixels2 = in_camera2[:, :2] / in_camera2[:, 2:] * 300.0 + dense_scene.K[:2, 2]
+    pixels1 = points[:, :2] / points[:, 2:] * 300.0 + dense_scene.K[:2, 2]
+    error = np.linalg.norm(dense_scene.points_in_image1(pixels2) - pixels1, axis=1)
+    assert np.quantile(error, 0.9) < 1.5
+    x, y = np.clip(np.rint(pixels1).astype(int), 0, np.array(dense_scene.SIZE) - 1).T
+    assert np.abs(dense_scene.pictures()[0][y, x].astype(int) - colours).mean() < 3
+
+
+def test_the_map_is_sent_at_a_grid(result):
+    sent = result["correspondences"]
+    columns, rows = sent["columns"], sent["rows"]
+    assert len(sent["points"]) == len(sent["matchability"]) == columns * rows <= 96**2
+    x, y = (
+        np.linspace(sent["first"][n], sent["last"][n], count)
+        for n, count in enumerate((columns, rows))
+    )
+    expected = dense_scene.points_in_image1(np.stack(np.meshgrid(x, y), -1)).reshape(-1, 2)
+    assert np.abs(np.array(sent["points"]) - expected).mean() < 0.3  # the map's error is 0.2
+
+
+def test_a_map_that_covers_nothing_is_no_picture():
+    trace = trace_relative_pose(
+        *dense_scene.pictures(), dense_scene.K, matcher=serve_parts.map_matcher()
+    )
+    dense_map = trace.correspondence_map
+    blank = replace(dense_map, matchability=np.full_like(dense_map.matchability, 0.02))
+    assert _map(replace(trace, correspondence_map=blank)) == {"covered": 0.0}
+    assert _map(trace)["covered"] == pytest.approx((dense_map.matchability > 0.5).mean(), abs=0.03)
+
+
+def test_the_warp_shows_image_2_where_it_is_opaque(result):
+    warp = np.asarray(decoded(result["map"]["warp"]).convert("RGBA")).astype(float)
+    opaque = cv2.erode((warp[..., 3] > 200).astype(np.uint8), np.ones((9, 9))) > 0
+    assert opaque.mean() > 0.3
+    image1, image2 = dense_scene.pictures()
+    assert np.abs(warp[..., :3] - image2)[opaque].mean() < 12
+    assert np.abs(warp[..., :3] - image1)[opaque].mean() > 20
