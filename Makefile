@@ -1,6 +1,7 @@
 # Every target does its own set-up on a fresh machine: it creates .venv and installs into it.
-# The wheels of torch on PyPI carry CUDA; for a small CPU install, have pip look at PyTorch's own index:
-#   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make demo
+# `make demo` installs no torch. Its wheels on PyPI carry CUDA; for those of the CPU have pip look at
+# PyTorch's own index:
+#   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make test
 PYTHON ?= python3
 VENV := .venv
 BIN := $(CURDIR)/$(VENV)/bin

@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from dgc_pose.cameras.calibration import parse_camera
     from dgc_pose.cameras.camera import Camera
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
@@ -93,10 +94,12 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("dgc_pose.version").version()
     if name in _HOMES:
         return getattr(importlib.import_module(f"dgc_pose.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'dgc_pose' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *__all__, "__version__"})

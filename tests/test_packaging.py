@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 
 from dgc_pose import errors
@@ -98,6 +99,21 @@ def test_an_installation_of_everything_has_each_extra(setup: configparser.Config
     (everything,) = requirements(extras["all"])
     assert everything.extras == set(extras) - {"all", "dev", "docs", "export"}
     assert "dgc-pose[all]" in extras["dev"].split()
+
+
+def test_the_citation_is_of_this_version_and_of_the_paper(
+    setup: configparser.ConfigParser,
+) -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    own = setup["metadata"]
+    assert (citation["title"], citation["version"]) == (own["name"], own["version"])
+    assert citation["license"] == own["license_expression"]
+    assert {"cff-version", "message", "authors"} <= set(citation)
+    (paper,) = citation["references"]
+    method = " ".join((ROOT / "docs" / "method.md").read_text(encoding="utf-8").split())
+    names = [author["family-names"] for author in paper["authors"]]
+    assert f"{names[0]} et al., *{paper['title']}*, WACV {paper['year']}" in method
+    assert names == ["Melekhov", "Tiulpin", "Sattler", "Pollefeys", "Rahtu", "Kannala"]
 
 
 def run_elsewhere(code: str) -> str:

@@ -2,7 +2,15 @@ import subprocess
 
 import pytest
 
+import dgc_pose
 from dgc_pose import version
+
+
+def test_the_package_has_its_version():
+    assert dgc_pose.__version__ == version.version()
+    assert "__version__" in dir(dgc_pose)
+    with pytest.raises(AttributeError, match="__author__"):
+        _ = dgc_pose.__author__
 
 
 @pytest.fixture
