@@ -100,6 +100,8 @@ def test_commands_that_read_images_bound_their_pixels(name):
     [
         (["--help"], 0, ("torch", "cv2", "numpy")),
         (["estimate", "--help"], 0, ("torch", "matplotlib", "scipy.stats", "pycolmap")),
+        (["batch", "--help"], 0, ("torch", "matplotlib", "scipy.stats", "pycolmap")),
+        (["reconstruct", "--help"], 0, ("torch", "matplotlib", "scipy.stats", "pycolmap")),
         (["estimate", "nowhere.png", "nowhere.png", "--K", "1,1,1,1"], 2, ("torch", "matplotlib")),
         (["match", "nowhere.png"], 2, ("torch", "matplotlib")),
     ],
