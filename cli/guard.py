@@ -98,10 +98,10 @@ class SectionedCommand(click.Command):
                     formatter.write_dl(shown, col_max=_COLUMN)
 
 
-def _section(parameter: click.Parameter) -> Section:
-    if isinstance(parameter.type, OutputFile | OutputFolder):
+def _section(option: click.Option) -> Section:
+    if isinstance(option.type, OutputFile | OutputFolder):
         return "output"
-    return parameter.section if isinstance(parameter, SectionedOption) else "options"
+    return option.section if isinstance(option, SectionedOption) else "options"
 
 
 def guarded(command: click.Command, *, reads_images: bool = True) -> click.Command:
@@ -148,7 +148,7 @@ def guarded(command: click.Command, *, reads_images: bool = True) -> click.Comma
         return run(*args, **kwargs)
 
     order = get_args(Section)
-    params.sort(key=lambda parameter: order.index(_section(parameter)))
+    params.sort(key=lambda p: order.index(_section(p)) if isinstance(p, click.Option) else -1)
     return SectionedCommand(command.name, callback=checked, params=params, help=command.help)
 
 
