@@ -5,15 +5,25 @@ import re
 from pathlib import Path
 from types import ModuleType
 
+import click
 import pytest
 
 import dgc_pose
-from dgc_pose.cli.main import SUBCOMMANDS
+from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 _LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(#[^)\s]*)?\)")
+
+
+def load(name: str) -> ModuleType:
+    """A module of docs/, which is no package."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def test_every_public_name_is_in_the_library_reference() -> None:
@@ -51,18 +61,51 @@ def test_commands_in_the_texts_exist() -> None:
 
 def test_every_page_is_in_the_navigation() -> None:
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
-    navigation = set(re.findall(r": ([\w-]+\.md)$", settings, re.MULTILINE))
-    assert navigation == {page.name for page in DOCS.glob("*.md")}
+    navigation = set(re.findall(r": ([\w-]+\.(?:md|ipynb))$", settings, re.MULTILINE))
+    assert navigation == {page.name for kind in ("*.md", "*.ipynb") for page in DOCS.glob(kind)}
+
+
+def test_every_option_of_every_command_is_in_the_reference() -> None:
+    """On the page of the command's section, in its own table row."""
+    commands = load("commands")
+    for section, names in SECTIONS.items():
+        page = DOCS / f"cli-{section.lower().replace(' ', '-')}.md"
+        markdown = commands.on_page_markdown(page.read_text(encoding="utf-8"))
+        helps = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", markdown, re.MULTILINE | re.DOTALL))
+        assert [*helps] == [*names]
+        for name, text in helps.items():
+            command = main.get_command(click.Context(main), name)
+            assert command is not None
+            rows = re.findall(r'^<tr><th scope="row"><code>(.*)</code></th>', text, re.MULTILINE)
+            for option in command.params:
+                if isinstance(option, click.Option) and not option.hidden:
+                    assert any({*option.opts} <= {*re.split("[ ,/]+", row)} for row in rows), option
+
+
+def test_the_overview_of_the_reference_links_every_command() -> None:
+    overview = load("commands").on_page_markdown((DOCS / "cli.md").read_text(encoding="utf-8"))
+    links = re.findall(r"\[`([\w-]+)`\]\(([\w-]+\.md)#([\w-]+)\)", overview)
+    assert [name for name, _, _ in links] == [*SUBCOMMANDS]
+    for name, page, anchor in links:
+        assert anchor == name and (DOCS / page).is_file()
+
+
+def test_a_text_of_a_help_keeps_its_marks_in_markdown() -> None:
+    formatter = load("commands").MarkdownFormatter()
+    formatter.write_text("Of a_b_c, *.jpg|*.png <x>: see --max-pixels.\n\n\b\na  b\n  c")
+    formatter.write_dl([("--out PATH|-", "Least [x] of -1. [default: 5; x>=1]")])
+    assert formatter.getvalue() == (
+        "Of a&#95;b&#95;c, &#42;.jpg&#124;&#42;.png &lt;x&gt;: see <code>--max-pixels</code>.\n\n"
+        "```text\na  b\n  c\n```\n\n"
+        '<table class="options">\n<tr><th scope="row"><code>--out PATH&#124;-</code></th>'
+        "<td>Least &#91;x&#93; of -1. <code>default: 5; x&gt;=1</code></td></tr>\n</table>\n"
+    )
 
 
 @pytest.fixture(scope="module")
 def figures() -> ModuleType:
-    """docs/figures.py, which `make figures` runs."""
-    spec = importlib.util.spec_from_file_location("figures", DOCS / "figures.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """What `make figures` runs."""
+    return load("figures")
 
 
 def test_quoted_outputs_are_what_the_tool_prints(figures: ModuleType) -> None:
