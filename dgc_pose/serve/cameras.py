@@ -105,8 +105,8 @@ def lens_note() -> str:
     """What the page says of cameras with lens distortion, if they cannot be used; else nothing."""
     if find_spec("pycolmap") is not None:
         return ""
-    missing = missing_package(ModuleNotFoundError(name="pycolmap"))
-    return f"Cameras without lens distortion alone: for the others {missing}"
+    failure = ModuleNotFoundError(name="pycolmap")
+    return missing_package(failure, "A camera with lens distortion") or ""
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:
