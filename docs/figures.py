@@ -3,8 +3,9 @@
     make figures
 
 A line `<!-- output of: dgc-pose COMMAND -->` stands above each block of such output, in README.md
-and docs/*.md; the block is replaced. docs/demo.png is drawn anew, and carries the text of its pose,
-by which tests/test_docs.py sees whether it is the picture of what the tool prints today.
+and docs/*.md; a block that is out of date is replaced. docs/demo.png is drawn anew, and carries the
+text of its pose, by which tests/test_docs.py sees whether it is the picture of what the tool prints
+today.
 """
 
 import re
@@ -45,8 +46,9 @@ def quoted(text: str) -> Iterator[tuple[str, str]]:
 
 
 def renewed(text: str, run: Callable[[str], str]) -> str:
-    """A page with its blocks of output replaced by what `run` prints of their commands."""
-    return _BLOCK.sub(lambda block: block[1] + run(block[2]) + block[4], text)
+    """A page with each block of output that does not agree replaced by what `run` prints of its
+    command."""
+    return _BLOCK.sub(lambda b: b[1] + _newer(b[3], run(b[2])) + b[4], text)
 
 
 def agree(left: str, right: str) -> bool:
@@ -64,6 +66,11 @@ def agree(left: str, right: str) -> bool:
     return True
 
 
+def _newer(old: str, new: str) -> str:
+    """The old output while it agrees, so that times and last digits alone change no file."""
+    return old if agree(old, new) else new
+
+
 def _words(text: str) -> str:
     return re.sub(r" *#", " #", _NUMBER.sub("#", text))
 
@@ -79,7 +86,8 @@ def main() -> None:
         drawn = Path(folder, "demo.png")
         outputs = {DEMO: output(f"{DEMO} --plot {drawn}")}
         text = PngInfo()
-        text.add_text("Comment", outputs[DEMO])
+        old = picture_text(PICTURE) if PICTURE.exists() else ""
+        text.add_text("Comment", _newer(old, outputs[DEMO]))
         with Image.open(drawn) as picture:
             colours = picture.convert("RGB").quantize(
                 PALETTE, Image.Quantize.FASTOCTREE

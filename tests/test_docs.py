@@ -137,8 +137,12 @@ def test_outputs_agree_to_what_differs_between_processors(
 
 
 def test_quoted_outputs_are_replaced_between_their_fences(figures: ModuleType) -> None:
+    """One that differs in its times alone stays."""
     page = "a\n\n<!-- output of: dgc-pose {} -->\n```text\n{}\n```\n\n```\nb\n```\n"
-    before = page.format("demo", "old\nold") + page.format("info", "")
-    after = page.format("demo", "[demo]\nnew") + page.format("info", "[info]\nnew")
-    assert figures.renewed(before, lambda line: f"[{line.split()[1]}]\nnew") == after
-    assert list(figures.quoted(after))[1] == ("dgc-pose info", "[info]\nnew")
+    before = page.format("demo", "old\nold") + page.format("info", "") + page.format("x", "0.12 s")
+    after = (
+        page.format("demo", "demo\n") + page.format("info", "info\n") + page.format("x", "0.12 s")
+    )
+    printed = {"demo": "demo\n", "info": "info\n", "x": "3.45 s"}
+    assert figures.renewed(before, lambda command: printed[command.split()[1]]) == after
+    assert list(figures.quoted(after))[1] == ("dgc-pose info", "info\n")
