@@ -67,7 +67,7 @@ def _table() -> str:
 
 def _reference(name: str) -> str:
     """A command under a heading."""
-    parent = click.Context(main, info_name="dgc-pose")
+    parent = click.Context(main, info_name="dgc-pose", **main.context_settings)
     command = main.get_command(parent, name)
     assert command is not None
     formatter = MarkdownFormatter()
