@@ -1,7 +1,11 @@
 """The documentation names what is there: public names, sub-commands, files that are linked."""
 
 import importlib.util
+import json
 import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -146,3 +150,24 @@ def test_quoted_outputs_are_replaced_between_their_fences(figures: ModuleType) -
     printed = {"demo": "demo\n", "info": "info\n", "x": "3.45 s"}
     assert figures.renewed(before, lambda command: printed[command.split()[1]]) == after
     assert list(figures.quoted(after))[1] == ("dgc-pose info", "info\n")
+
+
+def test_the_first_pose_of_the_readme_runs_as_printed() -> None:
+    """The command and the Python lines, in the repository's folder; both have the same pose."""
+    section = (ROOT / "README.md").read_text(encoding="utf-8").split("## A first pose")[1]
+    command = re.search(r"^    dgc-pose (.*?)\n\n", section, re.DOTALL | re.MULTILINE)
+    snippet = re.search(r"```python\n(.*?)```", section, re.DOTALL)
+    assert command is not None and snippet is not None
+    words = shlex.split(command[1].replace("\\\n", ""))
+    json_text, printed = (
+        subprocess.run(
+            [sys.executable, *arguments], cwd=ROOT, check=True, capture_output=True, text=True
+        ).stdout
+        for arguments in (
+            ["-m", "dgc_pose", *words, "--json", "-"],
+            ["-c", snippet[1] + "print(pose.R.tolist(), pose.t.tolist())"],
+        )
+    )
+    data = json.loads(json_text)
+    assert data["success"] and data["probability"] > 0.9
+    assert printed.splitlines()[-1] == f"{data['R']} {data['t']}"
