@@ -52,9 +52,9 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
     """Show a page on this machine that estimates poses.
 
     Drop two photographs, or take the bundled pair. The page shows the matches, the epipolar lines
-    under the pointer, the map, and the command and the Python that give the same pose. Nothing
-    leaves the machine: the server answers only to its own address, and only with the token that it
-    prints. Ends on Ctrl-C.
+    under the pointer, the cameras and the points in space, the map, and the command and the Python
+    that give the same pose. Nothing leaves the machine: the server answers only to its own address,
+    and only with the token that it prints. Ends on Ctrl-C.
     """
     require({"serve": "serve"})
     import uvicorn
