@@ -4,13 +4,6 @@ from collections.abc import Iterator
 
 import click
 
-from dgc_pose.benchmarks.homographies import (
-    HPATCHES_AEPE,
-    HPATCHES_JACCARD,
-    find_homography_pairs,
-    homography_set,
-    read_lists,
-)
 from dgc_pose.benchmarks.map_report import (
     HEADING,
     Scores,
@@ -43,6 +36,14 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
     NAME_H.txt). Image 1 is the source. Networks run by themselves, without the matcher's search
     over rotations.
     """
+    from dgc_pose.benchmarks.homographies import (
+        HPATCHES_AEPE,
+        HPATCHES_JACCARD,
+        find_homography_pairs,
+        homography_set,
+        read_lists,
+    )
+
     data = find_homography_pairs(root) if lists is None else read_lists(lists, root)
     facts = {
         "root": root,

@@ -1,27 +1,16 @@
 """`dgc-pose bench-speed`: where the time of a pair goes."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 import click
 import cv2
-import torch
 
-from dgc_pose.benchmarks.speed import (
-    FORWARD_COLUMNS,
-    SIFT,
-    TOTAL,
-    Setup,
-    bundled_setup,
-    matrix_rate,
-    stages,
-    stages_text,
-    time_forwards,
-    user_setup,
-)
 from dgc_pose.benchmarks.table import table
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
@@ -34,12 +23,13 @@ from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions, refined
 from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
 from dgc_pose.network.config import INPUT_SIZE, preset
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.runtime.onnx_engine import OnnxEngine
-from dgc_pose.runtime.torch_engine import network_input
 from dgc_pose.system.options import option
+
+if TYPE_CHECKING:
+    from dgc_pose.benchmarks.speed import Setup
+    from dgc_pose.network.net import DGCNet
 
 
 @dataclass(frozen=True)
@@ -74,6 +64,12 @@ def bench_speed(
 
     Without images it takes the bundled pair, enlarged to 1600x1200.
     """
+    import torch
+
+    from dgc_pose.benchmarks.speed import Setup, bundled_setup, user_setup
+    from dgc_pose.network.net import DGCNet
+    from dgc_pose.network.weights import load_network
+
     with staged(options.json_path) as stage, scratch_folder() as folder:
         if options.threads is not None:
             torch.set_num_threads(options.threads)
@@ -103,6 +99,19 @@ def bench_speed(
 
 def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict[str, object]:
     """Measure, print, and return what is written as JSON."""
+    import torch
+
+    from dgc_pose.benchmarks.speed import (
+        FORWARD_COLUMNS,
+        SIFT,
+        TOTAL,
+        matrix_rate,
+        stages,
+        stages_text,
+        time_forwards,
+    )
+    from dgc_pose.runtime.torch_engine import network_input
+
     images = [load_image(path) for path in (setup.path1, setup.path2)]
     facts = {
         "weights": setup.dense.name,

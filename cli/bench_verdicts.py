@@ -1,25 +1,22 @@
 """`dgc-pose bench-verdicts`: whether a verdict and its expected error can be trusted."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
-from dgc_pose.benchmarks.verdict_pairs import (
-    Group,
-    VerdictPairs,
-    listed,
-    misleading,
-    rendered,
-    unrelated_photos,
-    unrelated_scenes,
-)
 from dgc_pose.benchmarks.verdicts import gates_table, groups_table
 from dgc_pose.cli.bench_run import RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import MAX_SEED, option
+
+if TYPE_CHECKING:
+    from dgc_pose.benchmarks.verdict_pairs import Group
 
 
 @dataclass(frozen=True)
@@ -51,6 +48,13 @@ class VerdictPairChoice:
 
     def groups(self) -> list[Group]:
         """Unrelated and true pairs. Raises ImageError or InputError if they cannot be made."""
+        from dgc_pose.benchmarks.verdict_pairs import (
+            listed,
+            rendered,
+            unrelated_photos,
+            unrelated_scenes,
+        )
+
         groups = [unrelated_photos(self.photos, self.unrelated, self.seed)]
         if self.scenes:
             groups.append(unrelated_scenes(self.scenes, self.unrelated_scenes, self.seed))
@@ -78,6 +82,8 @@ def bench_verdicts(choice: VerdictPairChoice, method: str, out: str | None, run:
 
     Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
     """
+    from dgc_pose.benchmarks.verdict_pairs import VerdictPairs, misleading
+
     methods = parse_methods([method])
     passes = load_passes(methods, device=run.device, runtime=run.runtime)
     groups = choice.groups()

@@ -1,8 +1,11 @@
 """What bench-hpatches and bench-synthetic share: options, the run, and the files of --out."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -16,7 +19,6 @@ from dgc_pose.benchmarks.map_report import (
     summaries,
     write_pairs,
 )
-from dgc_pose.benchmarks.map_run import MapOutcome, MapSet, load_networks, map_outcomes
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.options import split_names
 from dgc_pose.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
@@ -28,6 +30,9 @@ from dgc_pose.system.options import option
 from dgc_pose.viz import save_figure
 from dgc_pose.viz.curves import plot_pck, plot_reliability
 from dgc_pose.viz.map_figure import MapPicture, plot_maps
+
+if TYPE_CHECKING:
+    from dgc_pose.benchmarks.map_run import MapOutcome, MapSet
 
 _TABLES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
 
@@ -65,6 +70,8 @@ def run_map_bench(
 
     Every output file is opened first: one that cannot be written stops the run before it begins.
     """
+    from dgc_pose.benchmarks.map_run import load_networks, map_outcomes
+
     names = ",".join(shipped()) if bench.methods is None else bench.methods
     nets = load_networks(split_names(names), device=bench.device)
     pictures = {name: f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(nets, start=1)}

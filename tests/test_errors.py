@@ -1,5 +1,6 @@
 """What is said of a package that is missing."""
 
+import subprocess
 import sys
 from importlib import resources
 from pathlib import Path
@@ -69,6 +70,17 @@ def test_what_a_command_lacks_is_told_with_the_command_that_installs_it(
     done = run_in(environment, *(word.replace("{}", str(tmp_path)) for word in words))
     lines = [line for line in done.stderr.splitlines() if not line.startswith("warning: ")]
     assert (done.returncode, lines) == (2, ["error: " + told.replace("{}", str(tmp_path))])
+
+
+def test_every_command_has_its_help_without_an_extra(tmp_path: Path) -> None:
+    code = (
+        "import importlib; from dgc_pose.cli.main import SUBCOMMANDS\n"
+        "for name in SUBCOMMANDS: importlib.import_module('dgc_pose.cli.' + name.replace('-', '_'))"
+    )
+    environment = without(tmp_path / "site", *EXTRAS)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd="/")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

@@ -4,14 +4,19 @@ AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over
 are in pixels of the 240x240 images, over the pixels whose true correspondence is known.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.evaluation.map_comparison import Comparison
 from dgc_pose.metrics import Reliability, count_within, endpoint_errors, jaccard
 from dgc_pose.network.config import INPUT_SIZE
+
+if TYPE_CHECKING:
+    from dgc_pose.evaluation.map_comparison import Comparison
 
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
