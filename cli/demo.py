@@ -1,7 +1,10 @@
 """`dgc-pose demo`: the bundled pair, its estimated pose beside the known pose."""
 
+import shlex
+
 import click
 import numpy as np
+from click.core import ParameterSource
 
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -18,7 +21,10 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 @dataclass_options(EstimationOptions, "estimation")
 @dataclass_options(Outputs, "outputs", only=("plot",))
 def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Outputs) -> int:
-    """Estimate the pose of the bundled pair and print it beside the known pose."""
+    """Estimate the pose of the bundled pair and print it beside the known pose.
+
+    The command that is printed too does the same as one of yours.
+    """
     check_picture(outputs.plot)
     pair = bundled_pair()
     with staged(outputs.plot) as stage:
@@ -27,12 +33,33 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
         )
         draw(trace, stage, outputs.plot)
     pose = trace.pose
-    click.echo(f"image 1: {pair.path1}\nimage 2: {pair.path2}\n")
+    K1, K2 = (_k_text(camera.K) for camera in (pair.camera1, pair.camera2))
+    click.echo(f"image 1: {pair.path1}, K {K1}\nimage 2: {pair.path2}, K {K2}\n")
+    words = ["dgc-pose", "estimate", str(pair.path1), str(pair.path2), "--K1", K1, "--K2", K2]
+    click.echo(f"the same by: {shlex.join([*words, *_chosen(click.get_current_context())])}\n")
     click.echo(pose_text(pose) + "\n")
     if not pose.success:
         return NO_POSE
     click.echo(_beside(pose, pair))
     return 0
+
+
+def _k_text(K: np.ndarray) -> str:
+    """fx,fy,cx,cy of a matrix without skew, as --K takes them."""
+    return ",".join(f"{value:.15g}" for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
+
+
+def _chosen(context: click.Context) -> list[str]:
+    """The options of the matching and the estimation that the command line has."""
+    words = []
+    for option in context.command.params:
+        name = option.name or ""
+        on_line = context.get_parameter_source(name) == ParameterSource.COMMANDLINE
+        if on_line and name.startswith(("matcher__", "estimation__")):
+            value = context.params[name]
+            flags = option.opts if value is not False else option.secondary_opts
+            words += [flags[0]] if isinstance(value, bool) else [flags[0], str(value)]
+    return words
 
 
 def _beside(pose: RelativePose, pair: Pair) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from dgc_pose.cameras.calibration import camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.result import percent_text
 from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
@@ -73,10 +74,10 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
             f"{pose.translation_error_90_deg:.3f} deg, nine times in ten"
         )
     if pose.t is not None and pose.probability is not None:
-        lines.append(f"probability {_percent(pose.probability)} that R and t are within 10 deg")
+        lines.append(f"probability {percent_text(pose.probability)} that R and t are within 10 deg")
     for number, alternative in enumerate(pose.alternatives, start=1):
         chance = alternative.probability
-        likely = "" if chance is None else f", probability {_percent(chance)}"
+        likely = "" if chance is None else f", probability {percent_text(chance)}"
         lines.append(f"alternative {number}: {alternative.num_inliers} inliers{likely}")
         lines += _pose_lines(alternative.R, alternative.t)
     lines += [f"warning: {warning}" for warning in pose.warnings]
@@ -152,13 +153,6 @@ def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
         "points2": matches.points2,
         "confidence": matches.confidence,
     }
-
-
-def _percent(probability: float) -> str:
-    """Never 0 or 100 %, which no evidence gives."""
-    if probability > 0.995:
-        return "over 99 %"
-    return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
 
 
 def _list(array: np.ndarray | None) -> list[Any] | None:

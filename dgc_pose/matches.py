@@ -49,6 +49,10 @@ class Matches:
         if not self.error_px > 0:
             raise InputError(f"error_px must be positive, not {self.error_px}")
 
+    def __repr__(self) -> str:
+        kind = "key points" if self.key_points else "of a dense map"
+        return f"Matches({len(self)} {kind}, error_px={self.error_px:.3g})"
+
     def subset(self, kept: np.ndarray) -> Matches:
         """Some of the matches. kept: (N,) bool, or indices."""
         return replace(

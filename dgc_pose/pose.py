@@ -50,7 +50,7 @@ _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is k
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trace:
     """A pose with everything that it was computed from.
 
@@ -75,6 +75,9 @@ class Trace:
     correspondence_map: CorrespondenceMap | None
     matches: Matches
     pose: RelativePose
+
+    def __repr__(self) -> str:
+        return f"Trace: {self.image1}, {self.image2}\n{self.matches}\n{self.pose}"
 
     @property
     def points3d(self) -> np.ndarray:
@@ -299,6 +302,8 @@ def right_cameras(pose: RelativePose) -> bool:
 def in_doubt(pose: RelativePose) -> bool:
     """Whether more matches may change the answer: it is neither certain nor hopeless."""
     probability = pose.any_probability
+    if probability is not None and pose.status == "rotation_only":
+        probability *= 1 - pose.hypotheses[0].share  # of another motion than that
     return probability is not None and _HOPELESS < probability < _CERTAIN
 
 

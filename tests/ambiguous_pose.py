@@ -24,5 +24,6 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
         inliers=np.arange(count) < INLIERS[0],
         num_matches=count,
         evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),
+        any_probability=sum(PROBABILITIES),
         alternatives=tuple(Alternative(*pose) for pose in poses),
     )

@@ -26,7 +26,8 @@ from dgc_pose import (
     trace_relative_pose,
 )
 from dgc_pose.cameras.prior import auto_camera, auto_cameras
-from dgc_pose.estimation import Alternative
+from dgc_pose.estimation.choice import Hypothesis
+from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
@@ -211,12 +212,18 @@ def _with(monkeypatch: pytest.MonkeyPatch, *answers: Mapping[str, Any]) -> list[
     return estimated
 
 
-def _doubt(probability: float | None, *others: float | None) -> dict[str, Any]:
-    poses = tuple(Alternative(np.eye(3), np.array([1.0, 0, 0]), 9, other) for other in others)
-    return {"probability": probability, "alternatives": poses}
+def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
+    total = None if probability is None else probability + others
+    return {"probability": probability, "any_probability": total}
+
+
+def _of_share(share: float) -> Hypothesis:
+    model = Model(np.eye(3), np.array([1.0, 0, 0]), *np.ones((2, 9), dtype=bool))
+    return Hypothesis(model, True, 0.0, None, share)
 
 
 CERTAIN = _doubt(0.995)
+ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
 SEARCHED = ["squeezed", "near"]
 
@@ -233,8 +240,9 @@ SEARCHED = ["squeezed", "near"]
         ("auto", [CERTAIN | {"covariance": None}, CERTAIN], ["quick", "fine"]),
         ("auto", [_doubt(None)], ["quick", "match"]),
         ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
-        ("auto", [_doubt(0.0, 0.5, 0.4)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
-        ("auto", [_doubt(0.6, 0.3, None)], ["quick", "match", *SEARCHED]),
+        ("auto", [_doubt(0.0, 0.9)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
+        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED]),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["quick", "match"]),
         ("auto", [_doubt(0.5, 0.495)], ["quick", "match"]),
         ("auto", [_doubt(0.001)], ["quick", "match"]),  # hopeless
         ("fast", [_doubt(0.5)], ["quick"]),

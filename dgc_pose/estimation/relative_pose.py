@@ -127,7 +127,8 @@ def estimate_pose(
         for choice in likely
     ]
     ambiguous = verdict.status == "ambiguous"
-    alternatives = tuple(poses if ambiguous else poses[1:])
+    # Of a pose that is not claimed there are no others.
+    alternatives = tuple(poses if ambiguous else poses[1:] if known.has_t else ())
     cameras = (best.camera(camera1, 0), best.camera(camera2, 1)) if fits else (camera1, camera2)
     return RelativePose(
         status=verdict.status,
@@ -142,6 +143,7 @@ def estimate_pose(
         camera2=cameras[1] if known.has_t else None,
         evidence=evidence,
         probability=0.0 if known.rotation_alone or ambiguous else poses[0].probability,
+        any_probability=any_right,
         alternatives=alternatives,
         hypotheses=tuple(choices),
         warnings=(

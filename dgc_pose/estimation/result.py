@@ -32,6 +32,10 @@ class Alternative:
     num_inliers: int
     probability: float | None
 
+    def __repr__(self) -> str:
+        R, t = _numbers(self.R), _numbers(self.t)
+        return f"Alternative(R={R}, t={t}, {self.num_inliers} inliers, {_likely(self)})"
+
 
 @dataclass(frozen=True, eq=False)
 class RelativePose:
@@ -64,9 +68,12 @@ class RelativePose:
         probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
             model, with "rotation_only" and with "ambiguous". None if no model of the probability is
             fitted for such matches.
+        any_probability: Probability that R and t of one of the `hypotheses` are both within 10
+            degrees: of a success or an ambiguous pair, the sum of its and its alternatives'. None
+            likewise.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
             well, the likeliest first: of a plane, of repeated structure, of a mirrored depth. With
-            "ambiguous" all poses.
+            "ambiguous" all poses; with any other failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
             first; none without a model.
         warnings: Sentences about what makes the pose uncertain, for people.
@@ -86,22 +93,37 @@ class RelativePose:
     camera_covariance: np.ndarray | None = None
     evidence: Evidence | None = None
     probability: float | None = 0.0
+    any_probability: float | None = 0.0
     alternatives: tuple[Alternative, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """The result for people, in at most five lines."""
+        inliers = f"{self.num_inliers} of {self.num_matches} matches are inliers"
+        lines = [f"RelativePose: {self.status}, {inliers}"]
+        if not self.success:
+            lines.append(f"no pose: {self.reason}")
+        if self.R is not None:
+            lines.append(f"R {_numbers(self.R)}")
+        if self.t is not None:
+            lines.append(f"t {_numbers(self.t)}, up to scale")
+        errors = self.rotation_error_90_deg, self.translation_error_90_deg
+        if errors[0] is not None and errors[1] is not None:
+            lines.append(
+                f"expected error: R {errors[0]:.3f} deg, t {errors[1]:.3f} deg, nine times in ten"
+            )
+        others = [_likely(other) for other in self.alternatives]
+        last = [_likely(self)] if self.success else []
+        if others:
+            last.append(f"{len(others)} alternative{'s'[: len(others) != 1]}: {', '.join(others)}")
+        return "\n  ".join(lines + ([", ".join(last)] if last else []))
+
     @property
     def success(self) -> bool:
         """Whether R and t are known."""
         return STATUSES[self.status].has_t
-
-    @property
-    def any_probability(self) -> float | None:
-        """That a pose with R and t both within 10 degrees is this one or among the alternatives."""
-        if self.probability is None:
-            return None
-        return self.probability + sum(other.probability or 0.0 for other in self.alternatives)
 
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:
@@ -166,3 +188,22 @@ class RelativePose:
     def translation_error_90_deg(self) -> float | None:
         """Nine times in ten the angle between t and the true direction is below; None likewise."""
         return error_radii_deg(self.covariance)[1]
+
+
+def percent_text(probability: float) -> str:
+    """A probability for people: never 0 or 100 %, which no evidence gives."""
+    if probability > 0.995:
+        return "over 99 %"
+    return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
+
+
+def _likely(pose: RelativePose | Alternative) -> str:
+    if pose.probability is None:
+        return "probability not known"
+    return f"probability {percent_text(pose.probability)}"
+
+
+def _numbers(array: np.ndarray) -> str:
+    """A small array in one line, four digits behind the point."""
+    text = np.array2string(array, formatter={"float_kind": lambda v: f"{round(v, 4) + 0.0:.4f}"})
+    return " ".join(text.split())

@@ -144,6 +144,6 @@ def _pose(evidence: Evidence, options: VerdictOptions) -> Verdict:
         return Verdict("ok", STATUSES["ok"].meaning, warnings)
     warnings += (
         f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers: "
-        f"the scene is nearly a plane, which allows a second pose",
+        "the scene is nearly a plane",
     )
     return Verdict("planar", STATUSES["planar"].meaning, warnings)

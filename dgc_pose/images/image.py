@@ -54,6 +54,9 @@ class Image:
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
             raise InputError(f"{self.name}: pixels must have shape (H, W, 3), not {pixels.shape}")
 
+    def __repr__(self) -> str:
+        return f"Image({self.name}, {self.size[0]} x {self.size[1]})"
+
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""

@@ -42,6 +42,12 @@ class CorrespondenceMap:
     size2: tuple[int, int]
     cycle: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        rows, columns = self.matchability.shape
+        sizes = " to ".join(f"{width} x {height}" for width, height in (self.size2, self.size1))
+        mean = float(self.matchability.mean())
+        return f"CorrespondenceMap({columns} x {rows} cells, {sizes}, matchability={mean:.2f})"
+
     @property
     def cell_size(self) -> float:
         """Side of a cell in pixels of the original images: mean over both images and both axes."""

@@ -1,5 +1,7 @@
 import re
+import shlex
 
+import numpy as np
 import pytest
 from command_line import assert_refused, run
 
@@ -27,6 +29,27 @@ def test_demo_prints_the_estimate_beside_the_known_pose(tmp_path):
     assert errors is not None
     assert float(errors[1]) < 5 and float(errors[2]) < 15
     assert (tmp_path / "p.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("options", [(), ("--weights", "sift", "--runs", "2", "--effort", "fast")])
+def test_the_command_that_is_printed_gives_the_same_pose(options):
+    shown = run("demo", *options).stdout
+    pair = bundled_pair()
+    for number, (path, camera) in enumerate(
+        ((pair.path1, pair.camera1), (pair.path2, pair.camera2)), start=1
+    ):
+        (line,) = (line for line in shown.splitlines() if line.startswith(f"image {number}: "))
+        said, _, K = line.removeprefix(f"image {number}: ").rpartition(", K ")
+        assert said == str(path)
+        fx, fy, cx, cy = map(float, K.split(","))
+        assert np.array_equal(camera.K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    (command,) = re.findall(r"^the same by: dgc-pose (.*)$", shown, re.MULTILINE)
+    words = shlex.split(command)
+    assert sorted(words[7:]) == sorted(options)
+    again = run(*words)
+    assert again.exit_code == 0
+    *pose, times = again.stdout.splitlines()
+    assert "\n".join(pose) in shown and times.startswith("load ")
 
 
 @pytest.mark.parametrize("option", [("--weights", "nosuch.pth"), ("--plot", "p.docx")])

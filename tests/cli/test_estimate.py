@@ -171,6 +171,21 @@ def test_a_pure_rotation_keeps_R_and_says_that_t_is_undefined(folder, network):
     assert "t  undefined" in text.stdout
 
 
+def test_the_same_image_twice_has_no_alternatives(folder):
+    k = ("--K", dense_scene.K_TEXT)
+    result = run("estimate", "one.png", "one.png", *k, "--weights", "sift", "--json", "p.json")
+    assert result.exit_code == 3
+    assert "alternative" not in result.stdout and "other pose" not in result.stdout
+    data = json.loads((folder / "p.json").read_text())
+    assert data["status"] == "rotation_only" and data["alternatives"] == []
+
+
+def test_a_warning_about_the_camera_of_both_images_is_told_once(folder, network):
+    result = estimate(k=("--K", "300,300,40,119.5"))
+    warnings = [line for line in result.stdout.splitlines() if "principal point" in line]
+    assert len(warnings) == 1 and warnings[0].startswith("warning: --K has ")
+
+
 def test_an_ambiguous_pair_exits_with_3_and_has_both_poses(folder, network, monkeypatch):
     def estimated(matches, *others, **more):
         return ambiguous_pose(len(matches))
