@@ -24,7 +24,7 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
-    from dgc_pose.pose import Trace
+    from dgc_pose.trace import Trace
 
 NO_POSE = 3  # exit code if there is no pose
 

@@ -30,8 +30,9 @@ if TYPE_CHECKING:
         MatchResult,
         load_dense_matcher,
     )
-    from dgc_pose.pose import Trace, estimate_relative_pose, trace_relative_pose
+    from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
     from dgc_pose.refinement import RefinementOptions, Refiner
+    from dgc_pose.trace import Trace
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
@@ -57,7 +58,8 @@ _PUBLIC = {
         "load_dense_matcher",
     ),
     "refinement": ("RefinementOptions", "Refiner"),
-    "pose": ("Trace", "estimate_relative_pose", "trace_relative_pose"),
+    "pose": ("estimate_relative_pose", "trace_relative_pose"),
+    "trace": ("Trace",),
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 

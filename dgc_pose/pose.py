@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -18,15 +18,13 @@ from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
-from dgc_pose.geometry.epipolar import homogeneous
-from dgc_pose.geometry.triangulation import depths
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap, Matcher, MatchResult
-from dgc_pose.metrics.epipolar import epipolar_residuals_px
+from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.system.options import check_type
 from dgc_pose.system.threads import in_threads
+from dgc_pose.trace import Trace
 
 if TYPE_CHECKING:
     import torch
@@ -48,77 +46,6 @@ _HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which no more is searc
 _ROUGHLY = 1.5  # standard deviations of a focal length that the matches suggest
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """A pose with everything that it was computed from.
-
-    Attributes:
-        image1: Image 1, as it was read.
-        image2: Image 2, likewise.
-        camera1: Camera of image 1 that the pose is of, as in `pose`; without a pose, `prior1`.
-        camera2: Camera of image 2, likewise.
-        prior1: Camera of image 1 before the estimation: of the K given, or of what the image says.
-        prior2: Camera of image 2, likewise.
-        correspondence_map: The dense map; None for a matcher that makes none.
-        matches: The N matches that the pose was estimated from.
-        pose: The pose, or why there is none.
-    """
-
-    image1: Image
-    image2: Image
-    camera1: Camera
-    camera2: Camera
-    prior1: Camera
-    prior2: Camera
-    correspondence_map: CorrespondenceMap | None
-    matches: Matches
-    pose: RelativePose
-
-    def __repr__(self) -> str:
-        return f"Trace: {self.image1}, {self.image2}\n{self.matches}\n{self.pose}"
-
-    @property
-    def points3d(self) -> np.ndarray:
-        """The matches' points (N, 3) float64 in camera 1's frame (OpenCV axes), in units of the
-        distance between the cameras, on the rays of camera 1 where the two rays come nearest.
-
-        NaN where a match is no inlier or its point is not in front of both cameras, and without R
-        and t.
-        """
-        points = np.full((len(self.matches), 3), np.nan)
-        R, t, inliers = self.pose.R, self.pose.t, self.pose.inliers
-        if R is None or t is None:
-            return points
-        x1 = self.camera1.normalise(self.matches.points1[inliers])
-        x2 = self.camera2.normalise(self.matches.points2[inliers])
-        depth1, depth2 = depths(x1, x2, R, t)
-        ahead = (depth1 > 0) & (depth2 > 0) & np.isfinite(depth1)
-        points[inliers] = homogeneous(x1) * np.where(ahead, depth1, np.nan)[:, None]
-        return points
-
-    @property
-    def colours(self) -> np.ndarray:
-        """Colours (N, 3) uint8 RGB of image 1 at the matches, of the nearest pixels; black where
-        the match is not finite."""
-        points = self.matches.points1
-        finite = np.isfinite(points).all(1)
-        last = np.array(self.image1.size) - 1
-        x, y = np.rint(np.clip(np.where(finite[:, None], points, 0), 0, last)).astype(np.intp).T
-        return self.image1.pixels[y, x] * finite[:, None].astype(np.uint8)
-
-    @property
-    def residuals_px(self) -> np.ndarray:
-        """Symmetric epipolar distances (N,) of the matches, in pixels without lens distortion: the
-        mean of the distances of each point to the epipolar line of the other.
-
-        NaN without R and t, and where the distortion cannot be undone.
-        """
-        if self.pose.E is None:
-            return np.full(len(self.matches), np.nan)
-        points = self.matches.points1, self.matches.points2
-        return epipolar_residuals_px(*points, self.camera1, self.camera2, self.pose.E)
 
 
 def estimate_relative_pose(

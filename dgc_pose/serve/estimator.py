@@ -13,11 +13,12 @@ from dgc_pose.images.image import load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
-from dgc_pose.pose import Trace, match_and_estimate
+from dgc_pose.pose import match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.decoder import picture_url, shrunk
 from dgc_pose.serve.store import StoredImage
 from dgc_pose.serve.worker import Report
+from dgc_pose.trace import Trace
 
 SHOWN_MATCHES = 3000  # more would slow the page down
 SHOWN_POINTS = 3000  # likewise

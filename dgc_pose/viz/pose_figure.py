@@ -11,7 +11,7 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
-from dgc_pose.pose import Trace
+from dgc_pose.trace import Trace
 from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
     GAP,

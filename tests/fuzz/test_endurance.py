@@ -9,7 +9,7 @@ from hypothesis import settings
 
 from dgc_pose import EstimationOptions, estimate_relative_pose, load_matcher
 
-CALLS = settings.default.max_examples // 12
+CALLS = settings.default.max_examples // 4
 GROWTH = 100 * 2**20  # bytes; the first calls fill the libraries' own pools
 
 
