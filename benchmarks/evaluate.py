@@ -17,10 +17,17 @@ from functools import partial
 from itertools import islice
 from typing import Any, Generic
 
-from dgc_pose.benchmarks.methods import MatchingPass, Method, Passes
+from dgc_pose.benchmarks.methods import (
+    MatchingPass,
+    Method,
+    Passes,
+    load_passes,
+    parse_methods,
+)
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, pair_seed, score
+from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -30,6 +37,19 @@ from dgc_pose.matching import MatchResult
 from dgc_pose.pose import pose_of_pair
 from dgc_pose.system.options import check_options, option
 from dgc_pose.system.processes import process_pools
+
+
+def score_pairs(
+    pairs: PairSet[Score], methods: Sequence[str], *, device: str = "auto"
+) -> dict[str, list[Score]]:
+    """The records of methods on a data set, of each pair in order, by the method's specification.
+
+    methods: see `parse_methods`. device: of networks. Raises what `Evaluation.run` raises, and
+    InputError or WeightsError for a method that cannot be used.
+    """
+    parsed = parse_methods(methods)
+    evaluation = Evaluation(pairs, parsed, load_passes(parsed, device=device))
+    return by_method(scored.score for records in evaluation.run() for scored in records)
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,23 @@ TUTORIAL = Path(__file__).resolve().parents[1] / "docs" / "tutorial.ipynb"
 
 
 def texts(notebook: nbformat.NotebookNode) -> list[str]:
-    """What each cell of code printed."""
+    """What each cell of code printed or ended with, but for figures."""
     return [
-        "".join(one.get("text", "") for one in cell.outputs)
+        "".join(
+            one.get("text", "")
+            + (one.data["text/plain"] if one.output_type == "execute_result" else "")
+            for one in cell.outputs
+        )
         for cell in notebook.cells
         if cell.cell_type == "code"
     ]
 
 
-def pictures(notebook: nbformat.NotebookNode) -> int:
-    """How many figures the cells show."""
+def alternative_texts(notebook: nbformat.NotebookNode) -> list[str]:
+    """Of the figures that the cells show."""
     outputs = [one for cell in notebook.cells for one in cell.get("outputs", [])]
-    return sum("image/jpeg" in one.get("data", {}) for one in outputs)
+    pictures = [one for one in outputs if "image/jpeg" in one.get("data", {})]
+    return [one.metadata["image/jpeg"]["alt"] for one in pictures]
 
 
 @pytest.fixture(scope="module")
@@ -35,16 +40,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> nbformat.NotebookNode:
 
 
 def test_every_cell_runs_and_the_results_are_good(run: nbformat.NotebookNode) -> None:
-    pose, errors, _, _, own, bench, _, batch, database = texts(run)
-    assert pose.startswith("ok ")
+    pose, errors, *_, failed, _, own, bench, _, _, batch, database = texts(run)
+    assert pose.startswith("RelativePose: ok, ") and pose.count("\n") == 4
     assert all(float(value) < 0.5 for value in re.findall(r"is ([\d.]+) deg", errors))
+    assert failed.startswith("False a rotation alone explains ") and "t None" in failed
+    assert float(re.search(r"R off ([\d.]+) deg", failed)[1]) < 0.1
     assert own.startswith("ok ")
     rows = [line.split() for line in bench.splitlines() if line.startswith(("dgcm-lite0", "sift"))]
     assert [row[1] for row in rows] == ["10", "10"]
     assert "1 pair" in batch and "2 images" in batch
-    assert "['1.png', '2.png']" in database
+    assert "['image1.png', 'image2.png']" in database
     assert int(database.splitlines()[1].split()[0]) > 100
-    assert pictures(run) == 3
+    assert len(alternative_texts(run)) == 5
 
 
 def test_the_stored_results_are_of_a_whole_run(run: nbformat.NotebookNode) -> None:
@@ -52,6 +59,6 @@ def test_the_stored_results_are_of_a_whole_run(run: nbformat.NotebookNode) -> No
     stored = nbformat.read(TUTORIAL, as_version=4)
     cells = [cell for cell in stored.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)]
-    assert pictures(stored) == pictures(run)
+    assert all(alternative_texts(stored)) and alternative_texts(stored) == alternative_texts(run)
     assert not re.search(r"/(home|root|tmp|work|Users)/", "".join(texts(stored)))
     assert TUTORIAL.stat().st_size < 1_500_000
