@@ -11,6 +11,7 @@ import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.options import VerdictOptions
+from dgc_pose.estimation.result import percent_text
 from dgc_pose.estimation.status import STATUSES, Status
 
 
@@ -55,7 +56,7 @@ def judge(
         return _ambiguous(probability, shares)
     probability *= share
     failed = _chance(evidence, options) or _implausible(evidence, options)
-    reason = f"the pose is right with a probability of {100 * probability:.0f} %"
+    reason = f"the pose is right with a probability of {percent_text(probability)}"
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
 

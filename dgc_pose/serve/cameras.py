@@ -9,14 +9,13 @@ import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from typing import Literal, get_args
 
 import numpy as np
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError, missing_package
+from dgc_pose.errors import InputError, is_installed
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.image import Image
 
@@ -103,10 +102,9 @@ class CameraRequest:
 
 def lens_note() -> str:
     """What the page says of cameras with lens distortion, if they cannot be used; else nothing."""
-    if find_spec("pycolmap") is not None:
+    if is_installed("pycolmap"):
         return ""
-    failure = ModuleNotFoundError(name="pycolmap")
-    return missing_package(failure, "A camera with lens distortion") or ""
+    return "A camera with lens distortion needs pycolmap, which is not installed: pip install ."
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:

@@ -6,9 +6,9 @@ import platform
 import re
 import sys
 from importlib import metadata, resources
-from importlib.util import find_spec
 from pathlib import Path
 
+from dgc_pose.errors import is_installed
 from dgc_pose.system.threads import usable_cpus
 from dgc_pose.version import build, version
 
@@ -89,11 +89,11 @@ def _weights() -> dict[str, str]:
 
 def _devices() -> dict[str, str]:
     facts = {}
-    if find_spec("onnxruntime"):
+    if is_installed("onnxruntime"):
         from dgc_pose.system.onnx_library import onnxruntime
 
         facts["onnxruntime"] = ", ".join(onnxruntime.get_available_providers())
-    if not find_spec("torch"):
+    if not is_installed("torch"):
         return facts | {"torch": ABSENT}
     import torch
 
