@@ -61,7 +61,8 @@ class Page:
         )
 
     def open_anew(self, url: str) -> None:
-        """Load a server's page as if for the first time; only that server may be asked."""
+        """Load a page as if for the first time; nothing but what lies below its address may be
+        asked for."""
         self.open("about:blank")
         self.errors.clear()
         self.own = (*_OWN, url.split("?")[0])

@@ -1,5 +1,8 @@
-"""How often hypothesis draws: always the same in the suite, anew in each round of `make fuzz`."""
+"""How often hypothesis draws: always the same in the suite, anew in each round of `make fuzz`;
+and the browser of the tests of pages."""
 
+import pytest
+from chromium import chromium_page, find_chromium
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -12,3 +15,12 @@ settings.register_profile(
     "fuzz", settings.get_profile("suite"), derandomize=False, max_examples=1200
 )
 settings.load_profile("suite")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    executable = find_chromium()
+    if executable is None:
+        pytest.skip("no Chromium on this machine: install it, or name one in $CHROMIUM")
+    with chromium_page(executable) as page:
+        yield page

@@ -103,7 +103,7 @@ def test_a_package_of_the_installation_itself_comes_with_it(
 def test_a_module_that_a_library_lacks_is_no_missing_package(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """torch is here: a part of it that is not must not be told as its absence."""
+    """torch is installed: a missing submodule does not say that torch is missing."""
     assert missing_package(ModuleNotFoundError(name="torch.no_such_part")) is None
     assert missing_package(ModuleNotFoundError(name="no_such_package")) is None
     assert missing_package(ModuleNotFoundError()) is None

@@ -96,9 +96,8 @@ def run_batch(
     """
     start = time.perf_counter()
     begin = start_workers or _ENGINES[options.engine]
-    extras = {("engine", "ray"): "ray", ("format", "parquet"): "batch"}
-    chosen = {pair: extra for pair, extra in extras.items() if getattr(options, pair[0]) == pair[1]}
-    require({f"--{name} {value}": extra for (name, value), extra in chosen.items()})
+    needs = {"--engine ray": "ray"} if options.engine == "ray" else {}
+    require(needs | ({"--format parquet": "batch"} if options.format == "parquet" else {}))
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     if choice is None and source.pairs is None:

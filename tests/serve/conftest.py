@@ -10,7 +10,6 @@ import dense_scene
 import pytest
 import serve_parts
 import uvicorn
-from chromium import chromium_page, find_chromium
 
 from dgc_pose.serve.app import Server
 from dgc_pose.serve.guard import local_hosts
@@ -53,15 +52,6 @@ def map_url(tmp_path_factory):
             web.should_exit = True
             server.close()
             thread.join()
-
-
-@pytest.fixture(scope="session")
-def browser():
-    executable = find_chromium()
-    if executable is None:
-        pytest.skip("no Chromium on this machine: install it, or name one in $CHROMIUM")
-    with chromium_page(executable) as page:
-        yield page
 
 
 @pytest.fixture

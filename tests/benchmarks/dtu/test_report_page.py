@@ -10,7 +10,6 @@ import dtu_layout
 import dtu_report
 import numpy as np
 import pytest
-from chromium import chromium_page, find_chromium
 from PIL import Image
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import PAPER_SIZE
@@ -40,20 +39,9 @@ def chosen(run):
     return next(one for one in run.entries if (one.scene, one.view1, one.view2) in keys)
 
 
-@pytest.fixture(scope="module")
-def browser():
-    executable = find_chromium()
-    if executable is None:
-        pytest.skip("no Chromium on this machine: install it, or name one in $CHROMIUM")
-    with chromium_page(executable) as page:
-        yield page
-
-
 @pytest.fixture
 def page(run, written, browser):
-    browser.errors.clear()
-    browser.open("about:blank")
-    browser.open((run.out / "report.html").as_uri())
+    browser.open_anew((run.out / "report.html").as_uri())
     yield browser
     assert browser.errors == []
 
