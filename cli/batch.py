@@ -122,17 +122,24 @@ def counted(number: int, noun: str) -> str:
 
 
 def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
-    """Print the pooled cameras of a summary: each of the first, and how many more there are."""
-    for number, camera in enumerate(cameras[:CAMERAS_SHOWN], start=1):
+    """Print the pooled cameras of a summary."""
+    lines = []
+    for camera in cameras:
         focal, std = camera["focal_px"], camera["focal_std"]
-        what = f"camera {number} ({counted(camera['images'], 'image')}): f = {focal:.0f}"
-        what += f" +- {focal * std:.0f} px"
         if camera["focal_source"] == "matches":
-            click.echo(f"{what} from {counted(camera['pairs'], 'pair')}")
+            source = f"from {counted(camera['pairs'], 'pair')}"
         else:
-            click.echo(f"{what} from the {_SOURCES[camera['focal_source']]}: no pair tells it")
-    if len(cameras) > CAMERAS_SHOWN:
-        click.echo(f"{len(cameras) - CAMERAS_SHOWN} more cameras: see cameras.csv")
+            source = f"from the {_SOURCES[camera['focal_source']]}: no pair tells it"
+        lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}"))
+    echo_each_camera(lines, "cameras.csv")
+
+
+def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> None:
+    """Print the first cameras, each by its number of images and a text, and where the rest is."""
+    for number, (images, text) in enumerate(cameras[:CAMERAS_SHOWN], start=1):
+        click.echo(f"camera {number} ({counted(images, 'image')}): {text}")
+    if (more := len(cameras) - CAMERAS_SHOWN) > 0:
+        click.echo(f"{more} more cameras: see {file}")
 
 
 def _echo_pairs(rows: Sequence[PairRow]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import CAMERAS_SHOWN, OUT, SourceChoice, counted, report, work_through
+from dgc_pose.cli.batch import OUT, SourceChoice, echo_each_camera, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
 from dgc_pose.cli.progress import progress_bars
@@ -87,12 +87,7 @@ def reconstruct(
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
     click.echo(f"{out / PICTURE}: cameras and points, from above and from the front")
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
-    for number, camera in enumerate(model.cameras[:CAMERAS_SHOWN], start=1):
-        click.echo(
-            f"camera {number} ({counted(camera.images, 'image')}): {camera.model}, "
-            f"f = {camera.focal_px:.1f} px{after}"
-        )
-    if (more := len(model.cameras) - CAMERAS_SHOWN) > 0:
-        click.echo(f"{more} more cameras: see {out / reconstruction.SUMMARY}")
+    cameras = [(c.images, f"{c.model}, f = {c.focal_px:.1f} px{after}") for c in model.cameras]
+    echo_each_camera(cameras, out / reconstruction.SUMMARY)
     for name in data["not_registered"]:
         click.echo(f"not registered: {name}", err=True)

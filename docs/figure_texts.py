@@ -23,6 +23,6 @@ def on_page_content(content: str, *, page: Any, **_: Any) -> str:
 
 def texts(notebook: dict[str, Any]) -> list[str]:
     """The texts of the figures that the cells of a notebook show."""
-    outputs = [one for cell in notebook["cells"] for one in cell.get("outputs", [])]
-    pictures = [one for one in outputs if "image/jpeg" in one.get("data", {})]
-    return [one["metadata"]["image/jpeg"]["alt"] for one in pictures]
+    outputs = [output for cell in notebook["cells"] for output in cell.get("outputs", [])]
+    pictures = [output for output in outputs if "image/jpeg" in output.get("data", {})]
+    return [output["metadata"]["image/jpeg"]["alt"] for output in pictures]

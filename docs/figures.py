@@ -57,9 +57,9 @@ def agree(left: str, right: str) -> bool:
     # The space in front of a number depends on its sign and its length.
     if _words(left) != _words(right):
         return False
-    for one, other in zip(_NUMBER.finditer(left), _NUMBER.finditer(right), strict=True):
-        first, second = float(one[0]), float(other[0])
-        place = 10.0 ** -len(one[1] or "")
+    for number, other in zip(_NUMBER.finditer(left), _NUMBER.finditer(right), strict=True):
+        first, second = float(number[0]), float(other[0])
+        place = 10.0 ** -len(number[1] or "")
         tolerance = RELATIVE * max(abs(first), abs(second)) + PLACES * place
         if abs(first - second) > tolerance * (1 + 1e-9):
             return False

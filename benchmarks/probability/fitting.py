@@ -6,13 +6,13 @@ each scene gets from weights fitted on the other scenes. The expected error is a
 on right poses of scenes whose reference is exact.
 """
 
-import importlib
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy import optimize
+from sklearn.linear_model import LogisticRegression, QuantileRegressor
 
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.errors import InputError
@@ -211,13 +211,9 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
 
 
 def _quantile(X: np.ndarray, y: np.ndarray, quantile: float) -> Any:
-    regressor = _linear_model().QuantileRegressor(quantile=quantile, alpha=0.0, solver="highs")
+    regressor = QuantileRegressor(quantile=quantile, alpha=0.0, solver="highs")
     return regressor.fit(X, y)
 
 
 def _regression(strength: float) -> Any:
-    return _linear_model().LogisticRegression(C=strength, max_iter=5000)
-
-
-def _linear_model() -> Any:
-    return importlib.import_module("sklearn.linear_model")
+    return LogisticRegression(C=strength, max_iter=5000)

@@ -6,8 +6,6 @@ import numpy as np
 _Parameters = dict[str, bool | int | float | str]
 _EXACT_TREE: _Parameters = {"algorithm": 4, "leaf_max_size": 10}  # FLANN's single k-d tree
 _ALL_LEAVES: _Parameters = {"checks": -1}  # that may hold a nearer point
-
-
 _CANDIDATES = 4  # in single precision, of which the nearest in double precision is taken
 
 

@@ -20,6 +20,13 @@ export function prepared(canvas, height) {
   return [paint, width, height];
 }
 
+/** The residuals of the inliers in order, and the one that 95 % of them do not exceed; undefined
+    without any. */
+export function inlierResiduals({ residual, inlier }) {
+  const sorted = residual.filter((value, n) => value !== null && inlier[n]).sort((a, b) => a - b);
+  return [sorted, sorted[Math.floor(0.95 * (sorted.length - 1))]];
+}
+
 /** A colour of the style sheet, light or dark as the page is. */
 export function colour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();

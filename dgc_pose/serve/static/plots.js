@@ -1,5 +1,5 @@
 // The map over image 2, and the histogram of the residuals.
-import { colour, prepared } from "./canvas.js";
+import { colour, inlierResiduals, prepared } from "./canvas.js";
 
 const TALL = 180; // of the histogram, CSS pixels
 const BARS = 40;
@@ -22,9 +22,8 @@ export function drawMap(canvas, second, warp, matchability, share) {
 export function drawHistogram(canvas, { residual, inlier }) {
   const [paint, width, height] = prepared(canvas, TALL);
   const known = residual.map((value, n) => [value, inlier[n]]).filter(([value]) => value !== null);
-  const sorted = known.filter(([, fits]) => fits).map(([value]) => value).sort((a, b) => a - b);
-  const quantile = sorted.length ? sorted[Math.floor(0.95 * (sorted.length - 1))] : 1;
-  const most = Math.max(0.01, 2 * quantile);
+  const [, nearlyAll = 1] = inlierResiduals({ residual, inlier });
+  const most = Math.max(0.01, 2 * nearlyAll);
   const bars = Array.from({ length: BARS }, () => [0, 0]);
   for (const [value, fits] of known) bars[Math.min(BARS - 1, Math.floor(BARS * value / most))][fits ? 0 : 1]++;
   const tallest = Math.max(1, ...bars.map(([inliers, outliers]) => inliers + outliers));

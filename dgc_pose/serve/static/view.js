@@ -1,7 +1,7 @@
 // Both images with their matches, and what belongs to the point under the pointer: the epipolar lines
 // and the point that the map has for it. Points are in pixels of the originals, (0, 0) the centre of
 // the top-left pixel.
-import { prepared } from "./canvas.js";
+import { inlierResiduals, prepared } from "./canvas.js";
 import { Correspondences } from "./correspondences.js";
 
 const GAP = 8; // between the images, CSS pixels
@@ -32,10 +32,9 @@ export class View {
     this.images = [first, second];
     this.correspondences = result.correspondences && new Correspondences(result.correspondences, result.sizes[0]);
     this.pointer = null;
-    const known = (result.F ? result.matches.residual : []).filter((value, n) => value !== null && result.matches.inlier[n]);
-    known.sort((a, b) => a - b);
-    this.scale = known.length ? Math.max(0.01, known[Math.floor(0.95 * (known.length - 1))]) : null;
-    this.largest = known.length ? known[known.length - 1] : null;
+    const [known, nearlyAll] = result.F ? inlierResiduals(result.matches) : [[]];
+    this.scale = known.length ? Math.max(0.01, nearlyAll) : null;
+    this.largest = known.at(-1) ?? null;
   }
 
   /** Show inliers up to a share of the largest residual. Returns that residual, null if unknown. */
