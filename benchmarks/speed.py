@@ -33,8 +33,9 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import DenseMatcher, MatchResult, select_matches
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.network.config import INPUT_SIZE
+from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.inference import for_inference
-from dgc_pose.network.net import DGCNet
+from dgc_pose.network.weights import build_network
 from dgc_pose.pose import pose_of_matches, pose_of_pair
 from dgc_pose.refinement import Refiner
 
@@ -170,7 +171,7 @@ def stages(setup: Setup, repetitions: int, rate: Callable[[], float]) -> list[St
     others, as the rotated tries, may be slightly negative.
     """
     # Of a network of the same configuration, before its layers are folded.
-    encoder, decoders = multiply_adds(DGCNet(setup.dense.engine.config).eval())
+    encoder, decoders = multiply_adds(build_network(setup.dense.engine.config).eval())
     time_parts(setup)  # the first pass pays for what is set up once
     rows, rates = [], []
     for _ in range(repetitions):
@@ -246,7 +247,7 @@ class Forward:
         return 1000 * self.seconds
 
 
-def multiply_adds(net: DGCNet) -> tuple[int, int]:
+def multiply_adds(net: CorrespondenceNet) -> tuple[int, int]:
     """Multiply-adds of the convolutions for a pair: of both images' encoder, and of the decoders.
 
     Correlations are left out: they are hardly a hundredth.
@@ -273,7 +274,11 @@ def matrix_rate(device: str) -> float:
 
 
 def time_forwards(
-    name: str, net: DGCNet, images: Sequence[Tensor], repetitions: int, rate: Callable[[], float]
+    name: str,
+    net: CorrespondenceNet,
+    images: Sequence[Tensor],
+    repetitions: int,
+    rate: Callable[[], float],
 ) -> list[Forward]:
     """The ways to run a network on two images (1, 3, 240, 240), the eager one first."""
     half = for_inference(net)

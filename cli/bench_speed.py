@@ -29,7 +29,7 @@ from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
     from dgc_pose.benchmarks.speed import Setup
-    from dgc_pose.network.net import DGCNet
+    from dgc_pose.network.correspondence_net import CorrespondenceNet
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,7 @@ def bench_speed(
     import torch
 
     from dgc_pose.benchmarks.speed import Setup, bundled_setup, user_setup
-    from dgc_pose.network.net import DGCNet
-    from dgc_pose.network.weights import load_network
+    from dgc_pose.network.weights import build_network, load_network
 
     with staged(options.json_path) as stage, scratch_folder() as folder:
         if options.threads is not None:
@@ -78,7 +77,8 @@ def bench_speed(
         device = device_type(options.device)
         wanted = MatcherOptions(options.weights, device, options.runtime, options.half_precision)
         if not wanted.kind.network:
-            raise InputError(f"--weights {options.weights}: the stages are those of a network")
+            what = "the stages are those of a network that refines its matches"
+            raise InputError(f"--weights {options.weights}: {what}")
         dense = load_dense_matcher(
             options.weights,
             device=device,
@@ -89,7 +89,7 @@ def bench_speed(
         nets = {dense.name: load_network(options.weights)}
         for name, config in configs.items():
             torch.manual_seed(0)
-            nets[name] = DGCNet(config).eval().requires_grad_(False)
+            nets[name] = build_network(config).eval().requires_grad_(False)
         nets = {name: net.to(device) for name, net in nets.items()}
         setup = Setup(*pair, dense, refined(dense, wanted), device)
         data = _measure(setup, nets, options.repetitions)
@@ -97,7 +97,9 @@ def bench_speed(
             save_text(stage(options.json_path), json_text(finite_data(data)))
 
 
-def _measure(setup: Setup, nets: Mapping[str, DGCNet], repetitions: int) -> dict[str, object]:
+def _measure(
+    setup: Setup, nets: Mapping[str, CorrespondenceNet], repetitions: int
+) -> dict[str, object]:
     """Measure, print, and return what is written as JSON."""
     import torch
 

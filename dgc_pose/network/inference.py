@@ -1,15 +1,18 @@
 """A frozen network made faster: the same maps by fewer operations."""
 
 from copy import deepcopy
+from typing import TypeVar
 
 import torch
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dgc_pose.network.net import DGCNet
+from dgc_pose.network.correspondence_net import CorrespondenceNet
+
+Net = TypeVar("Net", bound=CorrespondenceNet)
 
 
-def for_inference(net: DGCNet) -> DGCNet:
+def for_inference(net: Net) -> Net:
     """A frozen copy that gives the same maps up to rounding: batch norms folded into the
     convolutions before them, ReLUs in place, filters channels last."""
     copy = deepcopy(net).eval().requires_grad_(False)

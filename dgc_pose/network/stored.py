@@ -40,8 +40,10 @@ def find_weights(weights: str | Path) -> Path:
     return path
 
 
-def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, dict[str, Any]]:
-    """The preset's name and the tensors or arrays of a file of ours.
+def read_safetensors(
+    path: Path, framework: Literal["pt", "np"]
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """The header, with the preset's name, and the tensors or arrays of a file of ours.
 
     Raises WeightsError, naming the file, if it is none.
     """
@@ -59,7 +61,7 @@ def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, d
         raise WeightsError(
             f"{path}: its header names no preset of ours ({name or 'nothing'})"
         ) from None
-    return name, state
+    return metadata, state
 
 
 def check_state(

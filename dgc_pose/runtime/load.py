@@ -13,7 +13,7 @@ from dgc_pose.runtime.graphs import PRESETS
 RuntimeName = Literal["auto", "onnx", "torch"]
 DEVICE_HELP = "auto, cpu, cuda or cuda:N."
 RUNTIME_HELP = (
-    "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for shipped weights on the CPU, else torch."
+    "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for dgcm-lite0 on the CPU, else torch."
 )
 _DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of a graphics card, on Linux and in WSL
 
@@ -28,8 +28,9 @@ def load_engine(
     """An engine of shipped weights by name, or of those of a file (see `network.weights`).
 
     device: "auto", "cpu" or "cuda". runtime: "onnx" runs weights of the presets with graphs on the
-    CPU and never imports torch; "torch" runs all; "auto" is ONNX Runtime for shipped weights on the
-    CPU, and wherever torch is not installed. half_precision: convolutions in bfloat16, torch alone.
+    CPU and never imports torch; "torch" runs all; "auto" is ONNX Runtime for shipped weights
+    that have graphs, on the CPU, and wherever torch is not installed. half_precision: convolutions
+    in bfloat16, torch alone.
 
     Raises WeightsError if the weights cannot be loaded, InputError if there is no such device, or
     if the runtime is not installed or cannot do what is asked for.

@@ -28,9 +28,10 @@ from torch import Tensor
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.images.image import load_image
+from dgc_pose.network.spline import TPS_KNOTS, thin_plate_spline
 from dgc_pose.synthesis.map_pairs import MapPairs, point_grid
 from dgc_pose.synthesis.photos import resized_planes
-from dgc_pose.synthesis.warps import TPS_KNOTS, apply_homography, thin_plate_spline
+from dgc_pose.synthesis.warps import apply_homography
 
 WarpKind = Literal["affine", "tps", "homography"]
 _KINDS: tuple[WarpKind, ...] = get_args(WarpKind)  # in the order of their numbers in a list

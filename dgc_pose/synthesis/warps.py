@@ -5,18 +5,16 @@ coordinates where -1 and +1 are the outer edges of the view.
 """
 
 import math
-from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from dgc_pose.network.spline import TPS_KNOTS, Warp, thin_plate_spline
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import WarpOptions
 
-Warp = Callable[[Tensor], Tensor]
 FAR = 1e6  # normalised coordinate of points beyond a homography's horizon
-TPS_KNOTS = torch.cartesian_prod(*[torch.linspace(-1, 1, 3)] * 2)  # a spline's control points
 _CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
@@ -53,29 +51,6 @@ def apply_homography(matrix: Tensor, points: Tensor) -> Tensor:
     return torch.where(depth > 1e-6, moved[..., :2] / depth.clamp(min=1e-6), FAR).clamp(-FAR, FAR)
 
 
-def thin_plate_spline(control: Tensor, values: Tensor) -> Warp:
-    """The spline through control points (K, 2) to values (B, K, 2), exactly.
-
-    Kernel r^2 log r^2, no regulariser.
-    """
-    count = len(control)
-    kernel = _tps_kernel(torch.cdist(control, control))
-    poly = F.pad(control, (1, 0), value=1.0)
-    system = F.pad(kernel, (0, 3, 0, 3))
-    system[:count, count:] = poly
-    system[count:, :count] = poly.T
-    right = F.pad(values, (0, 0, 0, 3))
-    weights = torch.linalg.solve(system.double(), right.double()).to(values.dtype)
-
-    def warp(points: Tensor) -> Tensor:
-        knots = control.to(points, non_blocking=True).expand(len(points), -1, -1)
-        basis = _tps_kernel(torch.cdist(points, knots))
-        affine = F.pad(points, (1, 0), value=1.0)
-        return torch.cat([basis, affine], -1) @ weights.to(points, non_blocking=True)
-
-    return warp
-
-
 def homography_from_corners(corners: Tensor) -> Tensor:
     """(B, 3, 3) that maps the corners (-1,-1), (1,-1), (1,1), (-1,1) to `corners` (B, 4, 2)."""
     x, y = _CORNERS.expand(len(corners), 4, 2).unbind(-1)
@@ -86,11 +61,6 @@ def homography_from_corners(corners: Tensor) -> Tensor:
     system = torch.cat([rows_u, rows_v], 1).double()
     solution = torch.linalg.solve(system, torch.cat([u, v], 1).double()[..., None])[..., 0]
     return F.pad(solution, (0, 1), value=1.0).view(-1, 3, 3).to(corners.dtype)
-
-
-def _tps_kernel(distance: Tensor) -> Tensor:
-    squared = distance.square()
-    return squared * squared.clamp(min=1e-12).log()
 
 
 def rotation_2d(angle: Tensor) -> Tensor:

@@ -8,13 +8,18 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
+from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
+from dgc_pose.network.geometric_net import GeometricNet
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.initialise import initialise_stage
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import join_batch_norms, process_count
+from dgc_pose.training.regression_stage import RegressionStage
 from dgc_pose.training.schedule import STAGES, StageName, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
+
+Stage = EncoderStage | DecoderStage | RegressionStage
 
 _LARGEST_GRADIENT = 5.0  # norm over all parameters
 _BACKBONE_RATE = 0.25  # times the rate of the rest, to keep what ImageNet taught
@@ -28,7 +33,7 @@ class ActiveStage:
     """
 
     def __init__(
-        self, name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor
+        self, name: StageName, net: CorrespondenceNet, options: TrainingOptions, images: Tensor
     ) -> None:
         self.name = name
         self._net = net
@@ -50,9 +55,9 @@ class ActiveStage:
         self._average = moving_average(self.module, options.average_decay)
 
     @property
-    def average(self) -> EncoderStage | DecoderStage:
+    def average(self) -> Stage:
         """The module by its averaged weights, in evaluation mode."""
-        return cast(EncoderStage | DecoderStage, self._average.module)
+        return cast(Stage, self._average.module)
 
     def set_rate(self, progress: float) -> float:
         """The learning rate at a progress of the stage, from 0 to 1; the next step uses it."""
@@ -71,11 +76,12 @@ class ActiveStage:
         self._average.update_parameters(self.module)
         return norm
 
-    def averaged(self) -> DGCNet:
+    def averaged(self) -> CorrespondenceNet:
         """A copy of the network by the averaged weights."""
-        if isinstance(self.average, DecoderStage):
+        if not isinstance(self.average, EncoderStage):
             return deepcopy(self.average.net)
         net = deepcopy(self._net)
+        assert isinstance(net, DGCNet)
         self.average.write(net)
         return net
 
@@ -113,8 +119,11 @@ def moving_average(module: nn.Module, decay: float) -> AveragedModel:
 
 
 def _module(
-    name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor
-) -> EncoderStage | DecoderStage:
+    name: StageName, net: CorrespondenceNet, options: TrainingOptions, images: Tensor
+) -> Stage:
+    if isinstance(net, GeometricNet):
+        return RegressionStage(net, end_to_end=name == "polish")
+    assert isinstance(net, DGCNet)
     if name == "encoder":
         stage = EncoderStage(net).to(images.device)
         if options.init is not None:

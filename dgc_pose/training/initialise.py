@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from dgc_pose.errors import WeightsError, reason
+from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
@@ -17,17 +18,19 @@ from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
 
 
-def initialise_from(weights: str | Path, net: DGCNet, part: InitPart = "all") -> None:
+def initialise_from(weights: str | Path, net: CorrespondenceNet, part: InitPart = "all") -> None:
     """Load the weights of a file (or of a shipped name) into `net`.
 
     With part "encoder", or weights of another preset with the same pyramid (an ablation), only the
     pyramid and the correlation's temperatures are loaded. Raises WeightsError if the pyramids
-    differ, too.
+    differ, too, or if the encoder of `net` is given.
     """
     other = load_network(weights)
     if part == "all" and other.config == net.config:
         net.load_state_dict(other.state_dict())
         return
+    if net.config.is_geometric:
+        raise WeightsError(f"{weights}: {net.config.name} takes no other encoder")
     if other.config.pyramid != net.config.pyramid:
         raise WeightsError(
             f"{weights}: weights of {other.config.name}, whose pyramid {net.config.name} lacks"
@@ -37,7 +40,7 @@ def initialise_from(weights: str | Path, net: DGCNet, part: InitPart = "all") ->
         cast(Tensor, net.correlation_scales).copy_(cast(Tensor, other.correlation_scales))
 
 
-def initialise_backbone(weights: str | Path, net: DGCNet, images: Tensor) -> None:
+def initialise_backbone(weights: str | Path, net: CorrespondenceNet, images: Tensor) -> None:
     """Load ImageNet's weights of EfficientNet-Lite0 (a .pth) into the net's encoder.
 
     images: (B, 3, S, S), normalised, as for `load_backbone`. Raises WeightsError if the file holds

@@ -16,7 +16,7 @@ InitPart = Literal["all", "encoder"]
 class TrainingOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
-    preset: str = option("dgcm-lite0", "Network: dgc, dgcm or dgcm-lite0.")
+    preset: str = option("dgcm-lite0", "Network: dgc, dgcm, dgcm-lite0 or rocco.")
     minutes: float | None = option(
         None, "Length of the training schedule, minutes.", above=0, max=10**7
     )
@@ -71,12 +71,16 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        preset(self.network)
+        config = preset(self.network)
         if (self.minutes is None) == (self.steps is None):
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
+        if config.is_geometric and (self.schedule.encoder > 0 or self.backbone is not None):
+            raise InputError(
+                f"{self.network} needs a schedule that leaves the encoder as it is, and no backbone"
+            )
         if self.fit_decoders is not None and self.schedule.encoder > 0:
             raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
-        if self.fit_decoders is not None and not preset(self.network).any_shape:
+        if self.fit_decoders is not None and not config.any_shape:
             raise InputError(f"fit_decoders needs dgcm-lite0, not {self.network}")
 
     @property

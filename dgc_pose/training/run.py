@@ -12,8 +12,9 @@ from torch import Tensor, nn
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.config import INPUT_SIZE, preset
+from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
+from dgc_pose.network.weights import build_network, load_checkpoint, load_network, save_weights
 from dgc_pose.synthesis.depth_scenes import DepthScenes
 from dgc_pose.synthesis.draw import Draw, seeded
 from dgc_pose.synthesis.map_pairs import MapPairs
@@ -26,7 +27,7 @@ from dgc_pose.training.log import Meter, Row, append
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import from_first, joint_sum, process_count, rank
 from dgc_pose.training.schedule import STAGES, StageName
-from dgc_pose.training.stages import DecoderStage, Loss
+from dgc_pose.training.stages import DecoderStage, EncoderStage, Loss
 from dgc_pose.training.validation import validate, validation_pairs
 
 CHECKPOINT = "checkpoint.pt"
@@ -72,7 +73,7 @@ class Trainer:
             if batch % process_count():
                 raise InputError(f"{batch} pairs do not divide into {process_count()} parts")
         torch.manual_seed(options.seed)
-        self.net = DGCNet(preset(options.network))
+        self.net = build_network(preset(options.network))
         if options.init is not None:
             initialise_from(options.init, self.net, options.init_part)
         self.net.to(self.device).half_precision = options.half_precision
@@ -88,6 +89,8 @@ class Trainer:
             initialise_backbone(options.backbone, self.net, normalise(self._validation[0].image1))
         if options.fit_decoders is not None and not path.exists():
             trained = load_network(options.fit_decoders, self.device)
+            if not (isinstance(self.net, DGCNet) and isinstance(trained, DGCNet)):
+                raise WeightsError(f"{options.fit_decoders}: {trained.config.name} has no decoders")
             fit_decoders(self.net, trained, self._fitting_pairs(), options.seed)
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
@@ -119,7 +122,9 @@ class Trainer:
         """The file of a complete run's weights."""
         return self.out / f"{self.options.network}.safetensors"
 
-    def run(self, report: Report = lambda row: None, minutes: float | None = None) -> DGCNet:
+    def run(
+        self, report: Report = lambda row: None, minutes: float | None = None
+    ) -> CorrespondenceNet:
         """Train to the end of the run, or for so many `minutes` more of it.
 
         `report` gets a row every few steps. Returns the network by its averaged weights, and writes
@@ -180,7 +185,7 @@ class Trainer:
     def validate(self) -> dict[str, float]:
         """Figures of the averaged weights on the held-back photographs, each named `val_...`."""
         module = self._stage.average
-        if isinstance(module, DecoderStage):
+        if not isinstance(module, EncoderStage):
             figures = validate(module.net, self._validation)
         else:
             draw = self._draw("validation")
@@ -191,7 +196,7 @@ class Trainer:
             figures = {key: float(joint_sum(value)) for key, value in sums.items()}
         return {f"val_{key}": value for key, value in figures.items()}
 
-    def averaged(self) -> DGCNet:
+    def averaged(self) -> CorrespondenceNet:
         """A copy of the network by the averaged weights of the stage."""
         return self._stage.averaged()
 
@@ -259,8 +264,10 @@ class Trainer:
 
     def _loss(self, pairs: MapPairs, within: float) -> Loss:
         draw = self._draw(self.options.seed, self.step, "stage")
-        noise_share = {"decoders": max(0.1, 0.6 * (1 - 2 * within)), "polish": 0.0}
-        options = [noise_share[self._stage.name]] if self._stage.name in noise_share else []
+        options = []
+        if isinstance(self._stage.module, DecoderStage):
+            share = 0.0 if self._stage.module.end_to_end else max(0.1, 0.6 * (1 - 2 * within))
+            options.append(share)
         result: Loss = self._stage.shared(pairs, draw, *options)
         return result
 

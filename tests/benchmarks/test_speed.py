@@ -88,4 +88,5 @@ def test_images_of_one_s_own_need_k(quick: None, tmp_path: Path) -> None:
     assert_refused(run("bench-speed", image), "both images and K")
     assert_refused(run("bench-speed", image, "nowhere.png", "40,40,20,15"), "nowhere.png")
     assert_refused(run("bench-speed", "--forward", "vgg"), "no preset 'vgg'")
-    assert_refused(run("bench-speed", "--weights", "sift"), "--weights sift")
+    for name in ("sift", "rocco"):
+        assert_refused(run("bench-speed", "--weights", name), f"--weights {name}", "refines")

@@ -31,9 +31,11 @@ def test_the_facts_are_those_of_the_installation(facts):
     assert facts["devices"]["runtime"] in ("onnx", "torch")
     assert facts["threads"]["OpenCV"] == str(cv2.getNumThreads())
     assert facts["environment"]["OMP_NUM_THREADS"] == "3"
-    (weights,) = (Path(dgc_pose.__file__).parent / "weights").glob("*.safetensors")
-    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-    assert facts["weights"][weights.name].endswith(f"sha256 {digest[:16]}")
+    files = [*(Path(dgc_pose.__file__).parent / "weights").glob("*.safetensors")]
+    assert files and set(facts["weights"]) == {file.name for file in files}
+    for file in files:
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        assert facts["weights"][file.name].endswith(f"sha256 {digest[:16]}")
 
 
 def test_the_text_has_all_facts(facts):

@@ -1,0 +1,148 @@
+"""CNNGeometric: its transformations against OpenCV and SciPy, its correlation against loops."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import RBFInterpolator
+from torch import Tensor
+
+from dgc_pose.errors import InputError
+from dgc_pose.network.config import preset
+from dgc_pose.network.geometric_net import GeometricNet
+from dgc_pose.network.inference import for_inference
+from dgc_pose.network.spline import TPS_KNOTS
+from dgc_pose.synthesis.render.procedural import procedural_textures
+
+_AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])
+_SPLINE = TPS_KNOTS.double().numpy() + 0.1 * np.random.default_rng(4).normal(size=(9, 2))
+
+
+@pytest.fixture(scope="module")
+def net() -> GeometricNet:
+    torch.manual_seed(0)
+    return GeometricNet(preset("rocco")).eval().requires_grad_(False)
+
+
+def _constant(net: GeometricNet, affine: np.ndarray, spline: np.ndarray) -> GeometricNet:
+    """A copy whose regressions give these numbers for every pair."""
+    copy = for_inference(net)
+    for regression, change in (
+        (copy.affine, affine - np.eye(3)[:2]),
+        (copy.spline, spline - TPS_KNOTS.numpy()),
+    ):
+        regression.final.bias.copy_(torch.from_numpy(change.ravel()))
+    return copy
+
+
+def _centres(size: int) -> np.ndarray:
+    """Cells' centres (size, size, 2), -1 and +1 being the edges of the image."""
+    axis = (2 * np.arange(size) + 1) / size - 1
+    return np.stack(np.meshgrid(axis, axis), -1)
+
+
+def _pictures(count: int) -> Tensor:
+    return procedural_textures(count, 240, seed=2)
+
+
+@pytest.mark.parametrize("size", [15, 60])
+def test_a_map_is_the_affine_transformation_of_the_spline(net: GeometricNet, size: int) -> None:
+    affine, spline = (torch.from_numpy(values)[None] for values in (_AFFINE, _SPLINE))
+    points = _centres(size).reshape(-1, 2)
+    bent = RBFInterpolator(TPS_KNOTS.double().numpy(), _SPLINE, kernel="thin_plate_spline")(points)
+    for found, places in (
+        (net.dense_map(affine, None, size), points),
+        (net.dense_map(affine, spline, size), bent),
+    ):
+        expected = cv2.transform(places[None], _AFFINE)[0]
+        np.testing.assert_allclose(found[0].flatten(1).T.numpy(), expected, atol=1e-9)
+
+
+def test_the_source_is_warped_as_opencv_warps_it(
+    net: GeometricNet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, seen = _pictures(1), []
+
+    def coarsest(warped: Tensor) -> Tensor:
+        seen.append(warped)
+        return torch.zeros(1, 128, 15, 15)
+
+    monkeypatch.setattr(net, "coarsest", coarsest)
+    affine = torch.from_numpy(_AFFINE).float()[None]
+    net.warped_features(image, affine)
+    maps = (cv2.transform(_centres(240), _AFFINE) + 1) * 120 - 0.5
+    x, y = np.moveaxis(maps.astype(np.float32), -1, 0)
+    expected = cv2.remap(image[0].permute(1, 2, 0).numpy(), x, y, cv2.INTER_LINEAR)
+    # OpenCV interpolates in steps of a 32nd of a pixel.
+    assert np.abs(seen[0][0].permute(1, 2, 0).numpy() - expected).mean() < 2e-3
+
+
+def test_a_prediction_has_the_numbers_of_both_regressions(net: GeometricNet) -> None:
+    source, target = _pictures(2).chunk(2)
+    prediction = _constant(net, _AFFINE, _SPLINE)(source, target)
+    assert [m.shape for m in prediction.maps] == [(1, 2, s, s) for s in (15, 30, 60, 120, 240)]
+    assert prediction.logits == ()
+    affine, spline = (torch.from_numpy(values).float()[None] for values in (_AFFINE, _SPLINE))
+    torch.testing.assert_close(
+        prediction.maps[-1], net.dense_map(affine, spline, 240), atol=1e-4, rtol=0
+    )
+    features = [net.features(image) for image in (source, target)]
+    assert [m.shape[-1] for m in net.decode(*features, finest=60).maps] == [15, 30, 60]
+
+
+def test_before_training_it_is_the_identity(net: GeometricNet) -> None:
+    source, target = _pictures(2).chunk(2)
+    for level in net(source, target).maps:
+        expected = torch.from_numpy(_centres(level.shape[-1])).float().permute(2, 0, 1)[None]
+        torch.testing.assert_close(level, expected, atol=1e-5, rtol=0)
+
+
+def test_the_correlation_is_of_unit_length_and_not_negative(net: GeometricNet) -> None:
+    rng = np.random.default_rng(5)
+    source, target = (torch.from_numpy(rng.normal(size=(1, 7, 15, 15))) for _ in range(2))
+    found = net.correlate(source, target)[0].numpy()
+    assert found.shape == (225, 15, 15)
+    for y, x in ((0, 0), (3, 11), (14, 7)):
+        wanted = target[0, :, y, x].numpy()
+        scores = np.zeros((15, 15))
+        for ys in range(15):
+            for xs in range(15):
+                own = source[0, :, ys, xs].numpy()
+                cosine = own @ wanted / np.linalg.norm(own) / np.linalg.norm(wanted)
+                scores[xs, ys] = max(0.0, cosine)  # column by column
+        np.testing.assert_allclose(
+            found[:, y, x], scores.ravel() / np.linalg.norm(scores), atol=1e-5
+        )
+
+
+def test_unnormalised_features_are_an_ablation() -> None:
+    net = GeometricNet(preset("rocco+no-l2"))
+    source, target = (torch.rand(1, 7, 15, 15) for _ in range(2))
+    found = net.correlate(source, target)
+    torch.testing.assert_close(net.correlate(3 * source, target), found)  # of unit length still
+    source[:, :, 4, 4] *= 3
+    assert not torch.allclose(net.correlate(source, target), found, atol=1e-3)
+
+
+def test_the_shipped_regressions_are_what_their_paper_describes(net: GeometricNet) -> None:
+    for regression, outputs in ((net.affine, 6), (net.spline, 18)):
+        assert [block[0].kernel_size for block in (regression.conv0, regression.conv1)] == [
+            (7, 7),
+            (5, 5),
+        ]
+        assert (regression.final.in_features, regression.final.out_features) == (64 * 25, outputs)
+
+
+def test_only_squares_of_240_pixels_are_taken(net: GeometricNet) -> None:
+    with pytest.raises(ValueError, match="must be 240"):
+        net(torch.zeros(1, 3, 224, 224), torch.zeros(1, 3, 240, 240))
+
+
+def test_wrong_configurations_are_refused() -> None:
+    for ablation in ("flow", "local-correlation"):
+        with pytest.raises(InputError, match=f"{ablation} is no ablation of rocco: .*need"):
+            preset(f"rocco+{ablation}")
+    with pytest.raises(InputError, match="no decoders and no mask"):
+        replace(preset("rocco"), decoders=preset("dgc").decoders)

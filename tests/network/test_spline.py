@@ -1,0 +1,27 @@
+"""Thin-plate splines against SciPy's, in double precision."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.interpolate import RBFInterpolator
+
+from dgc_pose.network.spline import TPS_KNOTS, thin_plate_spline
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.2, 1.0])
+def test_a_spline_is_scipys(spread: float) -> None:
+    rng = np.random.default_rng(3)
+    knots = TPS_KNOTS.double().numpy()
+    values = knots + spread * rng.normal(size=(4, 9, 2))
+    points = rng.uniform(-1.5, 1.5, (4, 50, 2))
+    spline = thin_plate_spline(TPS_KNOTS.double(), torch.from_numpy(values))
+    found = spline(torch.from_numpy(points)).numpy()
+    for own, targets, places in zip(found, values, points, strict=True):
+        expected = RBFInterpolator(knots, targets, kernel="thin_plate_spline", degree=1)(places)
+        np.testing.assert_allclose(own, expected, atol=1e-9)
+
+
+def test_control_points_go_where_they_are_sent() -> None:
+    values = TPS_KNOTS + 0.3 * torch.randn(2, 9, 2, generator=torch.Generator().manual_seed(1))
+    moved = thin_plate_spline(TPS_KNOTS, values)(TPS_KNOTS.expand(2, -1, -1))
+    torch.testing.assert_close(moved, values, atol=1e-5, rtol=0)
