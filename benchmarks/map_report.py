@@ -24,7 +24,7 @@ ALL = "all"
 _LEVELS = LEVEL_SIZES[::-1]  # coarse to fine, as the scores have them
 HEADING = (
     "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
-    "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each pyramid level's map\n"
+    "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each level's map of a network\n"
     "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
     "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "

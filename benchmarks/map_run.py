@@ -1,18 +1,28 @@
-"""Every network on every pair of a data set with known maps."""
+"""Every method on every pair of a data set with known maps."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+import torch
 
 from dgc_pose.errors import InputError
-from dgc_pose.evaluation.map_comparison import Comparison, compare
+from dgc_pose.evaluation.map_comparison import (
+    Comparison,
+    compare,
+    compare_matcher,
+    image_arrays,
+)
 from dgc_pose.evaluation.map_scores import PairScores, score_map
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.device import choose_device
-from dgc_pose.network.net import DGCNet
+from dgc_pose.network.stored import shipped
 from dgc_pose.network.weights import load_network
 from dgc_pose.synthesis.map_pairs import MapPairs
+
+MapMethod = Callable[[MapPairs], list[Comparison]]  # of a batch, pair by pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +45,7 @@ class MapSet:
 
 @dataclass(frozen=True, eq=False)
 class MapOutcome:
-    """One network's result for one pair."""
+    """One method's result for one pair."""
 
     scores: PairScores
     comparison: Comparison
@@ -43,11 +53,11 @@ class MapOutcome:
     image2: np.ndarray  # (240, 240, 3) uint8
 
 
-def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
-    """The bare networks of weights, by name or path, frozen and in evaluation mode.
+def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
+    """What makes the dense maps of methods, by name: bare networks, and matchers without one.
 
-    Raises InputError for no names or one that is given twice, WeightsError if weights cannot be
-    loaded.
+    Raises InputError for no names, one that is given twice, or a matcher of key points;
+    WeightsError if weights cannot be loaded.
     """
     if not names:
         raise InputError("no methods named")
@@ -55,21 +65,27 @@ def load_networks(names: Sequence[str], *, device: str) -> dict[str, DGCNet]:
         if names.count(name) > 1:
             raise InputError(f"the method {name} is named twice")
     chosen = choose_device(device)
-    return {name: load_network(name, chosen) for name in names}
+    return {name: _map_method(name, chosen) for name in names}
+
+
+def _map_method(name: str, device: torch.device) -> MapMethod:
+    options = MatcherOptions(name)
+    if not options.kind.dense_map:
+        raise InputError(f"--methods {name}: has key points alone and no dense map")
+    if options.kind.network or name in shipped():
+        net = load_network(name, device)
+        return lambda pairs: compare(net, pairs.to(device))
+    return partial(compare_matcher, options.load())
 
 
 def map_outcomes(
-    cases: Iterable[MapCase], nets: Mapping[str, DGCNet], per_axis: bool = False
+    cases: Iterable[MapCase], methods: Mapping[str, MapMethod], per_axis: bool = False
 ) -> Iterator[MapOutcome]:
-    """Yield the outcome of each pair by each network, case by case, as soon as it is known."""
+    """Yield the outcome of each pair by each method, case by case, as soon as it is known."""
     for case in cases:
-        images1, images2 = (
-            (255 * images.permute(0, 2, 3, 1)).round().byte().cpu().numpy()
-            for images in (case.pairs.image1, case.pairs.image2)
-        )
-        for method, net in nets.items():
-            device = next(net.parameters()).device
-            comparisons = compare(net, case.pairs.to(device))
+        images1, images2 = map(image_arrays, (case.pairs.image1, case.pairs.image2))
+        for method, comparisons_of in methods.items():
+            comparisons = comparisons_of(case.pairs)
             for index, (name, comparison) in enumerate(zip(case.names, comparisons, strict=True)):
                 scores = score_map(method, case.group, name, comparison, per_axis)
                 yield MapOutcome(scores, comparison, images1[index], images2[index])

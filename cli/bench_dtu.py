@@ -29,7 +29,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.files import FileMatcher
-from dgc_pose.network.stored import shipped
+from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
 
 
@@ -64,12 +64,11 @@ class Experiment:
 @dataclass_options(FolderChoice, "folder")
 @click.option(
     "--methods",
-    default=lambda: ",".join(
-        [*(name + end for name in shipped() for end in ("", EVERYWHERE)), "sift", "dis"]
-    ),
-    show_default=f"all shipped weights with and without {EVERYWHERE}, sift, dis",
-    help="Comma-separated names or paths of weights, sift, dis, and names of --matches, "
-    "each with options of its own, such as NAME:matchability=0.5:runs=1; "
+    default=",".join([DEFAULT_WEIGHTS, DEFAULT_WEIGHTS + EVERYWHERE, "sift", "dis"]),
+    show_default=True,
+    help="Comma-separated names or paths of weights, of other matchers (sift, dis, rocco, "
+    "deepmatching) and of --matches, each with options of its own, such as "
+    "NAME:matchability=0.5:runs=1; "
     f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their matchability.",
 )
 @click.option(

@@ -29,7 +29,7 @@ SEQUENCES = 59  # of a changing viewpoint in HPatches
 )
 @dataclass_options(MapBenchOptions, "bench")
 def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None:
-    """Score the dense maps of networks on pairs of images that a known homography relates.
+    """Score the dense maps of networks and other matchers on pairs with known homographies.
 
     Reads the folder and the folders right below it: HPatches' viewpoint sequences (v_*/1.ppm,
     v_*/H_1_2), VGG's sets (img1.png, H1to2p) and annotated pairs (NAME_A.jpg, NAME_B.jpg,

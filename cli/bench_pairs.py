@@ -43,7 +43,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import finite_data, json_text
 from dgc_pose.files.outputs import replaced, save_text, staged, write_text
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.network.stored import shipped
+from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import MAX_SEED, option
 
 
@@ -132,9 +132,10 @@ class PairBenchOptions:
 @dataclass_options(CameraTrial, "cameras")
 @click.option(
     "--methods",
-    default=lambda: ",".join([*shipped(), "sift"]),
-    show_default="all shipped weights, and sift",
-    help="Comma-separated names or paths of weights, sift, dis, each with options of "
+    default=f"{DEFAULT_WEIGHTS},sift",
+    show_default=True,
+    help="Comma-separated names or paths of weights or other matchers (sift, dis, rocco, "
+    "deepmatching), each with options of "
     "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
     "image 1.",
 )

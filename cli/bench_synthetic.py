@@ -48,7 +48,7 @@ class SyntheticOptions:
 @dataclass_options(SyntheticOptions, "made")
 @dataclass_options(MapBenchOptions, "bench")
 def bench_synthetic(made: SyntheticOptions, bench: MapBenchOptions) -> None:
-    """Score the dense maps of networks on synthetic pairs with exact truth.
+    """Score the dense maps of networks and other matchers on synthetic pairs with exact truth.
 
     Sets: affine, affine-tps (half of each) and homography by the paper's ranges, and scenes,
     ray-cast in 3D, whose cameras differ by 5 to 30 degrees.

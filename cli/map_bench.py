@@ -42,7 +42,9 @@ class MapBenchOptions:
     """What to measure, how, and where the files go."""
 
     methods: str | None = option(
-        None, "Comma-separated names or paths of weights; default: all shipped weights."
+        None,
+        "Comma-separated names or paths of weights, or of other matchers with a dense map, as "
+        "deepmatching and dis; default: all shipped weights.",
     )
     per_axis: bool = option(
         False,
@@ -66,24 +68,24 @@ class MapBenchOptions:
 def run_map_bench(
     bench: MapBenchOptions, data: MapSet, report: Callable[[Scores], Iterable[str]]
 ) -> None:
-    """Score the networks on the data set, write the files, and print the blocks of `report`.
+    """Score the methods on the data set, write the files, and print the blocks of `report`.
 
     Every output file is opened first: one that cannot be written stops the run before it begins.
     """
-    from dgc_pose.benchmarks.map_run import load_networks, map_outcomes
+    from dgc_pose.benchmarks.map_run import load_map_methods, map_outcomes
 
     names = ",".join(shipped()) if bench.methods is None else bench.methods
-    nets = load_networks(split_names(names), device=bench.device)
-    pictures = {name: f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(nets, start=1)}
+    methods = load_map_methods(split_names(names), device=bench.device)
+    pictures = {name: f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(methods, start=1)}
     paths = {}
     if bench.out is not None:
         Path(bench.out).mkdir(parents=True, exist_ok=True)
         paths = {name: str(Path(bench.out, name)) for name in (*_TABLES, *pictures.values())}
     with staged(bench.json_path, *paths.values()) as stage:
-        scores: dict[str, list[PairScores]] = {name: [] for name in nets}
-        worst: dict[str, list[MapOutcome]] = {name: [] for name in nets}
-        outcomes = map_outcomes(data.cases, nets, bench.per_axis)
-        for outcome in tqdm(outcomes, total=data.total * len(nets), unit="pair", disable=None):
+        scores: dict[str, list[PairScores]] = {name: [] for name in methods}
+        worst: dict[str, list[MapOutcome]] = {name: [] for name in methods}
+        outcomes = map_outcomes(data.cases, methods, bench.per_axis)
+        for outcome in tqdm(outcomes, total=data.total * len(methods), unit="pair", disable=None):
             method = outcome.scores.method
             scores[method].append(outcome.scores)
             if bench.out is not None and outcome.scores.valid:  # pixels of known truth

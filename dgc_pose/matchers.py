@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
+from dgc_pose.matching.deep_matching import DeepMatcher
 from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.key_points import KeyPointCache, key_point_cache
@@ -66,7 +67,8 @@ class MatcherOptions:
     weights: str = option(
         DEFAULT_WEIGHTS,
         "Shipped weights by name; a file, .safetensors or an authors' .pth; or another matcher: "
-        "sift, dis (optical flow), MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
+        "sift, dis (optical flow), rocco, deepmatching, MODEL.onnx (a detector with descriptors), "
+        "or vismatch:NAME.",
         metavar="NAME|FILE",
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
@@ -95,7 +97,7 @@ class MatcherOptions:
             path = Path(self.weights)
             if self.weights in PRESETS or path.suffix or path.exists():
                 raise
-        names = ", ".join([*shipped(), *(kind.pattern for kind in KINDS[:-1])])
+        names = ", ".join(dict.fromkeys([*shipped(), *(kind.pattern for kind in KINDS[:-1])]))
         raise InputError(f"{self.weights}: no such file, and no such matcher: there are {names}")
 
 
@@ -106,7 +108,7 @@ class MatcherKind:
     pattern: str  # of the names that stand for it, as of files
     load: Callable[[MatcherOptions, MatcherCaches | None, Engine | None], Matcher]
     dense_map: bool = False  # whether it makes one
-    # Whether it is a network of ours, whose features refine its matches and choose pairs.
+    # Whether it is a network whose features refine its matches and choose pairs.
     network: bool = False
 
 
@@ -151,13 +153,14 @@ def refined(
 ) -> Refiner:
     """A matcher with refinement of its matches, if it has a network by its features.
 
-    Raises InputError if the features of a network are asked for, and the matcher has none.
+    Raises InputError if the features of a network are asked for, and the matcher has none, or is a
+    rival of the network whose features they are.
     """
     source = options.refinement.source
     sources: list[MatchSource] = []
     quick = None
     if source in ("auto", "features"):
-        if matcher.engine is None:
+        if matcher.engine is None or matcher.engine.config.is_geometric:
             raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
         native = caches.native if caches else None
         sources.append(FeatureMatches(matcher.engine, options.refinement.features, native))
@@ -193,7 +196,10 @@ def _network(
         cache=caches.features if caches else None,
         engine=engine,
     )
-    return matcher if options.refinement.source == "none" else refined(matcher, options, caches)
+    source = options.refinement.source
+    if source == "none" or (source == "auto" and matcher.engine.config.is_geometric):
+        return matcher
+    return refined(matcher, options, caches)
 
 
 def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:
@@ -204,6 +210,8 @@ def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:
 KINDS = (
     MatcherKind("sift", lambda options, caches, _: SiftMatcher(cache=_key_points(caches))),
     MatcherKind("dis", lambda options, *_: FlowMatcher(options.matching), dense_map=True),
+    MatcherKind("rocco", _network, dense_map=True),
+    MatcherKind("deepmatching", lambda options, *_: DeepMatcher(options.matching), dense_map=True),
     MatcherKind(
         "*.onnx", lambda options, caches, _: OnnxMatcher(options.weights, _key_points(caches))
     ),

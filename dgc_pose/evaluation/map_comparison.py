@@ -1,15 +1,20 @@
-"""A network's dense maps of pairs, with the true maps."""
+"""A method's dense maps of pairs, with the true maps."""
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
+from dgc_pose.geometry.pixels import pixel_grid
+from dgc_pose.images.image import Image
+from dgc_pose.matching.matcher import Matcher
 from dgc_pose.metrics import endpoint_errors
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.correspondence_net import CorrespondenceNet
+from dgc_pose.network.net import normalise
 from dgc_pose.synthesis.map_pairs import MapPairs, level_truth
 
 
@@ -30,9 +35,9 @@ class LevelMap:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A network's maps and mask of one pair, with the truth."""
+    """A method's maps and mask of one pair, with the truth."""
 
-    levels: tuple[LevelMap, ...]  # coarse to fine, 15 to 240 cells a side
+    levels: tuple[LevelMap, ...]  # coarse to fine, up to 240 cells a side; of a network from 15 on
     matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
     known: np.ndarray  # (240, 240) bool, pixels of known visibility
 
@@ -50,7 +55,7 @@ class Comparison:
 
 
 @torch.no_grad()
-def compare(net: DGCNet, pairs: MapPairs) -> list[Comparison]:
+def compare(net: CorrespondenceNet, pairs: MapPairs) -> list[Comparison]:
     """The net's forward pass on a batch of 240x240 pairs, split into pairs.
 
     The net runs in evaluation mode; its own mode is restored.
@@ -78,6 +83,31 @@ def compare(net: DGCNet, pairs: MapPairs) -> list[Comparison]:
     return [
         Comparison(*parts) for parts in zip(pairs_levels, masks, _array(pairs.known), strict=True)
     ]
+
+
+def compare_matcher(matcher: Matcher, pairs: MapPairs) -> list[Comparison]:
+    """The dense maps of a matcher that makes them, of 240x240 pairs.
+
+    A map of fewer cells is brought to the pixels: its displacements linearly, beyond the outermost
+    centres as there, and its matchability as that of the nearest cell.
+    """
+    comparisons = []
+    images = zip(image_arrays(pairs.image1), image_arrays(pairs.image2), strict=True)
+    truths = zip(_array(pairs.map), _array(pairs.valid), _array(pairs.known), strict=True)
+    size = (INPUT_SIZE, INPUT_SIZE)
+    for pixels, (truth, valid, known) in zip(images, truths, strict=True):
+        dense = matcher.match(*map(Image, pixels)).correspondence_map
+        assert dense is not None
+        shift = cv2.resize(dense.map - dense.grid, size, interpolation=cv2.INTER_LINEAR)
+        mask = cv2.resize(dense.matchability, size, interpolation=cv2.INTER_NEAREST)
+        points = (pixel_grid(size) + shift).astype(np.float32)
+        comparisons.append(Comparison((LevelMap(points, truth, valid),), mask, known))
+    return comparisons
+
+
+def image_arrays(images: Tensor) -> np.ndarray:
+    """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
+    return _array((255 * images.permute(0, 2, 3, 1)).round().byte())
 
 
 def _array(values: Tensor) -> np.ndarray:

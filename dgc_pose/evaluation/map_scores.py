@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.metrics import Reliability, count_within, endpoint_errors, jaccard
-from dgc_pose.network.config import INPUT_SIZE
+from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
 
 if TYPE_CHECKING:
     from dgc_pose.evaluation.map_comparison import Comparison
@@ -35,7 +35,8 @@ class PairScores:
     name: str
     valid: int  # pixels of known correspondence; without any, the errors below are NaN
     aepe: float  # pixels
-    level_aepe: tuple[float, ...]  # coarse to fine: of the maps of 15 to 240 cells a side
+    # Coarse to fine: of the maps of 15 to 240 cells a side; NaN for one that the method has not.
+    level_aepe: tuple[float, ...]
     near: np.ndarray  # (200,) int, valid pixels within each of PCK_THRESHOLDS
     within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
     jaccard: float  # of the mask against the visible pixels; NaN without a mask
@@ -70,6 +71,7 @@ def score_map(
     curve = endpoint_errors(finest.points, finest.truth, finest.valid, per_axis=per_axis)
     overlap = overlap_found = float("nan")
     reliability = None
+    absent = len(LEVEL_SIZES) - len(comparison.levels)
     if matchability is not None:
         known = comparison.known
         mask = matchability[known] > 0.5
@@ -82,7 +84,7 @@ def score_map(
         name=name,
         valid=len(euclidean),
         aepe=finest.aepe,
-        level_aepe=tuple(level.aepe for level in comparison.levels),
+        level_aepe=(float("nan"),) * absent + tuple(level.aepe for level in comparison.levels),
         near=count_within(curve, PCK_THRESHOLDS),
         within=count_within(euclidean, WITHIN),
         jaccard=overlap,

@@ -76,10 +76,10 @@ def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
-    names = ["net", "net:refine=none", "net/all", "dis", "sift", "raft", "sift:refine=map"]
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "rocco", "raft", "sift:refine=map"]
     methods = parse_methods(names, stored=["raft"])
     sources = [method.matcher.refinement.source for method in methods]
-    assert sources == ["auto", "none", "none", "none", "none", "none", "map"]
+    assert sources == ["auto", "none", "none", "none", "none", "none", "none", "map"]
 
 
 def test_a_path_may_hold_colons_and_equals_signs() -> None:
@@ -170,5 +170,6 @@ def test_a_network_is_read_once_for_all_its_passes() -> None:
 
 
 def test_refinement_by_features_needs_a_network() -> None:
-    with pytest.raises(InputError, match="sift:refine=features: .* needs the features"):
-        parse_methods(["sift:refine=features"])
+    for name in ("sift", "rocco"):
+        with pytest.raises(InputError, match=f"{name}:refine=features: .* needs the features"):
+            parse_methods([f"{name}:refine=features"])

@@ -6,12 +6,14 @@ import os
 import re
 from pathlib import Path
 
+import cv2
 import dtu_layout
 import numpy as np
 import pytest
 import torch
 from command_line import run
 
+from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
@@ -74,7 +76,7 @@ def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
         net.get_submodule("reg_4.final").bias[2] = 20.0  # matchable everywhere
     save_weights(net, weights)
     out = tmp_path / "runs/one"
-    methods = f"{weights},{weights}/all,sift,dis"
+    methods = f"{weights},{weights}/all,rocco,sift,dis"
     text = bench(
         "--root", dtu, "--out", out, "--pairs", 3, "--methods", methods, "--protocol", "native"
     )
@@ -118,6 +120,40 @@ def test_true_flows_give_the_true_poses(dtu, flows, tmp_path, protocol) -> None:
         assert float(row["translation_error_deg"]) < 1.5
         assert float(row["epipolar_confident_px"]) < 0.02
         assert int(row["num_matches"]) > 1500
+
+
+# The sizes of flow files: of the view, of a multiple of 64 that it is resized to, and of a quarter.
+FLOW_SIZES = {"whole": (160, 120), "multiple": (192, 128), "quarter": (40, 30)}
+
+
+@pytest.mark.parametrize(("protocol", "size"), [("paper", (256, 256)), ("native", (160, 120))])
+def test_a_flo_of_any_size_is_read_in_its_own_pixels(tmp_path, protocol, size) -> None:
+    """Views 2 and 3 lie beside and below view 1, so that epipolar lines are rows and columns. D_e
+    is the displacement across them, 2 px of the file, in pixels of the protocol's images."""
+    grey = np.full((120, 160, 3), 128, np.uint8)
+    centres = {1: (0.0, 0.0, 0.0), 2: (40.0, 0.0, 0.0), 3: (0.0, 40.0, 0.0)}
+    views = {n: DtuView(dtu_layout.K, np.eye(3), -np.array(at)) for n, at in centres.items()}
+    dtu_layout.write_raw(tmp_path / "dtu", dtu_layout.Scan(views, dict.fromkeys(views, grey), {}))
+    (tmp_path / "pairs.csv").write_text("scene,view1,view2\n65,1,2\n65,1,3\n")
+    for name, (width, height) in FLOW_SIZES.items():
+        (tmp_path / name).mkdir()
+        along = np.random.default_rng(0).uniform(2, 6, (height, width)).astype(np.float32)
+        across = np.full_like(along, 2)
+        for view2, flow in ((2, (along, across)), (3, (across, along))):
+            path = tmp_path / name / f"scan65_1_{view2}.flo"
+            assert cv2.writeOpticalFlow(str(path), np.stack(flow, -1))
+    bench(
+        *("--root", tmp_path / "dtu", "--out", tmp_path / "run", "--pairs", tmp_path / "pairs.csv"),
+        *("--protocol", protocol, "--methods", ",".join(f"{name}/all" for name in FLOW_SIZES)),
+        *(word for name in FLOW_SIZES for word in ("--matches", f"{name}={tmp_path / name}")),
+    )
+    rows = table(tmp_path / "run")
+    assert len(rows) == 2 * len(FLOW_SIZES)
+    for row in rows:
+        axis = {"2": 1, "3": 0}[row["view2"]]
+        expected = 2 * size[axis] / FLOW_SIZES[row["method"].removesuffix("/all")][axis]
+        for kind in ("all", "all_mean", "confident", "confident_mean"):
+            assert float(row[f"epipolar_{kind}_px"]) == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_list_of_a_run_gives_that_run_again(dtu, tmp_path) -> None:

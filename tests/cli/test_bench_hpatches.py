@@ -93,6 +93,21 @@ def test_out_holds_the_same_figures_and_the_pictures(folder):
             assert cv2.imread(f"run/new/{name}").std() > 1
 
 
+def test_matchers_without_a_network_stand_in_the_same_tables(folder, monkeypatch):
+    monkeypatch.setattr("dgc_pose.matching.deep_matching.SIDE", 64)
+    words = ("--methods", "still,deepmatching,dis", "--json", "s.json", "--out", "run")
+    result = bench("--root", "data", *words)
+    assert result.exit_code == 0, result.output
+    still, *rivals = json.loads((folder / "s.json").read_text())["methods"]
+    for rival in rivals:
+        figures = rival["all"]
+        assert figures["pairs"] == 10 and figures["aepe"] == figures["aepe240"]
+        assert figures["aepe"] < 0.5 * still["all"]["aepe"]
+        assert figures["aepe15"] is None and 0.3 < figures["jaccard"] <= 1
+        assert line(result, f"{rival['method']} ")[-1] == f"{figures['aepe']:.2f}"
+    assert cv2.imread("run/worst_2_deepmatching.png").std() > 1
+
+
 def test_pck_counts_per_axis_on_demand(folder):
     shares = []
     for extra in ((), ("--per-axis",)):
@@ -133,6 +148,7 @@ def test_the_authors_lists(folder):
         (("--root", "data", "--methods", "true,nosuch"), "nosuch"),
         (("--root", "data", "--methods", "true,true"), "twice"),
         (("--root", "data", "--methods", ","), "no methods"),
+        (("--root", "data", "--methods", "true,sift"), "sift: has key points alone"),
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(folder, arguments, words):

@@ -9,16 +9,18 @@ import pytest
 from command_line import assert_refused, run
 
 from dgc_pose.errors import WeightsError
+from dgc_pose.network.config import DEFAULT_WEIGHTS
 
 FAST = ("--runs", "1", "--iterations", "200", "--refine", "none")
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A list of three pairs, pairs.txt; the weights `true` and `noise` stand for networks."""
+    """A list of three pairs, pairs.txt; `true`, `noise` and the default stand for networks."""
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path, pairs=3)
     maps = {"true": dense_scene.true_map(), "noise": dense_scene.noise_map()}
+    maps[DEFAULT_WEIGHTS] = maps["true"]
 
     def load_dense_matcher(weights, *, options, **others):
         if weights not in maps:
@@ -54,14 +56,10 @@ def test_the_table_json_and_out_hold_the_same_summary(folder):
     assert cv2.imread("run/new/errors.png").std() > 1
 
 
-def test_all_shipped_weights_and_sift_by_default(folder, monkeypatch):
-    monkeypatch.setattr("dgc_pose.cli.bench_pairs.shipped", lambda: ["noise", "true"])
+def test_the_default_weights_and_sift_by_default(folder):
     result = bench("pairs.txt", "--limit", "1")
-    assert [line.split()[0] for line in result.stdout.splitlines()[-3:]] == [
-        "noise",
-        "true",
-        "sift",
-    ]
+    methods = [line.split()[0] for line in result.stdout.splitlines()[-2:]]
+    assert methods == [DEFAULT_WEIGHTS, "sift"]
 
 
 def test_some_pairs_of_a_list_are_evenly_chosen(folder):

@@ -1,0 +1,139 @@
+"""DeepMatching, against transformations of noise whose map is known, and a loop over all places."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+from dgc_pose.geometry.pixels import pixel_grid
+from dgc_pose.images.image import Image
+from dgc_pose.matching import deep_matching
+from dgc_pose.matching.deep_matching import DeepMatcher, deep_matches
+
+SIDE = 64
+
+
+def _noise(side: int) -> np.ndarray:
+    """Blots of some pixels, grey levels of 0 to 255."""
+    rng = np.random.default_rng(4)
+    return cv2.resize(rng.uniform(0, 255, (side // 4, side // 4)), (side, side)).astype(np.float32)
+
+
+def _centred(matrix: list[list[float]]) -> np.ndarray:
+    """The affine map (2, 3) of pixels, of a matrix about the centre of an image."""
+    centre = np.full(2, (SIDE - 1) / 2)
+    return np.column_stack([matrix, centre - matrix @ centre])
+
+
+@pytest.mark.parametrize(
+    ("affine", "share", "error"),
+    [
+        (np.array([[1.0, 0, 0], [0, 1, 0]]), 0.99, 0.01),
+        (np.array([[1.0, 0, 8], [0, 1, -5]]), 0.75, 0.01),
+        (_centred([[1.25, 0], [0, 1.25]]), 0.5, 1.5),
+        (_centred([[0.85, 0.1], [-0.05, 1.1]]), 0.5, 1.5),
+    ],
+    ids=["identity", "translation", "scale", "shear"],
+)
+def test_patches_lie_where_the_transformation_takes_them(
+    affine: np.ndarray, share: float, error: float
+) -> None:
+    """Image 2 at x is image 1 at A x: a patch at x is to be matched to A x."""
+    image1 = _noise(SIDE)
+    image2 = cv2.warpAffine(
+        image1, affine, (SIDE, SIDE), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    )
+    matches = deep_matches(image1, image2)
+    expected = matches.points2 @ affine[:, :2].T + affine[:, 2]
+    inside = ((expected > 4) & (expected < SIDE - 5)).all(1)
+    distance = np.linalg.norm(matches.points1 - expected, axis=1)[inside]
+    assert inside.sum() > share * (SIDE / 4) ** 2 * 0.6
+    assert (distance <= error + 1e-9).mean() >= share
+
+
+def test_a_deformation_without_a_matrix_is_followed() -> None:
+    image1 = _noise(SIDE)
+    grid = pixel_grid((SIDE, SIDE)).astype(np.float32)
+    sent = grid + 3 * np.sin(grid[..., ::-1] / 12)
+    image2 = cv2.remap(image1, sent[..., 0], sent[..., 1], cv2.INTER_LINEAR)
+    matches = deep_matches(image1, image2)
+    at = matches.points2
+    expected = at + 3 * np.sin(at[:, ::-1] / 12)
+    inside = ((expected > 4) & (expected < SIDE - 5)).all(1)
+    distance = np.linalg.norm(matches.points1 - expected, axis=1)[inside]
+    assert np.median(distance) < 1.0
+    assert np.median(np.linalg.norm(at - expected, axis=1)) > 2
+
+
+def test_each_match_is_the_best_of_its_patch_and_of_its_place() -> None:
+    matches = deep_matches(_noise(SIDE), np.roll(_noise(SIDE), (3, 5), axis=(0, 1)))
+    for points in (matches.points2, matches.points1):
+        cells = (points - 1.5).astype(int) // 4  # of the patch's first pixel
+        assert len(np.unique(cells, axis=0)) == len(cells)
+
+
+def test_the_responses_of_large_patches_are_those_of_their_quadrants() -> None:
+    """Section 3.2 by loops over all patches, places and quadrants, in float64."""
+    rng = np.random.default_rng(2)
+    maps = rng.uniform(0, 1, (5, 4, 8, 6)).astype(np.float32)
+    pooled = np.stack([deep_matching._pooled(row) for row in maps])
+    assert pooled.shape == (5, 4, 4, 3)
+    for level, shape in ((1, (4, 3)), (2, (5, 4)), (3, (5, 4))):
+        found = deep_matching._aggregated(pooled, deep_matching._child_step(level))
+        assert found.shape == (*shape, 4, 3)
+        offsets = {1: (0, 1), 2: (-1, 1), 3: (-2, 2)}[level]
+        for row, column, y, x in np.ndindex(*found.shape):
+            responses = []
+            for i, dy in zip(offsets, (-1, 1), strict=True):
+                for j, dx in zip(offsets, (-1, 1), strict=True):
+                    if not (0 <= row + i < 5 and 0 <= column + j < 4):
+                        continue
+                    here = [
+                        float(maps[row + i, column + j, v, u])
+                        for v in range(2 * (y + dy) - 1, 2 * (y + dy) + 2)
+                        for u in range(2 * (x + dx) - 1, 2 * (x + dx) + 2)
+                        if 0 <= v < 8 and 0 <= u < 6
+                    ]
+                    outside = not (0 <= y + dy < 4 and 0 <= x + dx < 3)
+                    responses.append(0.0 if outside else max(here))
+            expected = np.mean(responses) ** 1.4
+            assert found[row, column, y, x] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 2, 8, 60])
+def test_the_map_is_linear_between_matches_and_the_nearest_outside(count: int) -> None:
+    """As by SciPy."""
+    rng = np.random.default_rng(count)
+    points, values = rng.uniform(0, 60, (count, 2)), rng.normal(size=(count, 2))
+    at = pixel_grid((40, 70))
+    expected = NearestNDInterpolator(points, values)(at)
+    if count > 2:
+        inside = LinearNDInterpolator(points, values)(at)
+        expected = np.where(np.isfinite(inside), inside, expected)
+        assert 0.05 < np.isfinite(inside).mean() < 0.95
+    assert deep_matching._interpolated(points, values, at) == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_map_is_in_pixels_of_both_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Image 2 is twice as wide, and shows image 1 moved by an eighth of its width."""
+    monkeypatch.setattr(deep_matching, "SIDE", SIDE)
+    grey = np.clip(_noise(SIDE), 0, 255).astype(np.uint8)
+    moved = np.roll(grey, -SIDE // 8, axis=1)
+    first, second = (np.repeat(image[..., None], 3, 2) for image in (grey, moved))
+    second = cv2.resize(second, (2 * SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+    result = DeepMatcher().match(Image(first), Image(second))
+    dense = result.correspondence_map
+    assert dense is not None
+    assert dense.map.shape == (SIDE // 4, SIDE // 4, 2)
+    expected = (dense.grid + 0.5) * (0.5, 1) - 0.5 + (SIDE / 8, 0)
+    error = np.linalg.norm(dense.map - expected, axis=-1)[:, :-3]
+    assert np.median(error) < 0.5
+    assert (dense.matchability[:, :-3] == 1).mean() > 0.7
+
+
+def test_images_without_structure_give_a_map_and_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(deep_matching, "SIDE", SIDE)
+    blank = Image(np.full((40, 50, 3), 90, np.uint8))
+    result = DeepMatcher().match(blank, blank)
+    assert result.correspondence_map is not None
+    assert np.isfinite(result.correspondence_map.map).all()
