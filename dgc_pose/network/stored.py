@@ -47,13 +47,7 @@ def read_safetensors(
 
     Raises WeightsError, naming the file, if it is none.
     """
-    try:
-        require_regular(path, WeightsError)
-        with read_as("a safetensors file", path, WeightsError), safe_open(path, framework) as file:
-            metadata = file.metadata() or {}
-            state = {key: file.get_tensor(key) for key in file.keys()}
-    except OSError as error:
-        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
+    metadata, state = read_tensors(path, framework)
     name = metadata.get("preset", "")
     try:
         preset(name)
@@ -62,6 +56,19 @@ def read_safetensors(
             f"{path}: its header names no preset of ours ({name or 'nothing'})"
         ) from None
     return metadata, state
+
+
+def read_tensors(
+    path: Path, framework: Literal["pt", "np"]
+) -> tuple[dict[str, str], dict[str, Any]]:
+    """The header and the tensors or arrays of any safetensors file. Raises WeightsError, with the
+    path, for any other file."""
+    try:
+        require_regular(path, WeightsError)
+        with read_as("a safetensors file", path, WeightsError), safe_open(path, framework) as file:
+            return file.metadata() or {}, {key: file.get_tensor(key) for key in file.keys()}
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def check_state(

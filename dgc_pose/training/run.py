@@ -22,7 +22,7 @@ from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.decoder_fit import fit_decoders
-from dgc_pose.training.initialise import initialise_backbone, initialise_from
+from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.log import Meter, Row, append
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import from_first, joint_sum, process_count, rank
@@ -85,8 +85,8 @@ class Trainer:
             min(8, options.validation_count),
             replace(options.pairs, real_share=0.0),
         )
-        if options.backbone is not None:
-            initialise_backbone(options.backbone, self.net, normalise(self._validation[0].image1))
+        if options.encoder is not None:
+            initialise_encoder(options.encoder, self.net, normalise(self._validation[0].image1))
         if options.fit_decoders is not None and not path.exists():
             trained = load_network(options.fit_decoders, self.device)
             if not (isinstance(self.net, DGCNet) and isinstance(trained, DGCNet)):
@@ -96,7 +96,7 @@ class Trainer:
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0
         self._meter = Meter(self.device)
-        self._stage = self._enter(options.schedule.at(0.0)[0])
+        self._stage = self._enter(options.stages.at(0.0)[0])
         if path.exists():
             self._load(path)
 
@@ -164,7 +164,7 @@ class Trainer:
 
         They are this process's parts of the joint ones, still on the device.
         """
-        name, within = self.options.schedule.at(progress)
+        name, within = self.options.stages.at(progress)
         if name != self._stage.name:
             self.net.load_state_dict(self.averaged().state_dict())
             self._stage = self._enter(name)

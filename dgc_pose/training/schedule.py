@@ -56,6 +56,11 @@ class Schedule:
             )
         return cls(*shares)
 
+    def without_encoder(self) -> Schedule:
+        """The same, the encoder's share divided among the others in proportion."""
+        trained = self.decoders + self.polish
+        return Schedule(0.0, self.decoders / trained, self.polish / trained)
+
     def at(self, progress: float) -> tuple[StageName, float]:
         """The stage at a run's progress (0 to 1) and the progress within that stage."""
         start = 0.0

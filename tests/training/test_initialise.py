@@ -4,12 +4,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
+from torch import Tensor, nn
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
-from dgc_pose.training.initialise import initialise_backbone, initialise_from, initialise_stage
+from dgc_pose.training.initialise import initialise_encoder, initialise_from, initialise_stage
 from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
 
@@ -76,9 +78,56 @@ def test_a_pretrained_encoder_passes_through_its_stage_unchanged() -> None:
     assert all(torch.equal(before[k], v) for k, v in net.pyramid.state_dict().items())
 
 
-def test_backbone_weights_of_or_for_another_encoder_are_refused(tmp_path: Path) -> None:
-    torch.save({"conv.weight": torch.zeros(1)}, tmp_path / "backbone.pth")
+def _torchvision_vgg16(seed: int) -> nn.Sequential:
+    """The convolutions of torchvision's `vgg16().features`, "D" in its list of configurations."""
+    torch.manual_seed(seed)
+    layers: list[nn.Module] = []
+    inputs = 3
+    for width in (64, 64, "M", 128, 128, "M", *3 * (256,), "M", *3 * (512,), "M", *3 * (512,), "M"):
+        if isinstance(width, str):
+            layers.append(nn.MaxPool2d(kernel_size=2, stride=2))
+            continue
+        layers += [nn.Conv2d(inputs, width, kernel_size=3, padding=1), nn.ReLU(inplace=True)]
+        inputs = width
+    return nn.Sequential(*layers)
+
+
+def _vgg16_state(seed: int = 4) -> dict[str, Tensor]:
+    """As torchvision's file has it, a layer of the classifier included."""
+    state = _torchvision_vgg16(seed).state_dict(prefix="features.")
+    return {**state, "classifier.6.bias": torch.zeros(1000)}
+
+
+@pytest.mark.parametrize("name", ["dgcm", "dgc+flow"])
+@pytest.mark.parametrize("ending", ["pth", "safetensors"])
+def test_an_encoder_of_torchvision_has_its_features(tmp_path: Path, name: str, ending: str) -> None:
+    path = tmp_path / f"vgg16.{ending}"
+    if ending == "pth":
+        torch.save(_vgg16_state(), path)
+    else:
+        save_file(_vgg16_state(), path)
+    image = torch.randn(1, 3, 48, 64)
+    net = DGCNet(preset(name))
+    initialise_encoder(path, net, image)
+    layers, ends = _torchvision_vgg16(4), (2, 5, 10, 17, 24)
+    with torch.no_grad():
+        for end, features in zip(ends, net.pyramid(image), strict=True):
+            torch.testing.assert_close(features, layers[:end](image))
+
+
+def test_weights_of_another_encoder_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "encoder.pth"
     images = torch.randn(1, 3, 32, 32)
-    for name, why in (("dgcm", "has no"), ("dgcm-lite0", "not weights of")):
-        with pytest.raises(WeightsError, match=rf"backbone\.pth: .*{why} EfficientNet-Lite0"):
-            initialise_backbone(tmp_path / "backbone.pth", DGCNet(preset(name)), images)
+    foreign = {"conv.weight": torch.zeros(1)}
+    wider = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 32, 3, 3)}
+    integral = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 64, 3, 3, dtype=torch.int8)}
+    vgg = "not weights of VGG-16 in torchvision's layout: it"
+    for name, state, words in (
+        ("dgcm-lite0", foreign, "not weights of EfficientNet-Lite0"),
+        ("dgcm", foreign, f"{vgg} lacks features.0.weight, features.0.bias, .* and 17 more"),
+        ("dgcm", wider, f"{vgg} has features.2.weight .64, 32, 3, 3. instead of .64, 64, 3, 3."),
+        ("dgcm", integral, "features.2.weight holds torch.int8"),
+    ):
+        torch.save(state, path)
+        with pytest.raises(WeightsError, match=rf"encoder\.pth: {words}"):
+            initialise_encoder(path, DGCNet(preset(name)), images)

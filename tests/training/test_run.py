@@ -16,11 +16,13 @@ from torch import nn
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.options import PairOptions
 from dgc_pose.synthesis.photos import Photos
 from dgc_pose.synthesis.random_pairs import make_pairs
+from dgc_pose.training.imagenet import vgg_layers
 from dgc_pose.training.log import ProgressLine
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.run import Trainer
@@ -49,6 +51,27 @@ def _draws(seed: int = 1) -> Draw:
 
 def _trainable(stage: nn.Module) -> list[nn.Parameter]:
     return [parameter for parameter in stage.parameters() if parameter.requires_grad]
+
+
+def test_an_encoder_of_imagenet_stays_as_it_is(photos: Photos, tmp_path: Path) -> None:
+    torch.manual_seed(5)
+    layers = vgg_layers(Pyramid(preset("dgc")))
+    torch.save(layers.state_dict(prefix="features."), tmp_path / "vgg16.pth")
+    options = _options(preset="dgc", encoder=str(tmp_path / "vgg16.pth"), minutes=None, steps=4)
+    first = Trainer((photos, photos), tmp_path / "run", options)
+    first.run(minutes=1e-9)
+    second = Trainer((photos, photos), tmp_path / "run", options, resume=True)
+    assert (first.step, second.step) == (1, 1)
+    started = second.net.get_parameter("reg_4.conv0.0.weight").clone()
+    net = second.run()
+    assert second.complete and not torch.equal(net.get_parameter("reg_4.conv0.0.weight"), started)
+    trained = vgg_layers(net.pyramid).state_dict()
+    for key, value in layers.state_dict().items():
+        assert torch.equal(trained[key], value), key
+    assert {path.name.split("_")[0] for path in (tmp_path / "run").glob("*.csv")} <= {
+        "decoders",
+        "polish",
+    }
 
 
 def test_encoder_loss_falls_on_a_fixed_batch(photos: Photos) -> None:
