@@ -51,7 +51,9 @@ def test_the_same_map(name: str) -> None:
         wanted, found = net(*inputs), fast(*inputs)
     apart = _apart_px(found, wanted)
     assert wanted.maps[-1].std() > 1e-3  # a map that is the same everywhere would show nothing
-    assert apart.median() < 1e-3 and apart.quantile(0.99) < 0.05
+    # A transformation's few numbers sum over all cells: rounding moves every pixel alike.
+    assert apart.median() < (1e-2 if net.config.is_geometric else 1e-3)
+    assert apart.quantile(0.99) < 0.05
     assert len(found.logits) == len(wanted.logits)
     if not wanted.logits:
         return
