@@ -107,7 +107,7 @@ def compare_matcher(matcher: Matcher, pairs: MapPairs) -> list[Comparison]:
 
 def image_arrays(images: Tensor) -> np.ndarray:
     """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
-    return _array((255 * images.permute(0, 2, 3, 1)).round().byte())
+    return _array((255 * images.permute(0, 2, 3, 1)).round().byte().contiguous())
 
 
 def _array(values: Tensor) -> np.ndarray:

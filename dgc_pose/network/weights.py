@@ -59,9 +59,7 @@ def load_network(
     else:
         name, state, header = *_read_checkpoint(path), {}
     net = build_network(preset(name))
-    stored = _stored(net)
-    check_state(path, name, *({k: v.shape for k, v in part.items()} for part in (state, stored)))
-    check_tensors(path, state)
+    check_tensors(path, name, state, _stored(net))
     if isinstance(net, GeometricNet) and header.get(_ENCODER) != network_fingerprint(net.pyramid):
         raise WeightsError(f"{path}: trained on another encoder than that of {DEFAULT}")
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
@@ -149,8 +147,12 @@ def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
     return "dgcm" if has_mask else "dgc", state
 
 
-def check_tensors(path: Path, state: Mapping[str, Tensor]) -> None:
-    """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
+def check_tensors(
+    path: Path, name: str, state: Mapping[str, Tensor], wanted: Mapping[str, Tensor]
+) -> None:
+    """Raise WeightsError, naming the first such keys, if keys or shapes of the weights `name` are
+    not those wanted, or values are not finite real floats."""
+    check_state(path, name, *({k: v.shape for k, v in part.items()} for part in (state, wanted)))
     for key, value in state.items():
         if value.layout != torch.strided or not value.is_floating_point():
             raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")

@@ -12,7 +12,6 @@ from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.stored import check_state
 from dgc_pose.network.weights import check_tensors, load_network, read_state
 from dgc_pose.training.imagenet import load_backbone, vgg_layers
 from dgc_pose.training.options import InitPart
@@ -54,9 +53,7 @@ def initialise_encoder(weights: str | Path, net: CorrespondenceNet, images: Tens
         layers = nn.ModuleDict({"features": vgg_layers(net.pyramid)})
         wanted = layers.state_dict()
         state = {key: value for key, value in state.items() if key in wanted}
-        shapes = ({k: v.shape for k, v in part.items()} for part in (state, wanted))
-        check_state(path, "VGG-16 in torchvision's layout", *shapes)
-        check_tensors(path, state)
+        check_tensors(path, "VGG-16 in torchvision's layout", state, wanted)
         layers.load_state_dict(state)
         return
     assert isinstance(net.pyramid, EfficientPyramid)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_pixels
@@ -12,14 +12,14 @@ from dgc_pose.network.net import normalise
 from dgc_pose.synthesis.draw import Draw
 from dgc_pose.synthesis.map_pairs import MapPairs, level_truth
 from dgc_pose.training.losses import joint_mean
-from dgc_pose.training.stages import Loss
+from dgc_pose.training.stages import FrozenEncoderStage, Loss
 from dgc_pose.training.symmetry import SYMMETRIES, Symmetry, brought_back, moved
 
 _GRID = LEVEL_SIZES[COARSEST - 1]  # points a side that the loss is of
 _STEPS = (0, 2, 4)  # from one symmetry of a step to its others
 
 
-class RegressionStage(nn.Module):
+class RegressionStage(FrozenEncoderStage):
     """Both regressions at once, the spline fed with the source warped by the detached affine.
 
     Encoding takes most of the time. Therefore each pair of features is also taken by three random
@@ -28,16 +28,7 @@ class RegressionStage(nn.Module):
     end_to_end: the affine transformation is not detached (the polish stage).
     """
 
-    def __init__(self, net: GeometricNet, end_to_end: bool = False) -> None:
-        super().__init__()
-        self.net = net.requires_grad_(True)
-        net.pyramid.requires_grad_(False)
-        self.end_to_end = end_to_end
-
-    def train(self, mode: bool = True) -> RegressionStage:
-        super().train(mode)
-        self.net.pyramid.eval()
-        return self
+    net: GeometricNet
 
     def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
         """The mean distance over a grid of points, in cells, of the affine transformation and of

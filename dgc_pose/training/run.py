@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
-from dgc_pose.network.config import INPUT_SIZE, preset
+from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import build_network, load_checkpoint, load_network, save_weights
@@ -73,7 +73,7 @@ class Trainer:
             if batch % process_count():
                 raise InputError(f"{batch} pairs do not divide into {process_count()} parts")
         torch.manual_seed(options.seed)
-        self.net = build_network(preset(options.network))
+        self.net = build_network(options.config)
         if options.init is not None:
             initialise_from(options.init, self.net, options.init_part)
         self.net.to(self.device).half_precision = options.half_precision
