@@ -18,7 +18,6 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError
-from dgc_pose.evaluation.map_comparison import image_arrays
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching.cache import BoundedCache
 
@@ -217,6 +216,8 @@ def rendered_pair(
 
 def _posed(views: RenderedPairs, ids: Ids, distortion: Distortion | None = None) -> PosedPair:
     """The first pair of a batch."""
+    from dgc_pose.evaluation.map_comparison import image_arrays
+
     pose = views.cam2_from_cam1[0].double().numpy()
     image1, image2 = (Image(image_arrays(planes[:1])[0]) for planes in (views.image1, views.image2))
     camera1, camera2 = (
