@@ -59,7 +59,7 @@ def initialise_encoder(weights: str | Path, net: CorrespondenceNet, images: Tens
     assert isinstance(net.pyramid, EfficientPyramid)
     try:
         load_backbone(net.pyramid, state, images)
-    except (LookupError, RuntimeError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, RuntimeError) as error:
         what = "not weights of EfficientNet-Lite0"
         raise WeightsError(f"{path}: {what} ({reason(error)})") from error
 
