@@ -216,15 +216,14 @@ def rendered_pair(
 
 def _posed(views: RenderedPairs, ids: Ids, distortion: Distortion | None = None) -> PosedPair:
     """The first pair of a batch."""
-    from dgc_pose.evaluation.map_comparison import image_arrays
+    from dgc_pose.synthesis.render.scene_pair import as_arrays
 
-    pose = views.cam2_from_cam1[0].double().numpy()
-    image1, image2 = (Image(image_arrays(planes[:1])[0]) for planes in (views.image1, views.image2))
+    pair = as_arrays(views)
+    image1, image2 = Image(pair.image1), Image(pair.image2)
     camera1, camera2 = (
-        Camera(K[0].double().numpy(), image.size, distortion)
-        for K, image in ((views.K1, image1), (views.K2, image2))
+        Camera(K, image.size, distortion) for K, image in ((pair.K1, image1), (pair.K2, image2))
     )
-    return PosedPair(Truth(ids, camera1, camera2, pose[:, :3], pose[:, 3]), image1, image2)
+    return PosedPair(Truth(ids, camera1, camera2, pair.R, pair.t), image1, image2)
 
 
 def unrelated_pair(path1: Path, path2: Path) -> PosedPair:

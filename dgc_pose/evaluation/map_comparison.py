@@ -15,7 +15,7 @@ from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.net import normalise
-from dgc_pose.synthesis.map_pairs import MapPairs, level_truth
+from dgc_pose.synthesis.map_pairs import MapPairs, image_arrays, level_truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +103,6 @@ def compare_matcher(matcher: Matcher, pairs: MapPairs) -> list[Comparison]:
         points = (pixel_grid(size) + shift).astype(np.float32)
         comparisons.append(Comparison((LevelMap(points, truth, valid),), mask, known))
     return comparisons
-
-
-def image_arrays(images: Tensor) -> np.ndarray:
-    """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
-    return _array((255 * images.permute(0, 2, 3, 1)).round().byte().contiguous())
 
 
 def _array(values: Tensor) -> np.ndarray:

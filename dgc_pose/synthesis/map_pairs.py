@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -36,6 +37,11 @@ class MapPairs:
     def chosen(self, which: slice | Tensor) -> MapPairs:
         """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
         return changed(self, lambda values: values[which])
+
+
+def image_arrays(images: Tensor) -> np.ndarray:
+    """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
+    return (255 * images.permute(0, 2, 3, 1)).round().byte().contiguous().cpu().numpy()
 
 
 def point_grid(x: Tensor, y: Tensor | None = None) -> Tensor:

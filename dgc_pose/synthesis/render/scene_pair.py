@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.synthesis.draw import Draw
+from dgc_pose.synthesis.map_pairs import image_arrays
 from dgc_pose.synthesis.options import SceneOptions
 from dgc_pose.synthesis.render.bank import TextureBank
 from dgc_pose.synthesis.render.cameras import Cameras, axis_angle, look_at
@@ -77,8 +78,7 @@ def as_arrays(pairs: RenderedPairs) -> RenderedPair:
     names = ("K1", "K2", "map", "depth1", "depth2")
     values = {name: getattr(pairs, name)[0].double().numpy() for name in names}
     for name in ("image1", "image2"):
-        planes = 255 * getattr(pairs, name)[0]
-        values[name] = planes.permute(1, 2, 0).round().byte().contiguous().numpy()
+        values[name] = image_arrays(getattr(pairs, name)[:1])[0]
     pose = pairs.cam2_from_cam1[0].double().numpy()
     return RenderedPair(R=pose[:, :3], t=pose[:, 3], visible=pairs.visible[0].numpy(), **values)
 
