@@ -29,7 +29,10 @@ _STARTS, _STEPS = 101, 50
 _LEAST_TOLD = 0.9
 _FAR = 1.5  # standard deviations of a principal point
 _LEAST_VARIANCE = 1e-9  # of the prior's: keeps an information finite
-_COLUMNS = "name,fx,fy,cx,cy,width,height,focal_std,centre_std_px,camera".split(",")
+_COLUMNS = (
+    *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px", "camera"),
+    *("model", "coefficients"),  # of the lens
+)
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,9 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
         K = camera.K
         numbers = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(camera.size or ("", "")))
         stds = (camera.focal_std, camera.centre_std)
-        lines.writerow([name, *numbers, *stds, camera.identity or ""])
+        lens = camera.distortion
+        of_lens = ("", "") if lens is None else (lens.model, " ".join(map(repr, lens.coefficients)))
+        lines.writerow([name, *numbers, *stds, camera.identity or "", *of_lens])
     text = table.getvalue().encode(errors="backslashreplace")  # names need be no UTF-8
     write_text(out / CAMERAS, text.decode())
 

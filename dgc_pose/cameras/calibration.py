@@ -21,6 +21,7 @@ from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.formats import colmap, plain
+from dgc_pose.cameras.formats.file_cameras import numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
 from dgc_pose.errors import InputError, shortened
@@ -67,7 +68,7 @@ class Calibration:
 
         Raises InputError if there is none, or if it is for another size.
         """
-        camera = self.named(str(root / name)) or self._of_part(root / name, part) or self.common
+        camera = self.named(root, name) or self._of_part(root / name, part) or self.common
         if camera is not None:
             is_of_pair = part is not None and not self.by_name
             label = self.where if is_of_pair else f"{self.where}: {name}: K"
@@ -83,22 +84,34 @@ class Calibration:
             raise InputError(f"{self.where} has no camera for {name}{which}")
         raise InputError(f"no camera for {name}: give --K, or --K auto")
 
-    def says_nothing_of(self, name: str) -> bool:
+    def says_nothing_of(self, root: Path, name: str) -> bool:
         """Whether an image may take a camera from elsewhere, such as a list of pairs."""
-        return self.common is None and self.auto is None and self.named(name) is None
+        return self.common is None and self.auto is None and self.named(root, name) is None
 
-    def named(self, name: str) -> Camera | None:
+    def named(self, root: Path, name: str) -> Camera | None:
         """The camera that the file has for an image: of all of its file name, that with the most
         folders in common. A name in the file may lack its ending.
 
+        A name with another folder is of another image, where the folder is one of `name`, or one
+        of `root` that the file has for others. Any other root may hold copies of the photographs.
+        Without a root, so may another folder in place of those that all names in the file begin
+        with.
+
         Raises InputError if that leaves several cameras.
         """
-        path = PurePath(name)
+        path = PurePath(os.path.abspath(root / name))
         alike = {**self._by_file_name.get(path.stem, {}), **self._by_file_name.get(path.name, {})}
-        if not alike:
+        parts, given = (*path.parts[:-1], path.stem), len(PurePath(name).parts)
+        common, folders = self._folders
+        common = 0 if root.parts else common
+        shared = {}
+        for other in alike:
+            count = _common_tail(_parts(other), parts)
+            differs = count < len(_parts(other)) - common
+            if not (differs and (count < given or parts[-1 - count] in folders)):
+                shared[other] = count
+        if not shared:
             return None
-        parts = (*path.parts[:-1], path.stem)
-        shared = {other: _common_tail(_parts(other), parts) for other in alike}
         most = max(shared.values())
         nearest = {id(alike[other]): other for other, count in shared.items() if count == most}
         if len(nearest) > 1:
@@ -112,6 +125,13 @@ class Calibration:
         for name, camera in self.by_name.items():
             names.setdefault(PurePosixPath(name).name, {})[name] = camera
         return names
+
+    @cached_property
+    def _folders(self) -> tuple[int, set[str]]:
+        """How many folders all names begin with, and the further ones of each."""
+        folders = [_parts(name)[:-1] for name in self.by_name]
+        common = len(os.path.commonprefix(folders))
+        return common, {folder for of_name in folders for folder in of_name[common:]}
 
     def _of_part(self, path: Path, part: str | None) -> Camera | None:
         if not self.parts:
@@ -249,6 +269,9 @@ def read_calibration(
         return Calibration(name, common=camera, details=details)
     try:
         cameras = read_file(Path(head), name)
+        refused = [why for of, why in cameras.refused.items() if part in ("", of)]
+        if refused:
+            raise InputError(f"{head}: {refused[0]}")
     except InputError as error:
         raise error if str(error).startswith(name) else InputError(f"{name}: {error}") from error
     except OSError as error:
@@ -257,7 +280,7 @@ def read_calibration(
     if part:
         common = cameras.parts.get(part)
         if common is None:
-            parts = ", ".join(cameras.parts) or "a single camera"
+            parts = ", ".join([*cameras.parts, *cameras.refused]) or "a single camera"
             raise InputError(f"{name}: {head} has {parts}, and no {shortened(part)}")
         return Calibration(text, common=common, details=details)
     if common is not None and common.identity is None:
@@ -268,7 +291,7 @@ def read_calibration(
 def _parse_text(text: str, name: str) -> Camera:
     """The camera of numbers or of a line of COLMAP's. Raises InputError, naming `name`."""
     if (numbers := plain.numbers_of(text)) is not None and len(numbers) in (4, 9):
-        return plain.numbers_camera(numbers, name)
+        return numbers_camera(numbers, name)
     if not colmap.is_line(text):
         raise InputError(
             f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "

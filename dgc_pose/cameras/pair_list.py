@@ -7,6 +7,7 @@ rotations are refused, since K and T are of the images as stored.
 """
 
 import csv
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -25,7 +26,7 @@ FIELDS = 38
 Names = tuple[str, str]
 
 _SHORTER = (2, 4, 22)  # fields of a line that ends after the names, the rotations or the K
-_HEADINGS = (("name1", "name2"), ("name0", "name1"), ("image1", "image2"), ("image0", "image1"))
+_COLUMN = re.compile(r"[^\d./\\]+[01][^\d./\\]*")  # has no file's ending
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def read_pair_list(path: Path) -> PairList:
     cameras: dict[str, Camera] = {}
     for line, where in _lines(path):
         names = _table_row(line, where) if is_table else _names(line.split(), where, cameras)
-        if not pairs and is_table and tuple(name.lower() for name in names) in _HEADINGS:
+        if not pairs and is_table and _is_heading(*map(str.lower, names)):
             continue
         if names[0] == names[1]:
             raise InputError(f"{where}: {names[0]} is paired with itself")
@@ -160,6 +161,12 @@ def _table_row(line: str, where: str) -> Names:
     if len(cells) < 2 or not all(cells[:2]):
         raise InputError(f"{where}: expected name1,name2, not {line.strip()!r}")
     return cells[0], cells[1]
+
+
+def _is_heading(first: str, second: str) -> bool:
+    """Whether two names differ in their only digit, 0 and 1 or 1 and 2, as image1_path does."""
+    alike = {first.replace("0", "1"), first.replace("1", "2")} - {first}
+    return _COLUMN.fullmatch(first) is not None and second in alike
 
 
 def _require_upright(words: list[str], where: str) -> None:

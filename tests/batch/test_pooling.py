@@ -12,6 +12,7 @@ from dgc_pose.batch.pooling import Told, centre_moved, pool, pooled_fit, write_c
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 
 PRIOR, CENTRE = 0.4, 5.0
 SIZE = (100, 80)
@@ -160,12 +161,18 @@ def test_images_of_two_sizes_share_no_principal_point() -> None:
 
 
 def test_the_cameras_are_read_back(tmp_path: Path) -> None:
-    cameras = {'a "1", 2.png': _camera("x"), "b/c.png": replace(_camera(None), focal_std=1 / 3)}
+    lens = Distortion("OPENCV", (-0.3, 0.1, 1e-3, 0.0))
+    cameras = {
+        'a "1", 2.png': _camera("x"),
+        "b/c.png": replace(_camera(None), focal_std=1 / 3),
+        "d.png": replace(_camera("y"), distortion=lens),
+    }
     write_cameras(tmp_path, cameras)
     again = read_calibration(str(tmp_path / "cameras.csv")).by_name
     assert list(again) == list(cameras)
     for name, camera in cameras.items():
         np.testing.assert_array_equal(again[name].K, camera.K)
+        assert again[name].distortion == camera.distortion
         assert again[name].size == SIZE and again[name].identity == camera.identity
         assert again[name].focal_std == camera.focal_std
         assert again[name].centre_std == CENTRE

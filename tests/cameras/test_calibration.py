@@ -88,7 +88,7 @@ def test_a_single_colmap_camera_serves_all(tmp_path: Path) -> None:
         ("cameras.txt", "", "no cameras"),
         ("cameras.bin", "xx", "not COLMAP's cameras"),
         ("c.csv", "name,fx\na,1\n", ":2: expected the columns"),
-        ("c.csv", "name,fx,fy,cx,cy\na,1,-1,1,1\n", ":2: expected the columns"),
+        ("c.csv", "name,fx,fy,cx,cy\na,1,-1,1,1\n", ":2: K must have positive focal"),
         ("c.csv", "name,fx,fy,cx,cy\n", "no cameras"),
         ("t.json", "{", "t.json is not JSON that can be read"),
         ("t.json", '{"frames": [{"file_path": "a.png"}]}', "no fl_x, and no camera_angle_x with w"),

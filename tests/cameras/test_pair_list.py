@@ -119,10 +119,22 @@ def test_two_names_a_line(tmp_path):
     assert pairs == (("a.jpg", "b.jpg"), ("b.jpg", "c/d.jpg"))
 
 
-@pytest.mark.parametrize("heading", ["", "name1,name2\n", "image0, image1, score\n"])
+HEADINGS = ["", "name1,name2\n", "image0, image1, score\n", "image_1,image_2\n", "IMG1,IMG2\n"]
+HEADINGS += ["image1_path,image2_path\n", "filename0,filename1\n", "# pairs\nImage 1,Image 2\n"]
+
+
+@pytest.mark.parametrize("heading", HEADINGS)
 def test_csv_with_and_without_a_heading(tmp_path, heading):
     path = pair_file(tmp_path, heading + 'a b.jpg,c.jpg,0.5\n"x,y.png", c.jpg\n', "pairs.csv")
     assert read_pair_list(path).pairs == (("a b.jpg", "c.jpg"), ("x,y.png", "c.jpg"))
+
+
+@pytest.mark.parametrize(
+    "row", ["img1.png,img2.png", "1,2", "img2,img3", "img1,img1_", "d/img1,d/img2", "a1,b2"]
+)
+def test_a_first_row_that_is_no_heading(tmp_path, row):
+    path = pair_file(tmp_path, f"{row}\nimg1,img2\n", "pairs.csv")
+    assert read_pair_list(path).pairs == (tuple(row.split(",")), ("img1", "img2"))
 
 
 @pytest.mark.parametrize("fields", [2, 4, 22, 38])

@@ -1,13 +1,13 @@
-"""What a file says of cameras, and the lenses that several formats share."""
+"""What a file says of cameras, and the numbers in it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.errors import InputError
 
 Size = tuple[int, int]  # (width, height), pixels
@@ -21,6 +21,7 @@ class FileCameras:
     # Of a rig or a pair: "cam1" of Kalibr, "image_2" of KITTI, "K2" of the second image.
     parts: Mapping[str, Camera] = field(default_factory=dict)
     common: Camera | None = None  # of all other images
+    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
 
 
 def matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
@@ -28,35 +29,36 @@ def matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
 
-def rig(parts: Mapping[str, Camera], path: Path) -> FileCameras:
-    """The cameras of a rig, each of the images below a folder of its name; the first is that of
-    other images."""
-    parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return FileCameras(parts=parts, common=next(iter(parts.values())))
+def numbers(value: Any) -> list[float] | None:
+    """The numbers of a text, a list, or a matrix of cv::FileStorage or ROS, row by row; None if it
+    holds anything else."""
+    if isinstance(value, Mapping):
+        value = value.get("data", "none")
+    if isinstance(value, str):
+        value = value.replace(",", " ").split()
+    try:
+        return [] if value is None else np.array(value, np.float64).ravel().tolist()
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
-def opencv_lens(coefficients: Sequence[float]) -> Distortion | None:
-    """COLMAP's model of OpenCV's coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]].
+def numbers_camera(values: Any, name: str = "K") -> Camera:
+    """The camera of fx fy cx cy, or of the nine numbers of a matrix.
 
-    None if all are zero. Raises InputError for another number of them, and for a thin prism or a
-    tilted sensor, which COLMAP has for no lens of this kind.
+    Raises InputError, naming `name`.
     """
-    if len(coefficients) not in (0, 4, 5, 8, 12, 14):
-        raise InputError(f"{len(coefficients)} distortion coefficients, not 4, 5, 8, 12 or 14")
-    values = (*coefficients, *[0.0] * (14 - len(coefficients)))
-    if any(values[8:]):
-        raise InputError(
-            "the distortion has a thin prism or a tilted sensor, which no COLMAP model has: "
-            "calibrate without CALIB_THIN_PRISM_MODEL and CALIB_TILTED_MODEL"
-        )
-    if any(values[4:]):
-        return Distortion("FULL_OPENCV", values[:8])
-    return Distortion("OPENCV", values[:4]) if any(values) else None
+    array = np.asarray(values, dtype=np.float64)
+    if array.size == 4:
+        return matrix_camera(matrix(*array.ravel().tolist()), name)
+    if array.size != 9:
+        raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
+    if not array.any():
+        raise InputError(f"{name} is all zeros: the camera is not calibrated")
+    return matrix_camera(array.reshape(3, 3), name)
 
 
-def fisheye_lens(coefficients: Sequence[float]) -> Distortion:
-    """COLMAP's model of OpenCV's fisheye coefficients k1 k2 k3 k4, which are the equidistant ones
-    of Kalibr and ROS. Raises InputError for another number of them."""
-    if len(coefficients) != 4:
-        raise InputError(f"{len(coefficients)} fisheye coefficients, not 4")
-    return Distortion("OPENCV_FISHEYE", tuple(coefficients))
+def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:
+    """The cameras of a rig, each of the images below a folder of its name; the first is that of
+    other images. refused: of the rig's further cameras, why they are not read."""
+    parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
+    return FileCameras(parts=parts, common=next(iter(parts.values()), None), refused=refused)

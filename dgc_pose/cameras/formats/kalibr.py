@@ -6,13 +6,8 @@ from typing import Any
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.formats.file_cameras import (
-    FileCameras,
-    fisheye_lens,
-    matrix,
-    opencv_lens,
-    rig,
-)
+from dgc_pose.cameras.formats.file_cameras import FileCameras, matrix, rig
+from dgc_pose.cameras.formats.lens import file_lens, require_read
 from dgc_pose.errors import InputError
 
 
@@ -24,10 +19,20 @@ def is_camchain(data: Mapping[str, Any]) -> bool:
 def camchain(data: Mapping[str, Any], path: Path) -> FileCameras:
     """The cameras of a camchain: "cam0" is that of images that lie below no folder of such a name.
 
-    path: for the identity of the cameras. Raises InputError for a model that COLMAP does not have.
+    path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
+    Raises InputError as `require_read` does.
     """
-    cameras = _cameras(data)
-    return rig({name: _camera(values, name) for name, values in cameras.items()}, path)
+    listed = _cameras(data)
+    cameras: dict[str, Camera] = {}
+    refused: dict[str, str] = {}
+    for name, values in listed.items():
+        try:
+            cameras[name] = _camera(values)
+        except InputError as error:
+            refused[name] = f"{name}: {error}"
+    if data is not listed.get("cam0"):
+        require_read(data, *listed)
+    return rig(cameras, path, refused)
 
 
 def _cameras(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -40,27 +45,12 @@ def _cameras(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     }
 
 
-def _camera(data: Mapping[str, Any], where: str) -> Camera:
-    model, numbers = data.get("camera_model", "pinhole"), [float(x) for x in data["intrinsics"]]
-    lens = _lens(data, where)
-    if model == "eucm" and len(numbers) == 6 and lens is None:
+def _camera(data: Mapping[str, Any]) -> Camera:
+    numbers = [float(x) for x in data["intrinsics"]]
+    is_eucm = data.get("camera_model") == "eucm" and len(numbers) == 6
+    alone = {"camera_model": "pinhole", "distortion_model": "none"} if is_eucm else {}
+    lens = file_lens({"distortion_model": "none", **data, **alone}, "intrinsics")
+    if is_eucm:
         lens, numbers = Distortion("EUCM", tuple(numbers[:2])), numbers[2:]
-    elif model != "pinhole":
-        raise InputError(f"{where}: the camera_model {model!r} has no COLMAP model")
     size = data.get("resolution")
     return Camera(matrix(*numbers), None if size is None else (int(size[0]), int(size[1])), lens)
-
-
-def _lens(data: Mapping[str, Any], where: str) -> Distortion | None:
-    model = str(data.get("distortion_model", "none"))
-    listed = data.get("distortion_coeffs") or data.get("distortion_coefficients") or ()
-    coefficients = [float(value) for value in listed]
-    if model == "none":
-        return None
-    if model in ("radtan", "radial-tangential", "plumb_bob"):
-        return opencv_lens(coefficients)
-    if model == "equidistant":
-        return fisheye_lens(coefficients)
-    if model == "fov":
-        return Distortion("FOV", tuple(coefficients))
-    raise InputError(f"{where}: the distortion_model {model!r} has no COLMAP model")

@@ -10,10 +10,12 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.file_cameras import FileCameras, Size, rig
+from dgc_pose.cameras.formats.lens import require_read
 from dgc_pose.errors import InputError
 
 _PROJECTION = re.compile(r"P(?:_rect_)?(\d+):\s*(.*)")
 _SIZE = re.compile(r"S_rect_(\d+):\s*(\S+)\s+(\S+)")
+_OTHERS = re.compile(r"(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)")  # S, K, D: unrectified
 
 
 def is_kitti(text: str) -> bool:
@@ -25,8 +27,10 @@ def read_kitti(text: str, path: Path) -> FileCameras:
     """The cameras "image_0", "image_1", ... of a text of KITTI's; the first is that of images that
     lie below no folder of such a name.
 
-    Raises InputError, with the path and line.
+    Raises InputError, with the path and line, and as `require_read` does.
     """
+    others = filter(None, map(_OTHERS.match, text.splitlines()))
+    require_read({match[1]: match[2] for match in others})
     cameras: dict[int, Camera] = {}
     sizes: dict[int, Size] = {}
     for number, line in enumerate(text.splitlines(), start=1):
@@ -38,4 +42,4 @@ def read_kitti(text: str, path: Path) -> FileCameras:
                 sizes[int(match[1])] = int(float(match[2])), int(float(match[3]))
         except (ValueError, OverflowError) as error:
             raise InputError(f"{path}:{number}: not a 3x4 projection ({error})") from None
-    return rig({f"image_{number}": camera for number, camera in cameras.items()}, path)
+    return rig({f"image_{number}": camera for number, camera in cameras.items()}, path, {})

@@ -10,11 +10,13 @@ from dataclasses import replace
 from typing import Any
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.formats.file_cameras import FileCameras, fisheye_lens, matrix, opencv_lens
+from dgc_pose.cameras.formats.file_cameras import FileCameras, matrix
+from dgc_pose.cameras.formats.lens import file_lens, may_matter
 from dgc_pose.errors import InputError, reason
 
-_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
+_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
+# Of these a frame's own are in place of all that the file has for the others.
+_SAME = (_KEYS[:4], ("camera_model", "is_fisheye"))
 
 
 def is_transforms(data: Mapping[str, Any]) -> bool:
@@ -33,10 +35,14 @@ def transforms(data: Mapping[str, Any], where: str) -> FileCameras:
             common = replace(common, identity=where)
         by_name = {}
         for frame in data.get("frames", ()):
-            own = {key: value for key, value in frame.items() if key in _KEYS}
-            camera = common if not own else _camera({**data, **own})
+            own = {key: value for key, value in frame.items() if key in _KEYS or may_matter(key)}
+            replaced = {key for keys in _SAME if not own.keys().isdisjoint(keys) for key in keys}
+            rest = {key: value for key, value in data.items() if key not in replaced}
+            camera = common if not own else _camera({**rest, **own})
             if camera is not None:
                 by_name[str(frame["file_path"])] = camera
+            elif common is not None:
+                raise ValueError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
@@ -46,42 +52,24 @@ def transforms(data: Mapping[str, Any], where: str) -> FileCameras:
     return FileCameras(by_name, common=common)
 
 
-_RADIAL, _TANGENTIAL = ("k1", "k2", "k3", "k4"), ("p1", "p2")
-_KEYS = (
-    *_RADIAL,
-    *_TANGENTIAL,
-    *("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y"),
-    *("camera_model", "is_fisheye"),
-)
-
-
 def _camera(data: Mapping[str, Any]) -> Camera | None:
     """Intrinsics of a file or frame."""
     width, height = data.get("w"), data.get("h")
     size = None if width is None or height is None else (int(width), int(height))
-    fx, fy = data.get("fl_x"), data.get("fl_y")
-    if fx is None and size is not None and "camera_angle_x" in data:
-        fx = size[0] / 2 / math.tan(float(data["camera_angle_x"]) / 2)
-        if fy is None and "camera_angle_y" in data:
-            fy = size[1] / 2 / math.tan(float(data["camera_angle_y"]) / 2)
-    if fx is None:
+    fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
+    fx, fy = fx or fy, fy or fx
+    if fx is None or fy is None:
         return None
     if size is None and not ("cx" in data and "cy" in data):
         raise ValueError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
     cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
-    K = matrix(float(fx), float(fx if fy is None else fy), cx, cy)
-    return Camera(K, size, _lens(data))
+    return Camera(matrix(fx, fy, cx, cy), size, file_lens(data))
 
 
-def _lens(data: Mapping[str, Any]) -> Distortion | None:
-    model = str(data.get("camera_model", "OPENCV"))
-    k1, k2, k3, k4 = (float(data.get(key, 0)) for key in _RADIAL)
-    p1, p2 = (float(data.get(key, 0)) for key in _TANGENTIAL)
-    if model == "OPENCV_FISHEYE" or data.get("is_fisheye"):
-        return fisheye_lens((k1, k2, k3, k4))
-    if model not in _PERSPECTIVE:
-        raise InputError(f"the camera_model {model!r} is not read")
-    if k4:  # of the eighth power of the radius
-        raise InputError(f"k4 of the camera_model {model}, which no COLMAP model has")
-    return opencv_lens((k1, k2, p1, p2, k3))
+def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:
+    """The focal length along an axis, pixels; side: of the image."""
+    if data.get(f"fl_{axis}") is not None:
+        return float(data[f"fl_{axis}"])
+    angle = data.get(f"camera_angle_{axis}")
+    return None if angle is None or side is None else side / 2 / math.tan(float(angle) / 2)

@@ -9,7 +9,7 @@
 | ROS's camera_info, YAML | (0, 0) | - |
 | Kalibr's camchain, YAML | (0, 0) | folder `cam0`, `cam1`, ... |
 | KITTI's calib.txt, calib_cam_to_cam.txt | (0, 0) | folder `image_0`, `image_02`, ... |
-| .csv with name, fx, fy, cx, cy[, width, height] | (0, 0) | name |
+| .csv with name, fx, fy, cx, cy[, width, height, k1, k2, p1, p2] | (0, 0) | name |
 | JSON with K, or fx, fy, cx, cy; or with K1 and K2 | (0, 0) | image 1 or 2 of a pair |
 | 3x3, or fx fy cx cy, as text or .npy | (0, 0) | - |
 
@@ -19,9 +19,10 @@
 import json
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from dgc_pose.cameras.formats import colmap, kalibr, kitti, nerf, opencv, plain, ros
-from dgc_pose.cameras.formats.file_cameras import FileCameras
+from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers_camera
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.yaml_files import yaml_data
@@ -56,7 +57,7 @@ def _read_file(path: Path) -> FileCameras:
         raise InputError(f"{path} is empty")
     if "<opencv_storage>" in text:
         with read_as("XML", path):
-            return _of_mapping(opencv.xml_data(text), path)
+            return _of_mapping(opencv.xml_data(ElementTree.fromstring(text)), path)
     if ending == ".json" or text.lstrip().startswith("{"):
         with read_as("JSON", path):
             return _of_mapping(json.loads(text), path)
@@ -78,17 +79,15 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
     """The cameras of what JSON, YAML or XML holds."""
     with read_as("a file of cameras", path):
         if not isinstance(data, dict):
-            return FileCameras(common=plain.numbers_camera(data))
+            return FileCameras(common=numbers_camera(data))
         if ros.is_camera_info(data) and "intrinsics" not in data:
             return ros.camera_info(data)
         if kalibr.is_camchain(data):
             return kalibr.camchain(data, path)
         if nerf.is_transforms(data):
             return nerf.transforms(data, str(path))
-        if opencv.is_storage(data):
-            return opencv.storage_camera(data)
-        if plain.is_cameras_json(data):
-            return plain.json_cameras(data)
+        if opencv.is_keyed(data):
+            return opencv.keyed_cameras(data)
     raise InputError(
         f"no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys "
         f"({shortened(', '.join(map(str, data)))})"
@@ -98,7 +97,7 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
 def _of_numbers(text: str, lines: list[str], path: Path) -> FileCameras:
     numbers = plain.numbers_of("\n".join(lines)) if len(text) <= _MAX_NUMBERS else None
     if numbers is not None:
-        return FileCameras(common=plain.numbers_camera(numbers))
+        return FileCameras(common=numbers_camera(numbers))
     if path.suffix.lower() == ".csv":
         return plain.read_table(text, path)
     raise InputError(

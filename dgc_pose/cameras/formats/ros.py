@@ -7,14 +7,9 @@ the rectified one.
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.formats.file_cameras import FileCameras, fisheye_lens, opencv_lens
+from dgc_pose.cameras.formats.file_cameras import FileCameras
+from dgc_pose.cameras.formats.opencv import keyed_camera
 from dgc_pose.errors import InputError
-
-_OPENCV = ("plumb_bob", "rational_polynomial", "")
 
 
 def is_camera_info(data: Mapping[str, Any]) -> bool:
@@ -28,25 +23,8 @@ def camera_info(data: Mapping[str, Any]) -> FileCameras:
     Raises InputError for a lens that COLMAP has no model of, and for a message of
     another image than the whole sensor's.
     """
-    if "camera_matrix" in data:
-        K = data["camera_matrix"]["data"]
-        coefficients = data.get("distortion_coefficients", {}).get("data") or ()
-        size = int(data["image_width"]), int(data["image_height"])
-    else:
-        K = data["K"] if "K" in data else data["k"]
-        coefficients = data.get("D") or data.get("d") or ()
-        size = int(data["width"]), int(data["height"])
     _require_whole(data)
-    lens = _lens(str(data["distortion_model"]), [float(value) for value in coefficients])
-    return FileCameras(common=Camera(np.array(K, dtype=np.float64).reshape(3, 3), size, lens))
-
-
-def _lens(model: str, coefficients: list[float]) -> Distortion | None:
-    if model in _OPENCV:
-        return opencv_lens(coefficients)
-    if model in ("equidistant", "fisheye"):
-        return fisheye_lens(coefficients)
-    raise InputError(f"the distortion_model {model!r} has no COLMAP model")
+    return FileCameras(common=keyed_camera(data))
 
 
 def _require_whole(data: Mapping[str, Any]) -> None:

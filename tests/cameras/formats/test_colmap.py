@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dgc_pose.cameras.calibration import parse_camera, read_calibration
+from dgc_pose.cameras.calibration import Calibration, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.formats.colmap import write_line
@@ -142,3 +142,46 @@ def test_an_image_of_a_model_by_its_name_or_file_name(
         calibration.camera(Path(), "x.jpg", header)
     with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
         calibration.camera(Path(), "2.jpg", header)
+
+
+@pytest.mark.parametrize(
+    ("listed", "root", "name", "found"),
+    [
+        (("left/1.png", "right/2.png"), "/F", "left/1.png", True),
+        (("left/1.png", "right/2.png"), "/F", "right/1.png", False),
+        (("left/1.png", "right/2.png"), "/F", "third/1.png", False),
+        (("left/1.png", "right/2.png"), "/F/right", "1.png", False),
+        (("left/1.png", "right/2.png"), "/copy", "1.png", True),
+        (("left/1.png", "right/2.png"), "", "1.png", True),
+        (("left/1.png", "right/2.png"), "", "/F/copy/left/1.png", True),
+        (("left/1.png", "right/2.png"), "", "/F/right/1.png", False),
+        (("a/left/1.png", "a/right/2.png", "b/left/2.png"), "/F", "b/left/1.png", False),
+        (("x/left/1.png", "x/right/2.png"), "", "x_8/left/1.png", True),
+        (("x/left/1.png", "x/right/2.png"), "/F", "x_8/left/1.png", False),
+        (("left/1.png", "left/2.png"), "/F", "right/1.png", False),
+        (("left/1.png", "left/2.png"), "/F/copy", "1.png", True),
+        (("x/left/1.png", "x/right/2.png"), "/F", "x/right/1.png", False),
+        (("images/1.png", "images/2.png"), "", "/F/images_8/1.png", True),
+        (("../images/1", "../images/2"), "/F", "1.png", True),
+        (("1.png", "2.png"), "/F", "any/folder/1.png", True),
+    ],
+)
+def test_another_folder_contradicts(
+    listed: tuple[str, ...], root: str, name: str, *, found: bool
+) -> None:
+    cameras = {
+        image: Camera(np.diag([500.0 + number, 500, 1])) for number, image in enumerate(listed)
+    }
+    camera = Calibration("sparse", cameras).named(Path(root), name)
+    assert (camera is cameras[listed[0]]) if found else camera is None
+
+
+def test_another_folder_contradicts_from_within_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A name without folders is of the working folder."""
+    cameras = {f"{name}.png": Camera(np.eye(3)) for name in ("left/1", "right/2", "right/3")}
+    (tmp_path / "right").mkdir()
+    monkeypatch.chdir(tmp_path / "right")
+    assert Calibration("sparse", cameras).named(Path(), "1.png") is None
+    assert Calibration("sparse", cameras).named(Path(), "3.png") is cameras["right/3.png"]

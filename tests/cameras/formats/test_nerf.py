@@ -46,6 +46,33 @@ def test_the_fields_of_view_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("own", "focals"),
+    [
+        ({"camera_angle_x": 2 * math.atan(0.5)}, [640, 640]),
+        ({"camera_angle_x": 2 * math.atan(0.5), "fl_y": 600}, [640, 600]),
+        ({"fl_x": 700}, [700, 700]),
+        ({"fl_x": 700, "fl_y": 710}, [700, 710]),
+        ({"cx": 320.5}, [500, 510]),
+    ],
+)
+@pytest.mark.parametrize("common", [{}, {"camera_angle_x": 1.0, "camera_angle_y": 0.8}])
+def test_a_frames_own_focal_lengths(
+    tmp_path: Path, own: dict[str, float], focals: list[float], common: dict[str, float]
+) -> None:
+    frames = [{"file_path": "a", **own}]
+    camera = _read(tmp_path, {**ALL, **common, "frames": frames})
+    np.testing.assert_allclose(camera.K.diagonal()[:2], focals)
+
+
+def test_a_frames_own_model(tmp_path: Path) -> None:
+    data = {**ALL, "is_fisheye": True, "k1": 0.1}
+    assert _read(tmp_path, {**data, "frames": [{"file_path": "a"}]}).distortion is not None
+    for own in ({"is_fisheye": False}, {"camera_model": "OPENCV"}):
+        lens = _read(tmp_path, {**data, "frames": [{"file_path": "a", **own}]}).distortion
+        assert lens is not None and lens.model == "OPENCV"
+
+
+@pytest.mark.parametrize(
     ("model", "lens"),
     [
         ({"camera_model": "OPENCV"}, {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001}),
@@ -79,9 +106,16 @@ def test_frames_of_common_intrinsics_have_one_identity(tmp_path: Path) -> None:
     [
         ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
         ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
-        ({**ALL, "camera_model": "EQUIRECTANGULAR", "frames": []}, "'EQUIRECTANGULAR' is not read"),
-        ({**ALL, "k4": 0.1, "frames": []}, "k4 of the camera_model OPENCV, which no COLMAP"),
+        (
+            {**ALL, "camera_model": "EQUIRECTANGULAR", "frames": []},
+            "'EQUIRECTANGULAR' has no COLMAP",
+        ),
+        ({**ALL, "k4": 0.1, "frames": []}, ": k4 may be of the lens"),
         ({**ALL, "frames": [{}]}, "file_path"),
+        (
+            {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
+            "a has no fl_x, and no camera_angle_x with w",
+        ),
         ({**ALL, "frames": 3}, "not a transforms.json"),
     ],
 )

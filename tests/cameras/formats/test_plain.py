@@ -55,6 +55,16 @@ def test_a_table(tmp_path: Path) -> None:
     assert cameras[0].size == SIZE and cameras[0].K[1, 1] == 510
 
 
+def test_a_name_twice_in_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.csv"
+    text = "name,fx,fy,cx,cy\na,500,510,320,240\nb,500,510,320,240\na,500,510,320,240\n"
+    path.write_text(text)
+    assert read_calibration(str(path)).by_name["a"].K[0, 0] == 500
+    path.write_text(text + "a,600,610,320,240\n")
+    with pytest.raises(InputError, match=r"cameras\.csv:5: another camera of a than in a line"):
+        read_calibration(str(path))
+
+
 @pytest.mark.parametrize(
     "data",
     [
@@ -106,8 +116,8 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path, keys: tuple[str, str]) ->
         ({"K": K.tolist(), "focal_std": -0.1}, "focal_std must be finite and at least 0"),
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
         ({"K": K.tolist(), "centre_std_px": math.inf}, "centre_std must be finite and at least 0"),
-        ({"camera1": None, "camera2": None}, "not a camera in JSON"),
-        ({"fx": 1}, "not a camera in JSON"),
+        ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
+        ({"fx": 1}, "not a file of cameras that can be read"),
         ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
         ({"other": 1}, "no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys"),
     ],

@@ -172,6 +172,26 @@ def test_which_camera_of_a_rig(tmp_path: Path) -> None:
         parse_camera(f"{path}:cam2")
 
 
+def test_only_the_camera_that_is_asked_for_must_be_one_of_ours(tmp_path: Path) -> None:
+    text = KALIBR.format(model="omni", coefficients=[]) + "cam2:\n  camera_model: omni\n"
+    text += "  intrinsics: [1.5, 500, 500, 320, 240]\n"
+    path = _write(tmp_path / "camchain.yaml", text)
+    assert parse_camera(f"{path}:cam1").K[0, 0] == 400
+    for source, name in ((path, "cam0"), (f"{path}:cam0", "cam0"), (f"{path}:cam2", "cam2")):
+        with pytest.raises(
+            InputError, match=rf"{path}: {name}: the \w+_model 'omni' has no COLMAP"
+        ):
+            read_calibration(source)
+    with pytest.raises(InputError, match=r"has cam1, cam0, cam2, and no cam3$"):
+        parse_camera(f"{path}:cam3")
+
+
+def test_a_lens_of_eucm_besides_its_own_is_refused(tmp_path: Path) -> None:
+    text = KALIBR.format(model="none", coefficients=[]).replace("[]\n  T_cn", "[0.1]\n  T_cn")
+    with pytest.raises(InputError, match="cam1: distortion_coeffs may be of the lens"):
+        parse_camera(_write(tmp_path / "camchain.yaml", text))
+
+
 def test_eurocs_sensor(tmp_path: Path) -> None:
     """The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML does."""
     text = (
@@ -187,6 +207,16 @@ def test_eurocs_sensor(tmp_path: Path) -> None:
     ("text", "said"),
     [
         (ROS.format(model="thin_prism", count=0, coefficients=[]), "'thin_prism' has no COLMAP"),
+        (
+            ROS.format(model="", count=0, coefficients=[]).replace(
+                "[500.0, 0., 321.25, 0., 5.1e+02, 238.5, 0., 0., 1.]", str([0] * 9)
+            ),
+            "camera_matrix is all zeros: the camera is not calibrated",
+        ),
+        (
+            "distortion_model: ''\nheight: 480\nwidth: 640\nK: [0, 0, 0, 0, 0, 0, 0, 0, 0]\n",
+            "K is all zeros: the camera is not calibrated",
+        ),
         (ROS.format(model="equidistant", count=2, coefficients=[0, 1]), "2 fisheye coefficients"),
         (KALIBR.format(model="radtan", coefficients=[1]), "1 distortion coefficients"),
         (KALIBR.replace("eucm", "ds").format(model="none", coefficients=[]), "'ds' has no COLMAP"),

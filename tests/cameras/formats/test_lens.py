@@ -1,0 +1,148 @@
+"""Keys that may be of a lens are read or refused, in every format."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dgc_pose.cameras.calibration import camera_data, parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.errors import InputError
+from dgc_pose.images.header import Header
+
+SIZE = (640, 480)
+K = [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]
+FLAT = {"fx": 500, "fy": 510, "cx": 320, "cy": 240}
+ROS = {"image_width": 640, "image_height": 480, "distortion_model": "plumb_bob"}
+NERF = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5}
+KALIBR = {"camera_model": "pinhole", "intrinsics": [500, 510, 320, 240], "resolution": [640, 480]}
+RADTAN = {"distortion_model": "radtan", "distortion_coeffs": [-0.3, 0.1, 0.001, 0.002]}
+LENS = Distortion("OPENCV", (-0.3, 0.1, 0.001, 0.002))
+ONE_BY_ONE = {"k1": -0.3, "k2": 0.1, "p1": 0.001, "p2": 0.002}
+
+DATA = camera_data(Camera(np.array(K), SIZE))
+
+
+def _words(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+# A file's name, and its text with further keys.
+FORMATS: dict[str, tuple[str, Any]] = {
+    "YAML": ("c.yml", lambda **key: json.dumps({"camera_matrix": K, **key})),
+    "XML": (
+        "c.xml",
+        lambda **key: (
+            "<opencv_storage><camera_matrix><rows>3</rows><cols>3</cols><data>500 0 320 0 510 240"
+            " 0 0 1</data></camera_matrix>"
+            + "".join(f"<{name}>{_words(value)}</{name}>" for name, value in key.items())
+            + "</opencv_storage>"
+        ),
+    ),
+    "JSON": ("K.json", lambda **key: json.dumps({"K": K, **key})),
+    "JSON, fx": ("K.json", lambda **key: json.dumps({**FLAT, **key})),
+    "JSON, COLMAP's": (
+        "K.json",
+        lambda **key: json.dumps({"K": K, "model": "SIMPLE_RADIAL", "coefficients": [0.1], **key}),
+    ),
+    "JSON of a pair": ("K.json", lambda **key: json.dumps({"K1": K, "K2": K, **key})),
+    "JSON in a pair": ("K.json", lambda **key: json.dumps({"K1": {"K": K, **key}, "K2": K})),
+    "JSON, deeper": ("K.json", lambda **key: json.dumps({"K": K, "calibration": key})),
+    "output": ("K.json", lambda **key: json.dumps({"camera1": {**DATA, **key}, "camera2": DATA})),
+    "ROS": ("ost.yaml", lambda **key: json.dumps({**ROS, "camera_matrix": {"data": K}, **key})),
+    "Kalibr": ("chain.yaml", lambda **key: json.dumps({"cam0": {**KALIBR, **RADTAN, **key}})),
+    "Kalibr, none": ("chain.yaml", lambda **key: json.dumps({"cam0": {**KALIBR, **key}})),
+    "Kalibr, beside": ("chain.yaml", lambda **key: json.dumps({"cam0": KALIBR, **key})),
+    "EuRoC": ("sensor.yaml", lambda **key: json.dumps({**KALIBR, **RADTAN, **key})),
+    "NeRF": ("t.json", lambda **key: json.dumps({**NERF, **key, "frames": []})),
+    "NeRF, frame": (
+        "t.json",
+        lambda **key: json.dumps({**NERF, "frames": [{"file_path": "a", **key}]}),
+    ),
+    "KITTI": (
+        "calib.txt",
+        lambda **key: "".join(
+            ["P0: 500 0 320 0 0 510 240 0 0 0 1 0\n"]
+            + [f"{name}: {_words(value)}\n" for name, value in key.items()]
+        ),
+    ),
+    "CSV": (
+        "c.csv",
+        lambda **key: "\n".join(
+            [
+                ",".join(["name", *FLAT, *key]),
+                ",".join(["a.png", *map(str, FLAT.values()), *map(_words, key.values())]),
+            ]
+        ),
+    ),
+}
+
+
+def _write(folder: Path, format: str, **key: Any) -> str:
+    name, text = FORMATS[format]
+    (folder / name).write_text(text(**key))
+    return str(folder / name)
+
+
+def _lens(path: str) -> Distortion | None:
+    camera = read_calibration(path).camera(Path(), "a.png", Header("PNG", SIZE), "K1")
+    assert camera.K.tolist() == K
+    return camera.distortion
+
+
+@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize(
+    "key", ["k5", "dist_something", "lensDistortion", "xi", "skew", "K_right", "fisheye_params"]
+)
+def test_a_key_that_may_matter_and_is_not_read_is_refused(
+    tmp_path: Path, format: str, key: str
+) -> None:
+    for value in (0.1, [0.0, 0.1], "text"):
+        with pytest.raises(InputError, match=f" {key} may be of the lens or of another camera"):
+            _lens(_write(tmp_path, format, **{key: value}))
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_zeros_and_what_is_no_lens_pass(tmp_path: Path, format: str) -> None:
+    harmless = {"k5": 0, "dist_x": [0, 0.0], "xi": "", "avg_reprojection_error": 0.3, "flags": 4}
+    harmless |= {"board_distance": 2, "timeshift_cam_imu": 0.1, "per_view_errors": [0.2, 0.1]}
+    expected = _lens(_write(tmp_path, format))
+    assert _lens(_write(tmp_path, format, **harmless)) == expected
+
+
+@pytest.mark.parametrize("name", ["dist", "dist_coeff", "distCoeffs", "D", "k1 k2 p1 p2"])
+@pytest.mark.parametrize(
+    "format", ["YAML", "XML", "JSON", "JSON, fx", "JSON in a pair", "ROS", "CSV", "NeRF", "EuRoC"]
+)
+def test_a_lens_by_any_of_its_names(tmp_path: Path, format: str, name: str) -> None:
+    lens = ONE_BY_ONE if name[0] == "k" else {name: [*LENS.coefficients]}
+    if format == "EuRoC":
+        lens = {"distortion_coeffs": None, **lens}
+    assert _lens(_write(tmp_path, format, **lens)) == LENS
+
+
+@pytest.mark.parametrize("model", [{"fisheye_model": 1}, {"distortion_model": "equidistant"}])
+@pytest.mark.parametrize("format", ["YAML", "JSON, fx", "CSV", "NeRF, frame"])
+def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, Any]) -> None:
+    lens = {"k1": 0.1, "k2": 0.02, "k3": 0.003, "k4": 0.0004}
+    expected = Distortion("OPENCV_FISHEYE", tuple(lens.values()))
+    assert _lens(_write(tmp_path, format, **lens, **model)) == expected
+    with pytest.raises(InputError, match="p1 may be of the lens"):
+        _lens(_write(tmp_path, format, **lens, **model, p1=0.1))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("K.txt", "500 510 320 240 -0.3"),
+        ("cameras.txt", "1 PINHOLE 640 480 500 510 320 240 -0.3"),
+        ("c.csv", "name,fx,fy,cx,cy\na,500,510,320,240,-0.3"),
+    ],
+)
+def test_a_number_without_a_key_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match="5 numbers|not 5|more cells than columns"):
+        parse_camera(str(tmp_path / name))
