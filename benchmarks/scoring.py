@@ -1,8 +1,7 @@
 """From the matches of one method on one pair to its record: the work that other processes do."""
 
-import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Generic
 
 import numpy as np
@@ -13,7 +12,6 @@ from dgc_pose.benchmarks.samples import MatchSample, draw_sample
 from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg
@@ -68,7 +66,6 @@ def score(pair: MatchedPair[Score]) -> Scored[Score]:
         "rotation_90_deg": _number(pose.rotation_error_90_deg),
         "translation_90_deg": _number(pose.translation_error_90_deg),
         "probability": _number(pose.probability),
-        "evidence_json": evidence_text(pose.evidence),
         **_focal_lengths(pose, truth),
         **dict(zip(("focal_ratio", "focal_ratio_std"), suggested_focal(pose), strict=True)),
         "doubts_camera": doubts_camera(pose),
@@ -122,13 +119,6 @@ def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> t
 def pair_seed(seed: int, *words: int) -> int:
     """A seed for each pair, the same whatever is estimated before it and in which process."""
     return int(np.random.SeedSequence([seed, *words]).generate_state(1)[0])
-
-
-def evidence_text(evidence: Evidence | None) -> str:
-    """What a verdict rests on, as JSON; empty for None."""
-    if evidence is None:
-        return ""
-    return json.dumps(asdict(evidence), default=lambda value: value.tolist())
 
 
 def _rotation(truth: Truth) -> float:

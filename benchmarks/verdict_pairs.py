@@ -27,12 +27,18 @@ from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image
-from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
+from dgc_pose.synthesis.misleading import (
+    middle_quarter,
+    night,
+    render_facade,
+    rolled,
+    with_moving_object,
+)
 from dgc_pose.synthesis.photos import held_back_paths
 from dgc_pose.synthesis.render.scene_pair import PairKind as SceneKind
 from dgc_pose.synthesis.render.scene_pair import render_scene_pair
 
-Change = Literal["roll 90", "roll 180", "4x zoom", "night"]
+Change = Literal["roll 90", "roll 180", "4x zoom", "night", "moving object"]
 _VIEW = (800, 600)  # pixels of the views with procedural textures, and of the facade
 
 
@@ -120,7 +126,8 @@ def listed(pair_list: Path, root: Path | None, limit: int | None) -> Group:
 
 def misleading(photos: Path, count: int, seed: int) -> list[Group]:
     """`count` pairs of each kind that misleads: planes, rotations alone, forward motion, facades,
-    and rendered pairs whose second view is rolled, zoomed or taken at night."""
+    and rendered pairs whose second view is rolled, zoomed or taken at night, and before which a
+    flat object moves that covers 10 to 60 % of the images."""
     seeds = range(seed, seed + count)
     groups = [_scenes(kind, seeds) for kind in ("planar", "rotation_only", "forward")]
     groups.append(
@@ -131,16 +138,22 @@ def misleading(photos: Path, count: int, seed: int) -> list[Group]:
 
 
 def changed(pair: PosedPair, change: Change, seed: int) -> PosedPair:
-    """A true pair with another second view, and the pose that belongs to it."""
+    """A true pair with another second view, or two others, and the pose that belongs to it."""
     camera2, pixels, R = pair.truth.camera2, pair.image2.pixels, np.eye(3)
-    if change == "4x zoom":
+    image1 = pair.image1
+    if change == "moving object":
+        rng = np.random.default_rng(seed)
+        cameras, share = (pair.truth.camera1, camera2), rng.uniform(0.1, 0.6)
+        pixels1, pixels = with_moving_object((image1.pixels, pixels), cameras, rng, share)
+        image1 = Image(pixels1, f"{image1.name}, {change}")
+    elif change == "4x zoom":
         pixels, camera2 = middle_quarter(pixels, camera2)
     elif change == "night":
         pixels = night(pixels, np.random.default_rng(seed))
     else:
         pixels, camera2, R = rolled(pixels, camera2, 1 if change == "roll 90" else 2)
     image2 = Image(np.ascontiguousarray(pixels), f"{pair.image2.name}, {change}")
-    return PosedPair(pair.truth.turned(R, camera2), pair.image1, image2)
+    return PosedPair(pair.truth.turned(R, camera2), image1, image2)
 
 
 def facade(seed: int) -> PosedPair:
@@ -156,7 +169,11 @@ def _unrelated(name: str, drawn: Sequence[tuple[Path, Path]]) -> Group:
 
 def _changed_views(pairs: Group, change: Change, seed: int) -> Group:
     names = [f"{name}, {change}" for name in pairs.names]
-    return Group(change, "true", names, lambda: (changed(pair, change, seed) for pair in pairs))
+
+    def make() -> Iterator[PosedPair]:
+        return (changed(pair, change, seed + number) for number, pair in enumerate(pairs))
+
+    return Group(change, "true", names, make)
 
 
 def _scenes(kind: SceneKind, seeds: Sequence[int]) -> Group:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
-from dgc_pose.benchmarks.verdicts import gates_table, groups_table
+from dgc_pose.benchmarks.verdicts import groups_table
 from dgc_pose.cli.bench_run import RUN_FOLDER, RunChoice, open_store, work
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.matching import DEFAULT_WEIGHTS
@@ -80,16 +80,14 @@ class VerdictPairChoice:
 def bench_verdicts(choice: VerdictPairChoice, method: str, out: str | None, run: RunChoice) -> None:
     """Measure verdicts on unrelated pairs, true pairs, and pairs that mislead.
 
-    Prints two tables: the verdicts on each kind of pair, and the gates on both halves.
+    Prints the verdicts on each kind of pair.
     """
     from dgc_pose.benchmarks.verdict_pairs import VerdictPairs, misleading
 
     methods = parse_methods([method])
     passes = load_passes(methods, device=run.device, runtime=run.runtime)
     groups = choice.groups()
-    count = sum(len(group.names) for group in groups)
     hard = misleading(choice.photos, choice.misleading, choice.seed)
     evaluation = run.evaluation(VerdictPairs([*groups, *hard]), methods, passes)
     scores = work(evaluation, open_store(evaluation, out, run))
-    # Gates are not chosen on what misleads.
-    click.echo(f"{groups_table(scores)}\n\n{gates_table(scores[:count])}")
+    click.echo(groups_table(scores))

@@ -18,6 +18,7 @@ from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
+from dgc_pose.estimation.result import percent_text
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
@@ -34,15 +35,17 @@ if TYPE_CHECKING:
 # - quick: a pass over small images, which is enough for an easy pair
 # - fine: more accurate matches by the map of the quick pass, for a pose that is certain
 # - match: all that `Matcher.match` does
+# - mirrored: a quick pass over image 1 and the mirror image of image 2, which may end the search
 # - squeezed: matches of images that are squeezed, pooled with those that are there
 # - near: those near the epipolar lines of all hypotheses, likewise
-Step = Literal["quick", "fine", "match", "squeezed", "near"]
+Step = Literal["quick", "fine", "match", "mirrored", "squeezed", "near"]
 _STEPS: Mapping[Effort, Sequence[Step]] = {
-    "fast": ("quick", "match"),
-    "auto": ("quick", "fine", "match", "squeezed", "near"),
-    "thorough": ("match", "squeezed", "near"),
+    "fast": ("quick", "match", "mirrored"),
+    "auto": ("quick", "fine", "match", "mirrored", "squeezed", "near"),
+    "thorough": ("match", "mirrored", "squeezed", "near"),
 }
 _HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which no more is searched
+_LIKELY = 0.95  # probability of a pose of the mirror image that counts
 _ROUGHLY = 1.5  # standard deviations of a focal length that the matches suggest
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
@@ -164,6 +167,12 @@ def pose_of_pair(
             more = matcher.match_finely(image1, image2, result)
         elif step == "match" or pose is None or result is None:
             more = whole() if whole else matcher.match(image1, image2)
+        elif step == "mirrored":
+            probability = _of_mirror_image(matcher, image1, image2, camera1, camera2, options)
+            if probability >= _LIKELY:
+                pose = _mirrored(pose, probability)
+                break
+            continue
         elif step == "squeezed":
             more = matcher.match_squeezed(image1, image2, result)
         else:
@@ -185,6 +194,37 @@ def pose_of_pair(
     return replace(pose, seconds={**seconds, "estimate": estimating}), result
 
 
+def _of_mirror_image(
+    matcher: Matcher,
+    image1: Image,
+    image2: Image,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions,
+) -> float:
+    """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
+    without one, and from a matcher that has no quick pass."""
+    flipped = replace(image2, pixels=np.ascontiguousarray(image2.pixels[:, ::-1]))
+    result = matcher.match_quickly(image1, flipped)
+    if result is None:
+        return 0.0
+    K = camera2.K.copy()
+    K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
+    cameras = camera1, replace(camera2, K=K)
+    pose = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
+    return pose.probability or 0.0 if pose.success else 0.0
+
+
+def _mirrored(pose: RelativePose, probability: float) -> RelativePose:
+    """That there is no pose, since the mirror image of image 2 has a likely one."""
+    reason = (
+        "image 1 and the mirror image of image 2 have a pose, with a probability of "
+        f"{percent_text(probability)}, and the images as they are have none that is as likely"
+    )
+    inliers = np.zeros_like(pose.inliers)
+    return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)
+
+
 def _may_gain(
     step: Step, pose: RelativePose | None, camera1: Camera, camera2: Camera, effort: Effort
 ) -> bool:
@@ -202,6 +242,8 @@ def _may_gain(
         return certain(pose) and not (accurate(pose) and right_cameras(pose))
     if step == "match":
         return effort != "fast" and not certain(pose)
+    if step == "mirrored":
+        return not likely(pose) and pose.status != "rotation_only"
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 
@@ -209,6 +251,11 @@ def _may_gain(
 def certain(pose: RelativePose) -> bool:
     """Whether it is nearly certain that the pose is right."""
     return pose.success and (pose.probability or 0.0) >= _CERTAIN
+
+
+def likely(pose: RelativePose) -> bool:
+    """Whether the pose is right nearly always."""
+    return pose.success and (pose.probability or 0.0) >= _LIKELY
 
 
 def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:

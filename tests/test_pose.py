@@ -25,6 +25,7 @@ from dgc_pose import (
     load_matcher,
     trace_relative_pose,
 )
+from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cameras.prior import auto_camera, auto_cameras
 from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.model import Model
@@ -159,9 +160,10 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
 
 class _Stepwise(dense_scene.MapMatcher):
     """The map's matches: every fourth of them by a quick pass, every third by the fine one, every
-    second by the whole, no more of squeezed images, and all near lines."""
+    second by the whole, no more of squeezed images, and all near lines. Of the mirror image of
+    image 2 every fourth or none."""
 
-    quick = True
+    quick, of_mirror_image = True, False
 
     def __init__(self) -> None:
         super().__init__(dense_scene.true_map(error_px=0.2))
@@ -175,8 +177,9 @@ class _Stepwise(dense_scene.MapMatcher):
         return replace(result, matches=result.matches.subset(rows))
 
     def match_quickly(self, image1: Any, image2: Any) -> MatchResult | None:
-        result = self.every("quick", 4)
-        return result if self.quick else None
+        is_mirrored = image2 is not PICTURES[1]
+        result = self.every("mirrored" if is_mirrored else "quick", 4)
+        return result if (self.of_mirror_image if is_mirrored else self.quick) else None
 
     def match_finely(self, image1: Any, image2: Any, result: MatchResult) -> MatchResult:
         return self.every("fine", 3)
@@ -225,7 +228,7 @@ def _of_share(share: float) -> Hypothesis:
 CERTAIN = _doubt(0.995)
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
-SEARCHED = ["squeezed", "near"]
+SEARCHED = ["mirrored", "squeezed", "near"]
 
 
 @pytest.mark.parametrize(
@@ -236,20 +239,21 @@ SEARCHED = ["squeezed", "near"]
         ("auto", [LOOSE], ["quick", "fine"]),  # certain, but not accurate
         ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["quick", "fine", "match"]),
         ("auto", [CERTAIN | {"status": "ambiguous"}, CERTAIN], ["quick", "match"]),
-        ("auto", [LOOSER], ["quick", "fine", *SEARCHED]),
+        ("auto", [LOOSER], ["quick", "fine", *SEARCHED[1:]]),
         ("auto", [CERTAIN | {"covariance": None}, CERTAIN], ["quick", "fine"]),
-        ("auto", [_doubt(None)], ["quick", "match"]),
+        ("auto", [_doubt(None)], ["quick", "match", "mirrored"]),
         ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
         ("auto", [_doubt(0.0, 0.9)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED]),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED[1:]]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["quick", "match"]),
-        ("auto", [_doubt(0.5, 0.495)], ["quick", "match"]),
-        ("auto", [_doubt(0.001)], ["quick", "match"]),  # hopeless
-        ("fast", [_doubt(0.5)], ["quick"]),
+        ("auto", [_doubt(0.96)], ["quick", "match", *SEARCHED[1:]]),
+        ("auto", [_doubt(0.5, 0.495)], ["quick", "match", "mirrored"]),
+        ("auto", [_doubt(0.001)], ["quick", "match", "mirrored"]),  # hopeless
+        ("fast", [_doubt(0.5)], ["quick", "mirrored"]),
         ("fast", [LOOSE], ["quick"]),
         ("thorough", [CERTAIN], ["match"]),
-        ("thorough", [LOOSE, CERTAIN], ["match", *SEARCHED]),
-        ("thorough", [_doubt(0.001) | {"status": "improbable"}], ["match"]),
+        ("thorough", [LOOSE, CERTAIN], ["match", *SEARCHED[1:]]),
+        ("thorough", [_doubt(0.001) | {"status": "improbable"}], ["match", "mirrored"]),
         ("thorough", [_doubt(0.5)], ["match", *SEARCHED]),
     ],
 )
@@ -262,7 +266,7 @@ def test_steps_are_done_as_long_as_they_may_change_the_answer(
     pose, last = pose_of_pair(
         matcher, *PICTURES, EXACT, EXACT, options, matched=lambda matches: told.append(matches)
     )
-    poses = [step for step in steps if step != "squeezed"]  # which has no more matches here
+    poses = [step for step in steps if step not in ("squeezed", "mirrored")]  # without matches here
     assert matcher.steps == steps and list(pose.seconds) == [*poses, "estimate"]
     assert len(estimated) == len(told) == len(poses)
     assert last.matches is estimated[-1] is told[-1] and len(pose.inliers) == len(last.matches)
@@ -288,7 +292,34 @@ def test_focal_lengths_that_are_not_known_need_all_the_matches(
     cameras = [replace(EXACT, focal_std=0.02 if n + 1 == uncertain else 0.0) for n in range(2)]
     matcher = _Stepwise()
     pose_of_pair(matcher, *PICTURES, *cameras, OPTIONS)
-    assert matcher.steps == ["match"]
+    assert matcher.steps == ["match", "mirrored"]
+
+
+@pytest.mark.parametrize(("answer", "status"), [(_doubt(0.96), "mirrored"), (_doubt(0.9), "ok")])
+def test_a_likely_pose_of_the_mirror_image_ends_the_search(
+    monkeypatch: pytest.MonkeyPatch, answer: Mapping[str, Any], status: str
+) -> None:
+    monkeypatch.setattr(_Stepwise, "of_mirror_image", True)
+    estimated = _with(monkeypatch, _doubt(0.5), _doubt(0.5), answer)
+    matcher = _Stepwise()
+    pose, last = pose_of_pair(matcher, *PICTURES, EXACT, EXACT, OPTIONS)
+    steps = ["quick", "match", "mirrored"]
+    assert matcher.steps == (steps if status == "mirrored" else [*steps, "squeezed", "near"])
+    assert pose.status == status and len(pose.inliers) == len(last.matches)
+    if status == "mirrored":
+        assert last.matches is estimated[1] and not pose.success and "mirror image" in pose.reason
+        assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
+
+
+def test_a_mirrored_photograph_is_recognised() -> None:
+    """The bundled pair: the second image as selfie cameras store it."""
+    pair = bundled_pair()
+    second = load_image(pair.path2)
+    K2 = pair.camera2.K.copy()
+    K2[0, 2] = second.size[0] - 1 - K2[0, 2]
+    mirrored = np.ascontiguousarray(second.pixels[:, ::-1])
+    pose = estimate_relative_pose(pair.path1, mirrored, pair.camera1, K2)
+    assert pose.status == "mirrored", pose
 
 
 @pytest.mark.parametrize("effort", ["fast", "auto"])
@@ -320,7 +351,7 @@ def test_a_pose_that_squeezed_images_made_certain_is_not_searched_further(
     monkeypatch.setattr(_Stepwise, "match_squeezed", lambda *arguments: every)
     pose, last = pose_of_pair(matcher, *PICTURES, EXACT, EXACT, OPTIONS)
     assert last is every and len(pose.inliers) == len(every.matches)
-    assert matcher.steps == ["before", "quick", "match"]
+    assert matcher.steps == ["before", "quick", "match", "mirrored"]
 
 
 def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ ANY_POSE = VerdictOptions(
     min_cheirality=0.0,
     rotation_share=math.inf,
     strict_rotation_share=math.inf,
-    max_rotation_error_deg=math.inf,
+    max_error_deg=math.inf,
 )
 _CHUNK = 16
 CameraCase = Literal["exact", "auto", "wrong"]

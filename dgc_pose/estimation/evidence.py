@@ -13,6 +13,7 @@ from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.poselib_calls import MINIMAL
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.rivals import DISTINCT_DEG
+from dgc_pose.estimation.still_camera import StillCamera
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.geometry.triangulation import (
@@ -85,6 +86,10 @@ class Evidence:
         map_matchability: Mean matchability of the dense map; None without one.
         map_agreement: Share of its cells, by matchability, that agree with the pose; None likewise.
         map_chance: The same of those cells paired wrongly; None likewise.
+        still_ratio: Share of a plane's inliers that a camera explains which did not move, where the
+            focal lengths are not known (`still_camera`); 0 if they are.
+        num_second_inliers: Of a plane: inliers of another motion among the matches that it leaves
+            over, which chance does not explain; 0 without.
     """
 
     num_inliers: int
@@ -120,6 +125,8 @@ class Evidence:
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None
+    still_ratio: float = 0.0
+    num_second_inliers: int = 0
 
     @property
     def over_chance(self) -> float:
@@ -143,6 +150,8 @@ def gather(
     homography_ratio: float,
     covariance: Covariance | None = None,
     *,
+    still: StillCamera | None = None,
+    second: Model | None = None,
     runs: Sequence[Model] = (),
     rivals: Sequence[Model] = (),
     map_problem: TwoViewProblem | None = None,
@@ -150,7 +159,8 @@ def gather(
 ) -> Evidence:
     """The evidence for and against a model of the problem's matches.
 
-    covariance: of its pose, see `pose_covariance`. runs: the models of the RANSAC runs. rivals:
+    covariance: of its pose, see `pose_covariance`. still: of unknown focal lengths. second: another
+    motion, of the matches that a plane leaves over. runs: the models of the RANSAC runs. rivals:
     other models that explain matches. map_problem: an even sample of the dense map.
     check: of the focal lengths of exact cameras, if it does not agree with them.
     """
@@ -163,6 +173,8 @@ def gather(
     rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
     motion = np.linalg.norm(rays1 @ rotation.T - rays2, axis=1)
     explained = motion < _ROTATION_LIMIT * threshold
+    # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
+    strict_rotation_share = float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count)
     rotated = problem.subset(explained)
     across = epipolar_angles(rotated.points1, rotated.points2, model.E)
     angles = triangulation_angles_deg(inliers.points1, inliers.points2, model.R)
@@ -175,14 +187,15 @@ def gather(
         chance_ratio=chance,
         log10_false_alarms=log10_false_alarms(len(problem), model.count, chance),
         cheirality_ratio=_mean(model.in_front[is_inlier]),
-        rotation=rotation,
+        rotation=still.R if still and still.share > strict_rotation_share else rotation,
         num_rotation_inliers=len(rotated),
         rotation_share=len(rotated) / count,
-        # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
-        strict_rotation_share=float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count),
+        strict_rotation_share=strict_rotation_share,
         parallax=_parallax(motion[explained], across, _MIN_ERROR * threshold),
         median_triangulation_angle_deg=_median(angles),
         homography_ratio=homography_ratio,
+        still_ratio=0.0 if still is None else still.share,
+        num_second_inliers=0 if second is None else second.count_in_front,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=min(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells

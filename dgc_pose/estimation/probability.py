@@ -164,12 +164,13 @@ class ProbabilityModel:
 
         evidence: of the likeliest of them. The model is fitted on poses with a right K. If the
         matches contradict K, the pose is as right as it is near to that of the focal lengths that
-        they suggest.
+        they suggest. It is at most the probability that the expected errors leave.
         """
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
-        return _nearness(evidence) / (1 + math.exp(-min(max(total, -30.0), 30.0)))
+        fitted = _nearness(evidence) / (1 + math.exp(-min(max(total, -30.0), 30.0)))
+        return min(fitted, *map(_within, self._errors_90_deg(evidence)))
 
     def against(self, evidence: Evidence) -> list[str]:
         """What speaks against the pose: the features that cost most log-odds, compared with their
@@ -183,12 +184,21 @@ class ProbabilityModel:
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten."""
-        factors = (
+        scale = np.repeat(self._factors(evidence), 3)
+        return covariance * np.outer(scale, scale)
+
+    def _factors(self, evidence: Evidence) -> tuple[float, float]:
+        """Of the calibrated errors of R and t over the jackknife's."""
+        return (
             self.rotation_error.factor(evidence.jackknife_rotation_90_deg),
             self.translation_error.factor(evidence.jackknife_translation_90_deg),
         )
-        scale = np.repeat(factors, 3)
-        return covariance * np.outer(scale, scale)
+
+    def _errors_90_deg(self, evidence: Evidence) -> list[float]:
+        """The calibrated errors of R and t, at nine in ten; 0 where the jackknife has none."""
+        errors = evidence.jackknife_rotation_90_deg, evidence.jackknife_translation_90_deg
+        factors = self._factors(evidence)
+        return [(error or 0.0) * f for error, f in zip(errors, factors, strict=True)]
 
 
 class FittedModels(NamedTuple):
@@ -231,6 +241,12 @@ def is_contradicted(ratio: float, std: float) -> bool:
     """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
     the standard deviation `std`, calibrated."""
     return abs(math.log(ratio)) >= max(_LEAST_ERROR, _CONTRADICTED * std)
+
+
+def _within(error_90_deg: float) -> float:
+    """The probability that a normal error is at most `RIGHT_DEG`, by what it stays below nine times
+    in ten."""
+    return math.erf(NORMAL_90 * RIGHT_DEG / max(error_90_deg, 1e-9) / math.sqrt(2))
 
 
 def _nearness(evidence: Evidence) -> float:

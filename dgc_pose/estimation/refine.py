@@ -12,7 +12,7 @@ _ROUNDS = 3
 _MIN_KEPT = 0.98  # of the inliers, or the fit is rejected
 # A homography's transfer error over the epipolar threshold. It takes in both coordinates of the
 # noise of both images, the epipolar constraint one: the same noise needs a wider limit.
-_TRANSFER_LIMIT = 1.75
+TRANSFER_LIMIT = 1.75
 
 
 def refine(problem: TwoViewProblem, model: Model) -> Model:
@@ -52,7 +52,7 @@ def refit(problem: TwoViewProblem, model: Model, *, adapt_scale: bool = False) -
 def planar_share(problem: TwoViewProblem, model: Model) -> tuple[float, np.ndarray | None]:
     """The share of a model's inliers that one homography explains, and the homography (3, 3)."""
     inliers = problem.subset(model.inliers)
-    limit = _TRANSFER_LIMIT * problem.threshold
+    limit = TRANSFER_LIMIT * problem.threshold
     H = fit_homography(inliers.points1, inliers.points2, limit, problem.seed)
     if H is None:
         return 0.0, None

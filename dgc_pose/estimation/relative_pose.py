@@ -26,9 +26,10 @@ from dgc_pose.estimation.probability import (
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.refine import best_planar_model, planar_share, refine, refit
 from dgc_pose.estimation.result import Alternative, RelativePose
-from dgc_pose.estimation.rivals import rivals
+from dgc_pose.estimation.rivals import known, rivals
 from dgc_pose.estimation.status import STATUSES
-from dgc_pose.estimation.verdict import judge
+from dgc_pose.estimation.still_camera import still_camera
+from dgc_pose.estimation.verdict import by_chance, judge
 from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_type
 
@@ -64,7 +65,7 @@ def estimate_pose(
     if len(problem) < options.verdict.min_matches:
         reason = f"only {len(problem)} matches; a verdict needs {options.verdict.min_matches}"
         return failure("too_few_matches", reason)
-    stated = camera1, camera2
+    stated, of_stated = (camera1, camera2), problem
     fits = fit_cameras and len(CameraSpread.of(camera1, camera2)) > 0
     sampled = _sampled(problem, matches, camera1, camera2, options, fits)
     problem, camera1, camera2 = sampled.problem, sampled.camera1, sampled.camera2
@@ -93,12 +94,20 @@ def estimate_pose(
     check = None
     if not len(spread) and homography[0] < options.verdict.planar_share:
         check = check_focals(problem, model, matches, camera1, camera2, options)
+    still, second = None, None
+    if homography[0] >= options.verdict.planar_share:
+        second = _second_motion(problem, model, options)
+        if fits:
+            of_inliers = np.isin(of_stated.index, problem.index[model.inliers])
+            still = still_camera(of_stated.subset(of_inliers))
     covariance = pose_covariance(problem, model, spread, fitted=fits)
     evidence = gather(
         problem,
         model,
         homography[0],
         covariance,
+        still=still,
+        second=second,
         runs=runs,
         rivals=others,
         map_problem=map_problem,
@@ -117,14 +126,12 @@ def estimate_pose(
 
     inliers[problem.index] = model.inliers
     known = STATUSES[verdict.status]
+    explained = [(choice.model, choice.share) for choice in likely]
+    if second is not None:  # nothing tells whose motion is the camera's
+        explained = [(model, share / 2) for model, share in explained] + [(second, 0.5)]
     poses = [
-        Alternative(
-            choice.model.R,
-            choice.model.t,
-            choice.model.count,
-            None if any_right is None else any_right * choice.share,
-        )
-        for choice in likely
+        Alternative(m.R, m.t, m.count, None if any_right is None else any_right * share)
+        for m, share in explained
     ]
     ambiguous = verdict.status == "ambiguous"
     # Of a pose that is not claimed there are no others.
@@ -227,6 +234,22 @@ class _Assessed:
             factor = calibrated_focal_std(std) / std if std else 1.0
             unit += [factor, factor * camera.focal, factor * camera.focal]
         return self.covariance.cameras * np.outer(unit, unit)
+
+
+def _second_motion(
+    problem: TwoViewProblem, model: Model, options: EstimationOptions
+) -> Model | None:
+    """Another motion, of the matches that a model leaves over alone; None if
+    unrelated images could have as many inliers."""
+    left = problem.subset(~model.inliers)
+    if len(left) < options.verdict.min_matches:
+        return None
+    runs = sampled_models(left, replace(options, runs=1))
+    if not runs:
+        return None
+    second = refine(left, runs[0]) if options.refine else runs[0]
+    unlikely = known(second, [model]) or by_chance(gather(left, second, 0.0), options.verdict)
+    return None if unlikely else second
 
 
 def _warnings(alternatives: int) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ Status = Literal[
     "undetermined",
     "improbable",
     "ambiguous",
+    "mirrored",
 ]
 
 
@@ -48,6 +49,7 @@ STATUSES: Mapping[Status, StatusFacts] = {
     "ambiguous": StatusFacts(
         "two or more poses explain the matches, and which of them is right does not show"
     ),
+    "mirrored": StatusFacts("the mirror image of image 2 has a pose, image 2 has none as likely"),
 }
 CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, of the pairs that have one
     status: facts.colmap for status, facts in STATUSES.items() if facts.colmap is not None

@@ -43,19 +43,20 @@ def judge(
     untold = _translation_untold(evidence, options)
     if probability is None or options.min_probability is None:
         # Chance before all: few inliers say nothing about a rotation either.
-        by_chance = _chance(evidence, options)
-        failed = by_chance or untold or _implausible(evidence, options)
-        return failed or _pose(evidence, options)
+        failed = by_chance(evidence, options) or untold or _implausible(evidence, options)
+        return failed or _moved_plane(evidence) or _pose(evidence, options)
     impossible = _random(evidence, options) or untold or _behind(evidence, options)
     if impossible is not None:
-        return _chance(evidence, options) or impossible
+        return by_chance(evidence, options) or impossible
+    if probability >= options.min_probability and (moved := _moved_plane(evidence)):
+        return moved
     share = shares[0] if shares else 1.0
     if share * probability >= options.min_probability and share >= options.min_share:
         return _pose(evidence, options)
     if share < options.min_share and probability >= options.min_probability:
         return _ambiguous(probability, shares)
     probability *= share
-    failed = _chance(evidence, options) or _implausible(evidence, options)
+    failed = by_chance(evidence, options) or _implausible(evidence, options)
     reason = f"the pose is right with a probability of {percent_text(probability)}"
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
@@ -69,7 +70,7 @@ def _ambiguous(probability: float, shares: Sequence[float]) -> Verdict:
     return Verdict("ambiguous", reason)
 
 
-def _chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+def by_chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     """Whether unrelated images could have such inliers."""
     least = max(options.min_inlier_ratio, options.chance_factor * evidence.chance_ratio)
     few = evidence.num_inliers < options.min_inliers or evidence.inlier_ratio < least
@@ -110,6 +111,13 @@ def _translation_untold(evidence: Evidence, options: VerdictOptions) -> Verdict 
             f"essential matrix does: the images do not determine the translation"
         )
         return Verdict("rotation_only", reason)
+    if evidence.still_ratio >= options.strict_rotation_share:
+        reason = (
+            f"a camera that only turned, zoomed or cropped explains "
+            f"{100 * evidence.still_ratio:.0f} % of the inliers: the images do not determine the "
+            "translation"
+        )
+        return Verdict("rotation_only", reason)
     return None
 
 
@@ -124,14 +132,29 @@ def _behind(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
 def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     if behind := _behind(evidence, options):
         return behind
-    error = evidence.jackknife_rotation_90_deg
-    if error is not None and error > options.max_rotation_error_deg:
-        reason = (
-            f"the {evidence.num_inliers} inliers do not determine the pose: its rotation may be "
-            f"wrong by {error:.0f} deg"
-        )
-        return Verdict("undetermined", reason)
+    errors = {
+        "rotation": evidence.jackknife_rotation_90_deg,
+        "translation": evidence.jackknife_translation_90_deg,
+    }
+    for part, error in errors.items():
+        if error is not None and error > options.max_error_deg:
+            reason = (
+                f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
+                f"wrong by {error:.0f} deg"
+            )
+            return Verdict("undetermined", reason)
     return None
+
+
+def _moved_plane(evidence: Evidence) -> Verdict | None:
+    """Whether the plane that the matches lie on may have moved, and not the camera."""
+    if not evidence.num_second_inliers:
+        return None
+    reason = (
+        f"the {evidence.num_inliers} inliers lie on a plane, and {evidence.num_second_inliers} of "
+        "the other matches agree on another motion: which of both is the camera's does not show"
+    )
+    return Verdict("ambiguous", reason)
 
 
 def _pose(evidence: Evidence, options: VerdictOptions) -> Verdict:

@@ -1,4 +1,4 @@
-"""Homographies, by OpenCV: robust fit, transfer error, and the poses of a plane."""
+"""Homographies and similarities, by OpenCV: robust fits, transfer error, the poses of a plane."""
 
 import cv2
 import numpy as np
@@ -35,6 +35,19 @@ def fit_homography(
     except cv2.error:  # degenerate points, such as copies of one
         return None
     return H if fitted is None else fitted
+
+
+def fit_similarity(points1: np.ndarray, points2: np.ndarray, threshold: float) -> np.ndarray | None:
+    """H (3, 3) with x2 = H x1, a scale, a rotation in the image and a shift, by RANSAC; None if
+    there is none. Points and threshold as of `fit_homography`."""
+    if len(points1) < 2:
+        return None
+    affine, _ = cv2.estimateAffinePartial2D(
+        points1 * _PIXELS, points2 * _PIXELS, ransacReprojThreshold=threshold * _PIXELS
+    )
+    if affine is None:
+        return None
+    return np.vstack([affine * (1, 1, 1 / _PIXELS), (0, 0, 1)])
 
 
 def transfer_error(points1: np.ndarray, points2: np.ndarray, H: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Views that make matching fail: rotated, enlarged, at night, and facades of equal windows."""
+"""Views that mislead: rotated, enlarged, at night, behind a moving object, of equal windows."""
 
 import cv2
 import numpy as np
@@ -46,6 +46,35 @@ def night(pixels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     dark = light * (0.06 * np.array([0.7, 0.8, 1.2]) + 0.25 * lamps[..., None] * (1.2, 1, 0.6))
     dark = dark + 0.004 * rng.standard_normal(dark.shape)
     return (255 * dark.clip(0, 1) ** (1 / 2.2)).round().astype(np.uint8)
+
+
+def with_moving_object(
+    views: tuple[np.ndarray, np.ndarray],
+    cameras: tuple[Camera, Camera],
+    rng: np.random.Generator,
+    share: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Two images (H, W, 3), and in front of both a flat picture that moved in between, which is
+    image 1 upside down.
+
+    share: of an image that it covers, about, 0 to 1.
+    """
+    picture = views[0][::-1]
+    height, width = picture.shape[:2]
+    # From pixels of the picture (x, y, 1) to points of a rectangle of area 1 around the origin.
+    unit = 1 / np.sqrt(width * height)
+    plane = np.array([[unit, 0, -unit * width / 2], [0, unit, -unit * height / 2], [0, 0, 1.0]])
+    shown = []
+    for pixels, camera in zip(views, cameras, strict=True):
+        size = pixels.shape[1::-1]
+        depth = camera.focal / np.sqrt(share * size[0] * size[1])
+        rotation = cv2.Rodrigues(rng.uniform(-0.4, 0.4, 3))[0]
+        place = depth * np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.85, 1.15)])
+        H = camera.K @ np.column_stack([rotation[:, :2], place]) @ plane
+        drawn = cv2.warpPerspective(picture, H, size, flags=cv2.INTER_AREA)
+        covered = cv2.warpPerspective(np.ones((height, width), np.uint8), H, size)
+        shown.append(np.where(covered[..., None] > 0, drawn, pixels))
+    return shown[0], shown[1]
 
 
 def render_facade(

@@ -51,6 +51,7 @@ def distances(case, points1, points2):
         ("roll 180", lambda x, y: (SIZE[0] - 1 - x, SIZE[1] - 1 - y)),
         ("4x zoom", lambda x, y: (x - 75, y - 60)),
         ("night", lambda x, y: (x, y)),
+        ("moving object", lambda x, y: (x, y)),
     ],
 )
 def test_a_changed_view_has_the_pose_that_belongs_to_it(pair, case, change, move):

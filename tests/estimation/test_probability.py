@@ -9,6 +9,7 @@ import pytest
 from good_evidence import GOOD_EVIDENCE
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from dgc_pose.estimation.choice import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
@@ -47,6 +48,19 @@ def _worse(**changes: object) -> Evidence:
 def test_the_probability_is_the_logistic_function_of_the_weighted_features() -> None:
     odds = -2.0 + sum(0.5 * f.sign * f.value(GOOD_EVIDENCE) for f in FEATURES.values())
     assert _model().probability(GOOD_EVIDENCE) == pytest.approx(1 / (1 + math.exp(-odds)))
+
+
+@pytest.mark.parametrize("part", ["rotation", "translation"])
+@pytest.mark.parametrize("error_deg", [15.0, 30.0, 90.0])
+def test_the_probability_is_no_more_than_the_expected_errors_leave(
+    part: str, error_deg: float
+) -> None:
+    """Of a normal error that is below r nine times in ten, against SciPy."""
+    model = parse_models(_text(intercept=30.0)).by_kind["network"]
+    evidence = _worse(**{f"jackknife_{part}_90_deg": error_deg})
+    calibrated = error_deg * getattr(model, f"{part}_error").factor(error_deg)
+    within = 2 * norm.cdf(10 * norm.ppf(0.95) / calibrated) - 1
+    assert model.probability(evidence) == pytest.approx(within, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,13 @@ import pytest
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.synthesis.misleading import middle_quarter, night, render_facade, rolled
+from dgc_pose.synthesis.misleading import (
+    middle_quarter,
+    night,
+    render_facade,
+    rolled,
+    with_moving_object,
+)
 
 CAMERA = Camera(np.array([[90.0, 0, 30], [0, 80, 25], [0, 0, 1]]), (64, 48))
 PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3)).astype(np.uint8)
@@ -34,6 +40,22 @@ def test_a_crop_keeps_its_pixels() -> None:
     ray = np.linalg.solve(CAMERA.K, [30, 22, 1.0])
     u, v = seen(camera, ray).round(6).astype(int)
     assert np.array_equal(pixels[v, u], PIXELS[22, 30])
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_a_moving_object_covers_a_share_of_both_views(share: float) -> None:
+    def made(seed: int) -> tuple[np.ndarray, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        return with_moving_object((PIXELS, PIXELS), (CAMERA, CAMERA), rng, share)
+
+    views = made(0)
+    for view in views:
+        changed = (view != PIXELS).any(axis=2)
+        assert 0.5 * share < changed.mean() < 1.6 * share
+        rows, columns = np.nonzero(changed)  # one piece, rather than specks
+        assert changed[rows.min() : rows.max(), columns.min() : columns.max()].mean() > 0.5
+    assert not np.array_equal(views[0], views[1])  # it moved
+    assert all(map(np.array_equal, views, made(0)))
 
 
 def test_night_is_darker_and_the_facade_is_seeded() -> None:
