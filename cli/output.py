@@ -61,17 +61,16 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     if pose.R is not None:
         lines += _pose_lines(pose.R, pose.t)
     lines += _camera_lines(pose, priors)
-    lines.append(
-        f"{pose.num_inliers} of {pose.num_matches} matches are inliers "
-        f"({100 * pose.inlier_ratio:.1f} %)"
-    )
+    inliers = "are inliers" if pose.success else "agree with the best essential matrix"
+    share = f"{100 * pose.inlier_ratio:.1f} %"
+    lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
     if pose.t is not None:
         angle = pose.median_triangulation_angle_deg
         lines.append(f"median triangulation angle {angle:.2f} deg")
     if pose.rotation_error_90_deg is not None and pose.translation_error_90_deg is not None:
         lines.append(
             f"expected error: R within {pose.rotation_error_90_deg:.3f} deg, t within "
-            f"{pose.translation_error_90_deg:.3f} deg, nine times in ten"
+            f"{pose.translation_error_90_deg:.3f} deg, nine times in ten if the pose is right"
         )
     if pose.t is not None and pose.probability is not None:
         lines.append(f"probability {percent_text(pose.probability)} that R and t are within 10 deg")

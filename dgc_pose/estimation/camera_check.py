@@ -42,13 +42,15 @@ def focal_warnings(
     deviations that are left; check: of exact cameras.
     """
     told: dict[str, None] = {}
+    says = {"given": "K", "exif": "EXIF"}
     for before, after in zip(stated, fitted, strict=True):
         f, std, allowed = after.focal, after.focal_std, before.focal_std
         if check is not None:
             f, std = check.factor * before.focal, calibrated_focal_std(check.std)
             allowed = std
-        if before.focal_source == "given" and is_contradicted(f / before.focal, allowed):
-            told[f"f = {f:.0f} +- {std * f:.0f} px, and K says {before.focal:.0f}"] = None
+        source = says.get(before.focal_source)
+        if source and is_contradicted(f / before.focal, allowed):
+            told[f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"] = None
     if told:
         return (f"the matches suggest {'; '.join(told)}",)
     loose = dict.fromkeys(

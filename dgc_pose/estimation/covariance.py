@@ -81,7 +81,7 @@ def pose_covariance(
     covariances = []
     try:
         for shift in _SHIFTS:
-            sums = _membership(inliers.points2, shift).T @ terms
+            sums = _block_sums(terms, inliers.points2, shift)
             blocks = len(sums)
             left_out = sums[:, : count**2].reshape(-1, count, count)
             gradient = sums[:, count**2 :, None]
@@ -154,11 +154,15 @@ def _incomplete_gamma(a: float, x: float) -> float:
     return total
 
 
-def _membership(points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
-    """Membership (N, B), 0 or 1, of points (N, 2) in square blocks, empty blocks left out."""
+def _block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+    """Sums (B, M) of terms (N, M) over square blocks of points (N, 2), empty blocks left out.
+
+    No matrix product: the order of its sums depends on the number of threads.
+    """
     low, high = points.min(0), points.max(0)
     # Slightly more than the span, or the farthest point would be alone in a block.
     side = max((1 + 1e-9) * float((high - low).max()), np.finfo(float).tiny) / BLOCKS
     column, row = np.floor((points - low) / side + shift).astype(int).T
     block = column + (BLOCKS + 1) * row
-    return (block[:, None] == np.unique(block)).astype(float)
+    order = np.argsort(block, kind="stable")
+    return np.add.reduceat(terms[order], np.unique(block[order], return_index=True)[1])

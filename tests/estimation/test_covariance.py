@@ -157,3 +157,18 @@ def test_nine_errors_in_ten_are_below_what_the_pose_says():
             translation_error_deg(pose.t, scene.t) <= pose.translation_error_90_deg,
         ]
     assert 0.8 <= np.mean(within) <= 1.0
+
+
+def test_the_number_of_threads_changes_no_digit():
+    threadpoolctl = pytest.importorskip("threadpoolctl")
+    scene, *_ = normalised(3000)
+    problem, (camera1, camera2) = scene.problem(), scene.cameras
+    loose = [replace(c, focal_std=0.3, centre_std=5.0) for c in (camera1, camera2)]
+    model = Model.of_pose(problem, scene.R, scene.t)
+    found = []
+    for threads in (1, 2, 4):
+        with threadpoolctl.threadpool_limits(threads):
+            found.append(pose_covariance(problem, model, CameraSpread.of(*loose)))
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.pose, found[0].pose)
+        np.testing.assert_array_equal(other.cameras, found[0].cameras)

@@ -96,6 +96,17 @@ def test_a_wrong_K_is_told_although_it_has_a_deviation():
     assert any(warning.startswith("the matches suggest f") for warning in pose.warnings)
 
 
+@pytest.mark.parametrize(("factor", "contradicted"), [(1.9, True), (1.05, False)])
+def test_exif_data_that_the_matches_contradict_are_told(factor, contradicted):
+    scene = two_view_scene("skew", same_camera=True, count=1500)
+    of_exif = {"focal_std": 0.06, "centre_std": 8.0, "focal_source": "exif", "identity": "a"}
+    pose = estimate_pose(
+        scene.matches, *(replace(_scaled(c, factor), **of_exif) for c in scene.cameras)
+    )
+    says = f"EXIF says {factor * scene.cameras[0].focal:.0f}"
+    assert any(says in warning for warning in pose.warnings) == contradicted
+
+
 @pytest.mark.parametrize("kind", ["general", "skew", "forward", "planar"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_right_K_is_not_doubted(kind, seed):

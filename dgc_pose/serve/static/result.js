@@ -104,7 +104,7 @@ function facts(pose) {
   }
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
-    lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten`]);
+    lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten if the pose is right`]);
   }
   const share = pose.inlier_ratio == null ? "" : ` (${(100 * pose.inlier_ratio).toFixed(1)} %)`;
   lines.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`]);
