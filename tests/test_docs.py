@@ -1,11 +1,16 @@
 """The documentation names what is there: public names, sub-commands, files that are linked."""
 
+import csv
 import importlib.util
 import json
+import math
+import os
 import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
+from datetime import datetime
 from pathlib import Path
 from types import ModuleType
 
@@ -13,7 +18,10 @@ import click
 import pytest
 
 import dgc_pose
+from dgc_pose.benchmarks.scores import RESULTS, PairScore
+from dgc_pose.benchmarks.summary import summarise, summary_data
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
+from dgc_pose.estimation.status import STATUSES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -150,6 +158,83 @@ def test_quoted_outputs_are_replaced_between_their_fences(figures: ModuleType) -
     printed = {"demo": "demo\n", "info": "info\n", "x": "3.45 s"}
     assert figures.renewed(before, lambda command: printed[command.split()[1]]) == after
     assert list(figures.quoted(after))[1] == ("dgc-pose info", "info\n")
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "statuses"),
+    [
+        ("glossary.md", "| status | meaning |", {*STATUSES}),
+        ("quick-start.md", "| status |", {s for s, facts in STATUSES.items() if not facts.has_t}),
+    ],
+)
+def test_the_tables_of_statuses_are_complete(page: str, heading: str, statuses: set[str]) -> None:
+    table = (DOCS / page).read_text(encoding="utf-8").split(heading)[1].split("\n\n")[0]
+    first_cells = re.findall(r"^\|([^|]*)\|", table, re.MULTILINE)
+    assert set(re.findall(r"`(\w+)`", "".join(first_cells))) == statuses
+
+
+@pytest.fixture
+def results() -> ModuleType:
+    """What writes the tables of relative poses."""
+    return load("results")
+
+
+def test_the_tables_of_relative_poses_are_those_of_results_csv(results: ModuleType) -> None:
+    """Else `make figures` brings them up to date."""
+    for page in results.PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert results.TABLE.search(text), page
+        assert results.TABLE.sub(results.table, text) == text, page
+
+
+def test_the_figures_of_results_csv_come_of_runs(
+    results: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, page = tmp_path / "results.csv", tmp_path / "page.md"
+    heading = f"run,list,method,readme,{','.join(results.FIGURES)}\n"
+    rows = ('a,"A, 1",ours,yes', 'a,"A, 1",sift,yes', "b,B,ours,yes", "b,B,sift,")
+    table.write_text(heading + "".join(f"{row}{10 * ',9'}\n" for row in rows))
+    page.write_text("<!-- table of: results.csv, in short -->\n\n| old |\n\nend\n")
+    errors = {"ours": [(0.5, 178), (1, 2), (0, 12)], "sift": [(4, 3), None, None]}
+    for run in ("a", "b"):
+        _write_run(tmp_path / run, errors)
+    monkeypatch.setattr(results, "RESULTS", table)
+    monkeypatch.setattr(results, "PAGES", [page])
+    results.main(str(tmp_path))
+    ours = "2026-02-03,3,0,2,0.50,12.00,2.00,46.7,56.7,83.3\n"
+    sift = "2026-02-03,3,2,0,inf,inf,inf,20.0,26.7,30.0\n"
+    found = [row + "," + (ours if "ours" in row else sift) for row in rows]
+    assert table.read_text() == heading + "".join(found)
+    cells = "`ours` | 3 | 0 | 2 | 0.50 | 2.00 | 46.7 | 56.7 | 83.3 |\n"
+    assert page.read_text() == (
+        "<!-- table of: results.csv, in short -->\n\n| list, measured 2026-02-03 | method | pairs "
+        "| failures | wrong | R | t folded | AUC@5 | AUC@10 | AUC@20 |\n" + 10 * "| --- " + "|\n"
+        f"| A, 1 | {cells}|  | `sift` | 3 | 2 | 0 | inf | inf | 20.0 | 26.7 | 30.0 |\n"
+        f"| B | {cells}\nend\n"
+    )
+
+
+def _write_run(folder: Path, errors: dict[str, list[tuple[float, float] | None]]) -> None:
+    """The files of bench-pairs that are read. errors: of each method those of R and t of each pair,
+    None without a pose."""
+    scores: dict[str, list[PairScore]] = {}
+    for method, pairs in errors.items():
+        for pair in pairs:
+            rotation, translation = pair or (math.inf, math.inf)
+            values = {field.name: 0 for field in fields(PairScore)}
+            values |= {"method": method, "success": pair is not None}
+            values |= {"rotation_error_deg": rotation, "translation_error_deg": translation}
+            values["translation_folded_deg"] = min(translation, abs(180 - translation))
+            scores.setdefault(method, []).append(PairScore(**values))
+    folder.mkdir()
+    with (folder / RESULTS).open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, PairScore.tables[RESULTS])
+        writer.writeheader()
+        writer.writerows(vars(score) for rows in scores.values() for score in rows)
+    summary = folder / "summary.json"
+    summary.write_text(json.dumps(summary_data([summarise(rows) for rows in scores.values()])))
+    noon = datetime(2026, 2, 3, 12).timestamp()
+    os.utime(summary, (noon, noon))
 
 
 def test_the_first_pose_of_the_readme_runs_as_printed() -> None:
