@@ -16,8 +16,9 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import KChoice
+from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
@@ -74,7 +75,7 @@ def work_through(
 
     images = open_source(Path(source), inputs.root)
     for line in images.left_out:
-        click.echo(f"warning: {line}", err=True)
+        say(f"warning: {line}")
     if len(images.names) < least_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {least_images}")
     choice = None if inputs.pairs is None else parse_pair_choice(inputs.pairs)
@@ -97,17 +98,16 @@ def report(batch: Batch) -> None:
 
     summary = batch.summary
     for name, reason in summary["bad_images"].items():
-        click.echo(f"bad image {name}: {reason}", err=True)
+        say(f"bad image {name}: {reason}")
     if failed := [row for row in batch.rows if row.status == FAILED]:
         first = failed[0]
-        click.echo(
+        say(
             f"{counted(len(failed), 'pair')} failed (first: {first.name1} {first.name2}: "
-            f"{first.reason}): --resume matches them again",
-            err=True,
+            f"{first.reason}): --resume matches them again"
         )
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
-        click.echo(f"warning: {warnings[0]}{more}", err=True)
+        say(f"warning: {warnings[0]}{more}")
     echo_cameras(summary["cameras"])
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
     click.echo(
@@ -152,7 +152,7 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
         R = None if row.R is None else np.reshape(row.R, (3, 3))
         angle = "-" if R is None else f"{rotation_angle_deg(R):.2f} deg"
         inliers = f"{row.num_inliers} of {row.num_matches}"
-        lines.append((f"{row.name1} {row.name2}", row.status, angle, inliers))
+        lines.append((printable(f"{row.name1} {row.name2}"), row.status, angle, inliers))
     click.echo(aligned(lines))
     if len(rows) > PAIRS_SHOWN:
         click.echo(f"... and {len(rows) - PAIRS_SHOWN} more")

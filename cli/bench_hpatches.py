@@ -16,6 +16,7 @@ from dgc_pose.benchmarks.map_report import (
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.map_bench import MapBenchOptions, run_map_bench
+from dgc_pose.cli.process import say
 
 SEQUENCES = 59  # of a changing viewpoint in HPatches
 
@@ -69,4 +70,4 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
 
     run_map_bench(bench, homography_set(data.pairs, facts), report)
     if data.missing:
-        click.echo(f"{len(data.missing)} pairs missing: {', '.join(data.missing)}", err=True)
+        say(f"{len(data.missing)} pairs missing: {', '.join(data.missing)}")

@@ -20,7 +20,7 @@ from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
 from dgc_pose.cli.process import Stopped, plain_warnings, standard_streams, stopped_by_signals
-from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason
+from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, printable, reason
 
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
@@ -179,8 +179,8 @@ def _describe(error: OSError) -> str:
 
 
 def _one_line(message: str) -> str:
-    """A message without line breaks and control characters, shortened."""
-    text = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(message.split()))
+    """A message that can be printed, shortened."""
+    text = printable(" ".join(message.split()))
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 40]} ... {text[-30:]}"
 
 

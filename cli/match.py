@@ -5,6 +5,7 @@ import click
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.output import matches_arrays, write_npz
+from dgc_pose.cli.process import say
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import staged
 from dgc_pose.images.image import load_image
@@ -40,9 +41,8 @@ def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
         write_npz(stage(out), arrays | matches_arrays(result.matches))
     for image in (first, second):
         if image.orientation != 1:
-            click.echo(
+            say(
                 f"warning: {image.name}: EXIF orientation {image.orientation} is not applied: the "
-                f"points refer to the pixels as stored",
-                err=True,
+                f"points refer to the pixels as stored"
             )
     click.echo(f"{out}: {len(result.matches)} matches of {dense.matchability.size} cells")

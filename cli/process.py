@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 import click
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, printable
 from dgc_pose.files.outputs import writing
 
 # SIGINT is a KeyboardInterrupt anyway. Windows has no SIGHUP.
@@ -93,7 +93,12 @@ class _Lines(logging.Handler):
     """`warning: MESSAGE` on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        click.echo(f"warning: {' '.join(record.getMessage().split())}", err=True)
+        say(f"warning: {record.getMessage()}")
+
+
+def say(text: str) -> None:
+    """A line on stderr, whatever the names in it hold."""
+    click.echo(printable(text), err=True)
 
 
 @contextmanager

@@ -10,14 +10,13 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT, SourceChoice, echo_each_camera, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
+from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
-
-BATCH, PICTURE = "batch", "picture.png"
 
 
 @click.command()
@@ -44,7 +43,7 @@ def reconstruct(
     Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
     the folder of the batch.
     """
-    from dgc_pose.batch.plan import PLAN
+    from dgc_pose.batch.source import BATCH, PICTURE, PLAN
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import LEAST_IMAGES
     from dgc_pose.viz.figure import save_figure
@@ -90,4 +89,4 @@ def reconstruct(
     cameras = [(c.images, f"{c.model}, f = {c.focal_px:.1f} px{after}") for c in model.cameras]
     echo_each_camera(cameras, out / reconstruction.SUMMARY)
     for name in data["not_registered"]:
-        click.echo(f"not registered: {name}", err=True)
+        say(f"not registered: {name}")

@@ -92,6 +92,11 @@ def reason(failure: BaseException) -> str:
     return shortened(text)
 
 
+def printable(text: str) -> str:
+    """A text, such as the name of a file, as one line without control characters."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
+
+
 def shortened(text: str) -> str:
     """A text for a message: its middle is left out if it is long."""
     half = _REASON // 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -113,7 +114,7 @@ class MatcherKind:
 
 
 def load_matcher(
-    name: str | Path = DEFAULT_WEIGHTS,
+    name: str | os.PathLike[str] = DEFAULT_WEIGHTS,
     *,
     device: str = "auto",
     runtime: RuntimeName = "auto",
@@ -129,16 +130,19 @@ def load_matcher(
     half_precision: its convolutions in bfloat16, by torch; faster on a GPU, less exact.
     matching: how matches are selected from a dense map. refinement: of a network's matches; None
     for those of its map. Other matchers are never refined here; a `Refiner` around them does it.
-    caches: to keep what is computed of an image from pair to pair; None to keep nothing.
+    caches: to keep what is computed of an image from pair to pair; None to keep it of the last
+    images alone, of a network up to 0.7 GB.
+
+    A network's matcher can be neither pickled nor deep-copied: each process loads its own.
 
     Raises WeightsError if weights cannot be loaded, InputError if there is no such matcher or
     device.
     """
-    check_type(name, str | Path, "name")
+    check_type(name, str | os.PathLike, "name")
     if caches is not None:
         check_type(caches, MatcherCaches, "caches")
     options = MatcherOptions(
-        str(name),
+        os.fspath(name),
         device,
         runtime,
         half_precision,

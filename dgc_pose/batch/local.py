@@ -5,13 +5,14 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache
 from itertools import pairwise
 
 import cv2
 
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
+from dgc_pose.files.outputs import writing
 from dgc_pose.system.processes import process_pools
 
 # Worked through in any order; the same outcomes whatever the workers.
@@ -33,8 +34,15 @@ def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
         return
     job.matcher.load()
     # One pool a worker, since neighbouring blocks share images and belong to one worker.
-    with process_pools([1] * workers, _start, job) as submit:
-        yield lambda tasks: in_spans(tasks, workers, lambda pool, task: submit(pool, _do, task))
+    with ExitStack() as stack:
+        with writing("worker processes"):
+            submit = stack.enter_context(process_pools([1] * workers, _start, job))
+
+        def give(worker: int, task: Task) -> Future[Outcome]:
+            with writing("worker processes"):
+                return submit(worker, _do, task)
+
+        yield lambda tasks: in_spans(tasks, workers, give)
 
 
 def in_spans(

@@ -17,8 +17,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from dgc_pose.errors import InputError, reason
+from dgc_pose.errors import InputError
 from dgc_pose.files.arrays import ARRAY_BYTES
+from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.files.outputs import writing
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import MatchResult
@@ -119,14 +120,11 @@ def new_file(path: Path) -> Iterator[Any]:
 
 @contextmanager
 def open_matches(path: Path) -> Iterator[Any]:
-    """An HDF5 file to read. Raises InputError, with the path, if it is missing, cut short or of
-    another kind."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
+    """An HDF5 file to read. Raises InputError, with the path, if it is cut short or of another
+    kind; OSError, with the path, if it cannot be opened."""
+    require_regular(path)
+    with read_as("an HDF5 file", path):
         file = h5py.File(path, "r")
-    except Exception as error:
-        raise InputError(f"{path}: not an HDF5 file that can be read ({reason(error)})") from None
     with file:
         yield file
 

@@ -17,12 +17,12 @@ from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.matches_file import PairMatches, group_name, open_matches, read_matches
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
-from dgc_pose.batch.plan import PLAN, Plan, continued, read_plan, write_plan
+from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
 from dgc_pose.batch.ray_engine import ray_workers
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows
 from dgc_pose.batch.schedule import BLOCK, blocks_of, tile_order
-from dgc_pose.batch.source import Source, survey
+from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import (
     ESTIMATES,
     MATCHES,

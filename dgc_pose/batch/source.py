@@ -15,6 +15,8 @@ from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import image_header
 
+PLAN = "plan.json"  # in the folder of a batch
+BATCH, PICTURE = "batch", "picture.png"  # in the folder of a reconstruction
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change
 
@@ -33,7 +35,8 @@ class Source:
 def open_source(path: Path, root: Path | None = None) -> Source:
     """A folder of photographs, a list of pairs, or a COLMAP database.
 
-    root: folder of the image names of a list or database; by default the file's own.
+    root: folder of the image names of a list or database; by default the file's own. Results of
+    `batch` and `reconstruct` below a folder are left out.
 
     Raises InputError if the source has no image, or a single one, or if none of its images is in
     `root`; OSError if it cannot be read.
@@ -41,7 +44,7 @@ def open_source(path: Path, root: Path | None = None) -> Source:
     if path.is_dir():
         if root is not None:
             raise InputError(f"--root is for a list or a database, and {path} is a folder")
-        content = search_images(path)
+        content = search_images(path, _why_results)
         source = Source(path, content.names, None, {}, content.left_out)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")
@@ -62,6 +65,12 @@ def open_source(path: Path, root: Path | None = None) -> Source:
             f"(first: {source.names[0]})"
         )
     return source
+
+
+def _why_results(path: Path) -> str | None:
+    """Why this is no photograph and no folder of them, but results; None if it is not."""
+    batch = path.parent / BATCH if path.name == PICTURE else path
+    return f"results, told by their {PLAN}" if os.path.isfile(batch / PLAN) else None
 
 
 def survey(
@@ -88,7 +97,7 @@ def survey(
             continue
         of_image = calibration
         listed = source.cameras.get(name)
-        if listed is not None and calibration.says_nothing_of(name):
+        if listed is not None and calibration.says_nothing_of(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
         elif calibration.common is not None:

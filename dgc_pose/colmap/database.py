@@ -15,13 +15,14 @@ from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.estimation.status import CONFIGURATIONS
-from dgc_pose.files.outputs import replaced
+from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.stderr import quiet
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
+_LEAST_BYTES = 2**18  # more than an empty database takes
 
 
 def write_database(
@@ -36,8 +37,8 @@ def write_database(
     names: all images; those without a camera are left out. rows: by pair, of a status in
     `CONFIGURATIONS`.
 
-    Raises InputError if COLMAP cannot hold a camera; DgcPoseError if pycolmap fails, or if the file
-    lacks rows after it was written.
+    Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
+    DgcPoseError if pycolmap fails, or if the file lacks rows after it was written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with replaced(path) as temporary:
@@ -54,6 +55,7 @@ def write_database(
                     geometry = two_view_geometry(rows[pair], index)
                     database.write_two_view_geometry(id1, id2, geometry)
         except RuntimeError as error:
+            require_room(path, _LEAST_BYTES)  # pycolmap does not tell what the system said
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
         for ending in ("-wal", "-shm", "-journal"):

@@ -33,7 +33,8 @@ def as_numpy(value: Any, name: str) -> np.ndarray:
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputError(f"{name} is not an array of numbers") from error
     if array.dtype.kind not in "buif":
-        raise InputError(f"{name} is not an array of real numbers but {type(value).__name__}")
+        kind = f"{type(value).__name__} of dtype {array.dtype}"
+        raise InputError(f"{name} is not an array of real numbers but {kind}")
     return array
 
 

@@ -49,8 +49,8 @@ def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> Bi
 
 def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> None:
     """Raise `error`, with the path, unless this is a regular file that is not empty: for libraries
-    that open files themselves. OSError if it is missing."""
-    if not _regular_size(path, error):
+    that open files themselves. OSError, with the path, if it cannot be read."""
+    if not read_start(path, 1, error):
         raise error(f"{path} is empty")
 
 

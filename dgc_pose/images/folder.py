@@ -1,7 +1,7 @@
 """The images below a folder, told by their content, and what is left out."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,24 +18,28 @@ class FolderImages:
     left_out: tuple[str, ...]  # a line for each reason: how many, the first of them, and the reason
 
 
-def search_images(folder: str | Path) -> FolderImages:
+def search_images(
+    folder: str | Path, why_skip: Callable[[Path], str | None] = lambda _: None
+) -> FolderImages:
     """The images below a folder, whatever their names end in.
 
-    Links are followed, hidden names are passed over, and no folder is searched twice. Raises
-    OSError, with the path, if the folder cannot be read.
+    Links are followed, hidden names are passed over, and no folder is searched twice. why_skip: why
+    a file or folder is left out; None to take it. Raises OSError, with the path, if the folder
+    cannot be read.
     """
     root = Path(folder)
     names: list[str] = []
     left_out: dict[tuple[str, str], list[str]] = {}
-    for path, failure in _walk(root):
-        if failure is not None and path == root:
+    for path, failure in _walk(root, why_skip):
+        if isinstance(failure, OSError) and path == root:
             raise failure
         name = path.relative_to(root).as_posix()
         why = _why_not(path, name) if failure is None else _system_words(failure)
         if why is None:
             names.append(name)
         else:
-            left_out.setdefault(("file" if failure is None else "folder", why), []).append(name)
+            kind = "folder" if os.path.isdir(path) else "file"
+            left_out.setdefault((kind, why), []).append(name)
     lines = (
         f"{len(paths)} {kind}{'s' * (len(paths) > 1)} left out (first: {min(paths)}): {why}"
         for (kind, why), paths in left_out.items()
@@ -43,8 +47,10 @@ def search_images(folder: str | Path) -> FolderImages:
     return FolderImages(tuple(sorted(names)), tuple(lines))
 
 
-def _walk(root: Path) -> Iterator[tuple[Path, OSError | None]]:
-    """The files below a folder, and the folders that cannot be read, with the error.
+def _walk(
+    root: Path, why_skip: Callable[[Path], str | None]
+) -> Iterator[tuple[Path, OSError | str | None]]:
+    """The files below a folder, and the folders that are not searched; why each is left out.
 
     Links to folders come last, so that a file has the name of the folder that it lies in.
     """
@@ -62,8 +68,8 @@ def _walk(root: Path) -> Iterator[tuple[Path, OSError | None]]:
             yield folder, failure
             continue
         for path in (folder / name for name in entries if not name.startswith(".")):
-            if not os.path.isdir(path):
-                yield path, None
+            if (why := why_skip(path)) is not None or not os.path.isdir(path):
+                yield path, why
             else:
                 (links if path.is_symlink() else folders).append(path)
 
@@ -88,5 +94,5 @@ def _why_not(path: Path, name: str) -> str | None:
     return None
 
 
-def _system_words(failure: OSError) -> str:
-    return failure.strerror or str(failure)
+def _system_words(failure: OSError | str) -> str:
+    return getattr(failure, "strerror", None) or str(failure)

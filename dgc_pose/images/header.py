@@ -53,7 +53,7 @@ class Header:
 
 
 def image_format(start: bytes) -> str:
-    """The format of an image file by its first `START_BYTES`, or by all of a smaller file.
+    """The format of an image file by its first `START_BYTES` or more, or by all of a smaller file.
 
     Raises UnreadableFormatError, which says what the file is, if it is not read.
     """
@@ -78,13 +78,16 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
     Raises UnreadableFormatError if the format is not read, any other exception if the header is
     damaged.
     """
-    name = image_format(data[:START_BYTES])
+    name = image_format(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "HEIF":
             return _heif_header(data)
         if name == "TIFF":
             tags = _tiff_tags(data)
+            for tag, what in ((_WIDTH, "ImageWidth"), (_HEIGHT, "ImageLength")):
+                if tag not in tags:
+                    raise ValueError(f"it has no {what} (tag {tag})")
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
             says = any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL))
             exif = _tiff_exif(data, tags, complete) if says else b""

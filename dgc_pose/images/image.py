@@ -64,7 +64,7 @@ class Image:
 
 
 def load_image(
-    source: str | Path | np.ndarray | torch.Tensor | Image, name: str = "image"
+    source: str | os.PathLike[str] | np.ndarray | torch.Tensor | Image, name: str = "image"
 ) -> Image:
     """An image as 8-bit RGB.
 
@@ -84,7 +84,7 @@ def load_image(
     """
     if isinstance(source, Image):
         return source
-    if isinstance(source, (str, Path)):
+    if isinstance(source, str | os.PathLike):
         return _read_file(Path(source))
     array = as_numpy(source, name)
     if is_tensor(source):

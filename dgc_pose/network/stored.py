@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -26,9 +27,9 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob(f"*{SUFFIX}"))
 
 
-def find_weights(weights: str | Path) -> Path:
+def find_weights(weights: str | os.PathLike[str]) -> Path:
     """The file of shipped weights by name, or of a path. Raises WeightsError if there is none."""
-    name = str(weights)
+    name = os.fspath(weights)
     if name in shipped():
         return _FOLDER / (name + SUFFIX)
     if name in PRESETS:

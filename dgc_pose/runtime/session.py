@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import WeightsError
+from dgc_pose.files.inputs import require_regular
 from dgc_pose.system.onnx_library import onnxruntime
 
 _QUIET = 4  # errors are raised, and need not be printed
@@ -19,10 +20,12 @@ class Session:
 
     weights: by the names of the graph's initializers, no others. The number of threads is that of
     `session_threads` when the session is made. Safe to call from several threads at once. Raises
-    WeightsError if weights are missing or do not fit.
+    WeightsError if weights are missing or do not fit, OSError, with the path, if the graph cannot
+    be read; MemoryError, as a call does, if there is not enough.
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
+        require_regular(path, WeightsError)  # ONNX Runtime does not tell what the system said
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = session_threads()
         options.inter_op_num_threads = 1
@@ -42,6 +45,7 @@ class Session:
                 enable_fallback=0,  # it would try the same again, and print
             )
         except Exception as error:  # onnxruntime's errors have no common base
+            _check_memory(error)
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
         self.inputs, self.outputs = (
             [(tensor.name, tensor.shape) for tensor in tensors]
@@ -51,7 +55,17 @@ class Session:
     def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """The outputs."""
         inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
-        return self._session.run(None, inputs)
+        try:
+            return self._session.run(None, inputs)
+        except Exception as error:
+            _check_memory(error)
+            raise
+
+
+def _check_memory(error: Exception) -> None:
+    """Raise MemoryError for an error of ONNX Runtime that says so."""
+    if "bad_alloc" in str(error) or "allocate memory" in str(error):
+        raise MemoryError(str(error)) from None
 
 
 def session_threads() -> int:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -136,6 +137,7 @@ class Server:
     ) -> AsyncIterator[str]:
         loop = asyncio.get_running_loop()
         lines: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
+        gone = threading.Event()
 
         def send(line: Mapping[str, Any]) -> None:
             with suppress(RuntimeError):  # the server has ended
@@ -150,6 +152,7 @@ class Server:
                     camera,
                     seconds=self.options.estimate_seconds,
                     report=lambda text: send({"progress": text}),
+                    gone=gone,
                 )
                 send({"result": result})
             except DgcPoseError as error:
@@ -160,9 +163,12 @@ class Server:
 
         loop.run_in_executor(None, estimate)
         line: Mapping[str, Any] = {"progress": ""}
-        while "progress" in line:
-            line = await lines.get()
-            yield json.dumps(line) + "\n"
+        try:
+            while "progress" in line:
+                line = await lines.get()
+                yield json.dumps(line) + "\n"
+        finally:  # also where the client has left, which ends the response
+            gone.set()
 
     async def _receive(self, request: Request, path: Path) -> None:
         """The body into a new file. Raises HTTPException."""

@@ -4,6 +4,7 @@ Decoders of images are written in C. If one crashes, or does not come to an end,
 and the server goes on with a fresh one.
 """
 
+import math
 import multiprocessing
 import os
 import signal
@@ -20,6 +21,7 @@ from dgc_pose.system.processes import process_end
 
 Report = Callable[[str], None]  # takes what is being done, for people
 _ENDING_SECONDS = 5  # for a process that has closed its pipe
+_LOOK_SECONDS = 0.1  # between looks whether the answer is still wanted
 _CONTEXT = multiprocessing.get_context("spawn")  # no copy of the server's sockets
 
 
@@ -34,7 +36,7 @@ class Refused(WorkError):
 
 
 class Unavailable(WorkError):
-    """Too many requests wait already, or the server ends."""
+    """Too many requests wait already, the client has left, or the server ends."""
 
     status = 503
 
@@ -65,41 +67,59 @@ class RequestWorker:
             self._started()
 
     def call(
-        self, method: str, *arguments: Any, seconds: float, report: Report = lambda _: None
+        self,
+        method: str,
+        *arguments: Any,
+        seconds: float,
+        report: Report = lambda _: None,
+        gone: threading.Event | None = None,
     ) -> Any:
         """What the method returns. Blocks; for threads.
 
-        seconds: of the method's own work. report: is called in this thread. Raises WorkError:
+        seconds: of the method's own work. report: is called in this thread. gone: is set when
+        nobody waits for the answer any more: the call ends, and its work. Raises WorkError:
         Refused with the message of a DgcPoseError or OSError of the method, Unavailable, or
         WorkError itself if the time has passed, the process ends or its code fails.
         """
         if not self._places.acquire(blocking=False):
             raise Unavailable("the server is busy: try again in a moment")
         try:
-            with self._lock:
-                try:
-                    return self._answer((method, arguments), seconds, report)
-                except (EOFError, OSError):  # of the pipe
-                    code = self._end(_ENDING_SECONDS)
-                    self._check_open()
-                    raise WorkError(f"the worker's process ended: {process_end(code)}") from None
+            while not self._lock.acquire(timeout=_LOOK_SECONDS):
+                self._check_wanted(gone)
+            try:
+                return self._answer((method, arguments), seconds, report, gone)
+            except (EOFError, OSError):  # of the pipe
+                code = self._end(_ENDING_SECONDS)
+                raise WorkError(f"the worker's process ended: {process_end(code)}") from None
+            except Unavailable:
+                self._end()
+                self._started()  # for the next call
+                raise
+            finally:
+                self._lock.release()
         finally:
             self._places.release()
 
     def close(self) -> None:
         """End the process for good; calls under way, waiting and later ones raise Unavailable."""
-        self._closed = True  # before the process is read, as _started sets it before it reads this
-        process = self._process
-        if process is not None:
-            process.kill()
+        self._closed = True
         with self._lock:
             self._end()
 
-    def _answer(self, request: tuple[str, Any], seconds: float, report: Report) -> Any:
+    def _answer(
+        self,
+        request: tuple[str, Any],
+        seconds: float,
+        report: Report,
+        gone: threading.Event | None,
+    ) -> Any:
         pipe = self._started()
         pipe.send(request)
-        deadline = None  # from when the object is made: loading a network is not the client's fault
-        while pipe.poll(None if deadline is None else max(0.0, deadline - time.monotonic())):
+        deadline = math.inf  # until the object is made: loading a network is not the client's fault
+        while (left := deadline - time.monotonic()) > 0:
+            self._check_wanted(gone)
+            if not pipe.poll(min(left, _LOOK_SECONDS)):
+                continue
             kind, value = pipe.recv()
             match kind:
                 case "begun":
@@ -116,7 +136,7 @@ class RequestWorker:
         raise WorkError(f"stopped after {seconds:g} seconds")
 
     def _started(self) -> Connection:
-        self._check_open()
+        self._check_wanted()
         if self._process is None or not self._process.is_alive() or self._pipe is None:
             self._end()
             ours, theirs = _CONTEXT.Pipe()
@@ -125,14 +145,14 @@ class RequestWorker:
             process.start()
             theirs.close()
             self._process, self._pipe = process, ours
-            self._check_open()  # close() may have found no process to end
         return self._pipe
 
-    def _check_open(self) -> None:
-        """Raise Unavailable, with the process ended, if the worker is closed."""
+    def _check_wanted(self, gone: threading.Event | None = None) -> None:
+        """Raise Unavailable if the worker is closed, or the client gone."""
         if self._closed:
-            self._end()
             raise Unavailable("the server is ending") from None
+        if gone is not None and gone.is_set():
+            raise Unavailable("the client has left")
 
     def _end(self, seconds: float = 0) -> int | None:
         """End the process, unless it ends by itself within so many seconds. Returns its exit

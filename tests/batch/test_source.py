@@ -30,6 +30,29 @@ def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
     assert {camera.size for camera in cameras.values()} == {(64, 48)} and not bad
 
 
+@pytest.mark.parametrize(
+    ("plan", "result", "kept"),
+    [
+        ("out/batch/plan.json", "out/picture.png", False),
+        ("batch/plan.json", "picture.png", False),  # in the folder of the photographs
+        ("out/plan.json", "out/more/drawn.png", False),
+        ("batch/plan.json", "other.png", True),
+        ("plan.json", "picture.png", True),
+        ("out/summary.json", "out/picture.png", True),
+    ],
+)
+def test_results_are_no_photographs(tmp_path: Path, plan: str, result: str, *, kept: bool) -> None:
+    """Of `batch` and `reconstruct`, wherever they were put; all else is taken."""
+    for name in ("1.png", "2.png", result):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        _save(tmp_path / name, "PNG")
+    (tmp_path / plan).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / plan).write_text("{}")
+    source = open_source(tmp_path)
+    assert source.names == ("1.png", "2.png") + (result,) * kept
+    assert kept or "results, told by their plan.json" in "; ".join(source.left_out)
+
+
 def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
     for name in ("1.heic", "2.heic"):

@@ -4,6 +4,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 from contextlib import ExitStack, contextmanager, suppress
@@ -95,6 +96,26 @@ def _half_post(url, path):
     head = f"POST {path} HTTP/1.1\r\nHost: {host}\r\n{TOKEN_HEADER}: {token}\r\n"
     connection.sendall(f"{head}Content-Length: 5000\r\n\r\nabc".encode())
     return connection
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="finds processes as Linux does")
+def test_poses_of_clients_that_have_left_keep_nobody_waiting(tmp_path):
+    """A page that is loaded again and again was told that the server is busy."""
+    with started(tmp_path, "--weights", "sift") as process, ExitStack() as cleared:
+        url = process.stdout.readline().strip()
+        example = json.load(_post(url, "/example"))
+        first, second = (image["id"] for image in example["images"])
+        camera = {"kind": "k", "k1": example["k"][0]}
+        body = json.dumps({"image1": first, "image2": second, "camera": camera}).encode()
+        assert b"result" in _post(url, "/poses", body).read()  # the matcher is loaded
+        workers = _workers(process)
+        for worker in workers:  # so that the pose of the first client does not come to an end
+            os.kill(worker, signal.SIGSTOP)
+        cleared.callback(_kill, workers)
+        for left in [_post(url, "/poses", body) for _ in range(4)]:  # one runs, three wait
+            left.close()
+        time.sleep(1)  # longer than the server takes to see it
+        assert b"result" in _post(url, "/poses", body).read()
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="finds processes as Linux does")

@@ -41,3 +41,37 @@ def test_a_folder_may_have_any_name(views: Path, tmp_path: Path, name: str) -> N
     shutil.copy(database, tmp_path / "plain.db")
     with pycolmap.Database.open(tmp_path / "plain.db") as opened:
         assert opened.num_verified_image_pairs() == 3
+
+
+@pytest.mark.parametrize("folder", [".", "out"])
+def test_results_may_lie_among_the_photographs(views: Path, tmp_path: Path, folder: str) -> None:
+    """Those of the first run were photographs of the second."""
+    photos = tmp_path / "photos"
+    shutil.copytree(views, photos)
+    words = ("--pairs", "exhaustive", "--K", K_text(), *SIFT)
+    for more in (("--out", photos / folder), ("--out", photos / folder, "--resume")):
+        done = run("reconstruct", photos, *more, *words)
+        assert done.exit_code == 0 and "3 of 3 images" in done.stdout, done.output
+    other = run("batch", photos, "--out", tmp_path / "other", *words)
+    assert other.exit_code == 0, other.output
+    assert read_batch(tmp_path / "other").summary["images"] == 3
+
+
+def test_the_name_of_a_photograph_is_printed_as_one_line(views: Path, tmp_path: Path) -> None:
+    """Its line breaks and control characters are not."""
+    photos = tmp_path / "photos"
+    shutil.copytree(views, photos)
+    for i in range(3):
+        (photos / f"view{i}.png").rename(photos / f"{i}\x1b]0;title\x07\n.png")
+    for name in ("bad\x07\n.png", "notes\x07\n.txt"):
+        (photos / name).write_bytes(b"\x89PNG\r\n\x1a\n" * name.endswith("png"))
+    words = ("--pairs", "exhaustive", "--K", K_text(), *SIFT)
+    done = run("batch", photos, "--out", tmp_path / "out", *words)
+    assert done.exit_code == 0, done.output
+    assert all(c.isprintable() or c == "\n" for c in done.output)
+    lines = done.stdout.splitlines()
+    assert sum(line.startswith("0\ufffd]0;title\ufffd .png 1") for line in lines) == 1
+    assert [line.split(".")[0] for line in done.stderr.splitlines()] == [
+        "warning: 1 file left out (first: notes\ufffd ",
+        "bad image bad\ufffd ",
+    ]

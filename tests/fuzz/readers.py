@@ -280,7 +280,7 @@ def make_batch(folder: Path) -> None:
 
 
 def _make_parts(folder: Path) -> None:
-    _store(folder).close()
+    _store(folder)
 
 
 def _store(folder: Path) -> PartStore:

@@ -28,18 +28,23 @@ def full(folder: Path, size: int, *words: str) -> subprocess.CompletedProcess[st
 
 
 @pytest.mark.parametrize(
-    ("size", "output", "words"),
-    [(60_000, "x.db", ("--database", "x.db")), (500, "h/features.h5", ("--hloc", "h"))],
+    ("size", "line", "words"),
+    [
+        (0, "x.db: File too large\n", ("--database", "x.db")),
+        (60_000, "x.db: File too large\n", ("--database", "x.db")),
+        (200_000, "x.db: File too large\n", ("--database", "x.db")),
+        (500, "h/features.h5: ", ("--hloc", "h")),
+    ],
 )
 def test_an_export_onto_a_full_disk_is_one_line(
-    tmp_path: Path, size: int, output: str, words: tuple[str, ...]
+    tmp_path: Path, size: int, line: str, words: tuple[str, ...]
 ) -> None:
-    """SQLite's and HDF5's errors once ended the process, and left files."""
+    """The system's words. SQLite's and HDF5's errors once ended the process, and left files."""
     (tmp_path / "batch").mkdir()
     make_batch(tmp_path / "batch")
     ended = full(tmp_path, size, "export-colmap", "batch", "--sharing", "cells", *words)
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr.startswith(f"error: {output}: ") and ended.stderr.count("\n") == 1
+    assert ended.stderr.startswith(f"error: {line}") and ended.stderr.count("\n") == 1
     assert not list(tmp_path.glob("h/*")) and not list(tmp_path.glob("x.db*"))
 
 

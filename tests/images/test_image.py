@@ -18,6 +18,17 @@ from hypothesis.extra import numpy as st_numpy
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.image import Image, image_size, load_image, read_pixels, resize
 
+
+class PathLike:
+    """A path of another library, which `open` takes."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
 
 
@@ -49,7 +60,8 @@ def test_a_file_gives_its_pixels_in_rgb(tmp_path: Path, rgb: np.ndarray, suffix:
     assert image.pixels.dtype == np.uint8 and image.pixels.flags.c_contiguous
     difference = np.abs(image.pixels.astype(int) - rgb)
     assert difference.max() == 0 if suffix != "jpg" else difference.mean() < 3
-    np.testing.assert_array_equal(load_image(str(path)).pixels, image.pixels)
+    for same in (str(path), PathLike(path)):
+        np.testing.assert_array_equal(load_image(same).pixels, image.pixels)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])
@@ -129,6 +141,7 @@ def test_a_truncated_file_is_refused(
         (b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + b"\0" * 99, "is not an image of a known format"),
         (b"\xff\xd8\xff", "is corrupt: "),
         (b"\x89PNG\r\n\x1a\n", "is corrupt: "),
+        (b"II*\0\x08" + bytes(12), "is corrupt: it has no ImageWidth (tag 256)"),
         (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
     ],
 )
@@ -143,15 +156,19 @@ def test_what_a_file_is_that_cannot_be_read(tmp_path: Path, content: bytes, said
 
 @pytest.mark.parametrize("tag", [(254, 1), (50706, 0x0401)], ids=["thumbnail", "DNG"])
 @pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("tags_at", [8, 5000, 200_000])  # as other programs put them: at the end
 def test_a_raw_file_is_no_photograph_of_the_size_of_its_thumbnail(
-    tmp_path: Path, tag: tuple[int, int], order: str
+    tmp_path: Path, tag: tuple[int, int], order: str, tags_at: int
 ) -> None:
     start = b"II*\0" if order == "<" else b"MM\0*"
     entries = [struct.pack(order + "HHII", key, 4, 1, value) for key, value in ((256, 9), tag)]
     path = tmp_path / "raw.nef"
-    path.write_bytes(start + struct.pack(order + "IH", 8, 2) + b"".join(entries) + bytes(4))
-    with pytest.raises(ImageError, match="raw file"):
-        load_image(path)
+    pixels, count = bytes(tags_at - 8), struct.pack(order + "H", 2)
+    start += struct.pack(order + "I", tags_at)
+    path.write_bytes(start + pixels + count + b"".join(entries) + bytes(4))
+    for read in (load_image, image_size):
+        with pytest.raises(ImageError, match="raw file, or begins with a thumbnail"):
+            read(path)
 
 
 def heic(path: Path, pixels: np.ndarray, orientation: int = 1) -> Path:

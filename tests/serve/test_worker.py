@@ -60,12 +60,12 @@ def test_an_object_that_cannot_be_made_is_a_refusal(make, message, capfd):
     assert "Traceback" not in capfd.readouterr().err
 
 
-def _hang_in_thread(worker, errors, begun):
+def _hang_in_thread(worker, errors, begun, gone=None):
     """A call that does not come to an end; what it raises goes to `errors`."""
 
     def call():
         try:
-            worker.call("hang", seconds=60, report=lambda _: begun.set())
+            worker.call("hang", seconds=60, report=lambda _: begun.set(), gone=gone)
         except WorkError as error:
             errors.append((str(error), error.status))
 
@@ -88,6 +88,24 @@ def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():
         thread.join(20)
     assert errors == 2 * [("the server is ending", 503)]
     assert worker._process is None
+
+
+def test_a_client_that_leaves_gives_up_its_place_and_ends_its_work():
+    worker, errors, begun = RequestWorker(serve_tasks.Tasks, waiting=2), [], threading.Event()
+    running, waiting = threading.Event(), threading.Event()
+    threads = [_hang_in_thread(worker, errors, begun, running)]
+    assert begun.wait(60)
+    process = worker._process
+    threads.append(_hang_in_thread(worker, errors, threading.Event(), waiting))
+    waiting.set()
+    threads[1].join(20)
+    assert worker._places._value == 1 and worker._process is process and process.is_alive()
+    running.set()
+    threads[0].join(20)
+    assert errors == 2 * [("the client has left", 503)]
+    assert not process.is_alive() and worker._process.is_alive()  # the next one need not wait
+    assert worker.call("add", 1, 1, seconds=20) == 2
+    worker.close()
 
 
 def test_a_closed_worker_starts_no_process(monkeypatch):
