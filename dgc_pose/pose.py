@@ -168,11 +168,11 @@ def pose_of_pair(
         elif step == "match" or pose is None or result is None:
             more = whole() if whole else matcher.match(image1, image2)
         elif step == "mirrored":
-            probability = _of_mirror_image(matcher, image1, image2, camera1, camera2, options)
-            if probability >= _LIKELY:
-                pose = _mirrored(pose, probability)
-                break
-            continue
+            flipped = _of_mirror_image(matcher, image1, image2, camera1, camera2, options)
+            if flipped is None or (flipped.probability or 0.0) < _LIKELY:
+                continue
+            pose = _mirrored(pose, flipped)
+            break
         elif step == "squeezed":
             more = matcher.match_squeezed(image1, image2, result)
         else:
@@ -201,25 +201,23 @@ def _of_mirror_image(
     camera1: Camera,
     camera2: Camera,
     options: EstimationOptions,
-) -> float:
-    """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
-    without one, and from a matcher that has no quick pass."""
+) -> RelativePose | None:
+    """The pose of image 1 and image 2 flipped left to right, by a quick pass; None without one."""
     flipped = replace(image2, pixels=np.ascontiguousarray(image2.pixels[:, ::-1]))
     result = matcher.match_quickly(image1, flipped)
     if result is None:
-        return 0.0
+        return None
     K = camera2.K.copy()
     K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
     cameras = camera1, replace(camera2, K=K)
-    pose = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
-    return pose.probability or 0.0 if pose.success else 0.0
+    return estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
 
 
-def _mirrored(pose: RelativePose, probability: float) -> RelativePose:
+def _mirrored(pose: RelativePose, flipped: RelativePose) -> RelativePose:
     """That there is no pose, since the mirror image of image 2 has a likely one."""
     reason = (
-        "image 1 and the mirror image of image 2 have a pose, with a probability of "
-        f"{percent_text(probability)}, and the images as they are have none that is as likely"
+        f"the mirror image of image 2 has a pose, {percent_text(flipped.probability or 0.0)} "
+        "probable, and image 2 has none that is as likely"
     )
     inliers = np.zeros_like(pose.inliers)
     return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)
@@ -243,7 +241,7 @@ def _may_gain(
     if step == "match":
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
-        return not likely(pose) and pose.status != "rotation_only"
+        return (pose.probability or 0.0) < _LIKELY and pose.status != "rotation_only"
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 
@@ -251,11 +249,6 @@ def _may_gain(
 def certain(pose: RelativePose) -> bool:
     """Whether it is nearly certain that the pose is right."""
     return pose.success and (pose.probability or 0.0) >= _CERTAIN
-
-
-def likely(pose: RelativePose) -> bool:
-    """Whether the pose is right nearly always."""
-    return pose.success and (pose.probability or 0.0) >= _LIKELY
 
 
 def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:

@@ -24,14 +24,13 @@ FIGURES = {
 }
 WRONG_DEG = 10  # of R or t of a pose
 TABLE = re.compile(r"(<!-- table of: results\.csv(, in short)? -->\n\n)(?:\|.*\n)*")
-Row = dict[str, str]
 
 
-def read(path: Path) -> list[Row]:
+def read(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
 
 
-def measured(row: Row, folder: Path) -> Row:
+def measured(row: dict[str, str], folder: Path) -> dict[str, str]:
     """The row with what a run found."""
     path, errors = folder / "summary.json", ("rotation_error_deg", "translation_error_deg")
     methods = {m["method"]: m for m in json.loads(path.read_text(encoding="utf-8"))["methods"]}

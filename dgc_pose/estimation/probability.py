@@ -184,21 +184,20 @@ class ProbabilityModel:
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten."""
-        scale = np.repeat(self._factors(evidence), 3)
-        return covariance * np.outer(scale, scale)
-
-    def _factors(self, evidence: Evidence) -> tuple[float, float]:
-        """Of the calibrated errors of R and t over the jackknife's."""
-        return (
+        factors = (
             self.rotation_error.factor(evidence.jackknife_rotation_90_deg),
             self.translation_error.factor(evidence.jackknife_translation_90_deg),
         )
+        scale = np.repeat(factors, 3)
+        return covariance * np.outer(scale, scale)
 
     def _errors_90_deg(self, evidence: Evidence) -> list[float]:
         """The calibrated errors of R and t, at nine in ten; 0 where the jackknife has none."""
-        errors = evidence.jackknife_rotation_90_deg, evidence.jackknife_translation_90_deg
-        factors = self._factors(evidence)
-        return [(error or 0.0) * f for error, f in zip(errors, factors, strict=True)]
+        errors = (
+            (evidence.jackknife_rotation_90_deg, self.rotation_error),
+            (evidence.jackknife_translation_90_deg, self.translation_error),
+        )
+        return [(error or 0.0) * model.factor(error) for error, model in errors]
 
 
 class FittedModels(NamedTuple):
