@@ -128,7 +128,8 @@ def estimate_pose(
     known = STATUSES[verdict.status]
     explained = [(choice.model, choice.share) for choice in likely]
     if second is not None:  # nothing tells whose motion is the camera's
-        explained = [(model, share / 2) for model, share in explained] + [(second, 0.5)]
+        explained = [(m, share / 2) for m, share in explained if not known(second, [m])]
+        explained.append((second, 0.5))
     poses = [
         Alternative(m.R, m.t, m.count, None if any_right is None else any_right * share)
         for m, share in explained

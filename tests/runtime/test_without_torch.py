@@ -11,7 +11,7 @@ from typing import Any
 from hidden_packages import EXTRAS, run_in, without
 from multi_view import K_text, render_views, write_views
 
-_K = ("--K", "460,460,319.5,239.5")
+_K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
 _PAIR = [str(resources.files("dgc_pose") / "data" / "demo" / f"image{k}.jpg") for k in (1, 2)]
 
 
