@@ -125,7 +125,7 @@ def estimate_pose(
     )
 
     inliers[problem.index] = model.inliers
-    known = STATUSES[verdict.status]
+    facts = STATUSES[verdict.status]
     explained = [(choice.model, choice.share) for choice in likely]
     if second is not None:  # nothing tells whose motion is the camera's
         explained = [(m, share / 2) for m, share in explained if not known(second, [m])]
@@ -136,21 +136,21 @@ def estimate_pose(
     ]
     ambiguous = verdict.status == "ambiguous"
     # Of a pose that is not claimed there are no others.
-    alternatives = tuple(poses if ambiguous else poses[1:] if known.has_t else ())
+    alternatives = tuple(poses if ambiguous else poses[1:] if facts.has_t else ())
     cameras = (best.camera(camera1, 0), best.camera(camera2, 1)) if fits else (camera1, camera2)
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
         inliers=inliers,
         num_matches=len(problem),
-        R=model.R if known.has_t else evidence.rotation if known.rotation_alone else None,
-        t=model.t if known.has_t else None,
-        covariance=best.calibrated_covariance if known.has_t else None,
-        camera_covariance=best.camera_covariance(*cameras) if known.has_t and fits else None,
-        camera1=cameras[0] if known.has_t else None,
-        camera2=cameras[1] if known.has_t else None,
+        R=model.R if facts.has_t else evidence.rotation if facts.rotation_alone else None,
+        t=model.t if facts.has_t else None,
+        covariance=best.calibrated_covariance if facts.has_t else None,
+        camera_covariance=best.camera_covariance(*cameras) if facts.has_t and fits else None,
+        camera1=cameras[0] if facts.has_t else None,
+        camera2=cameras[1] if facts.has_t else None,
         evidence=evidence,
-        probability=0.0 if known.rotation_alone or ambiguous else poses[0].probability,
+        probability=0.0 if facts.rotation_alone or ambiguous else poses[0].probability,
         any_probability=any_right,
         alternatives=alternatives,
         hypotheses=tuple(choices),

@@ -132,11 +132,8 @@ def _behind(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
 def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     if behind := _behind(evidence, options):
         return behind
-    errors = {
-        "rotation": evidence.jackknife_rotation_90_deg,
-        "translation": evidence.jackknife_translation_90_deg,
-    }
-    for part, error in errors.items():
+    for part in ("rotation", "translation"):
+        error: float | None = getattr(evidence, f"jackknife_{part}_90_deg")
         if error is not None and error > options.max_error_deg:
             reason = (
                 f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
