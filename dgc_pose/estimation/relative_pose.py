@@ -34,6 +34,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
+_SECOND = 0.1  # of a plane's inliers, that another motion needs; see docs/experiments.md
 _OF_CAMERAS = ("ok", "planar", "improbable")  # statuses of models that say something of K
 
 
@@ -240,8 +241,8 @@ class _Assessed:
 def _second_motion(
     problem: TwoViewProblem, model: Model, options: EstimationOptions
 ) -> Model | None:
-    """Another motion, of the matches that a model leaves over alone; None if
-    unrelated images could have as many inliers."""
+    """Another motion, of the matches that a model leaves over alone; None if it has few inliers, or
+    if unrelated images could have as many."""
     left = problem.subset(~model.inliers)
     if len(left) < options.verdict.min_matches:
         return None
@@ -249,8 +250,9 @@ def _second_motion(
     if not runs:
         return None
     second = refine(left, runs[0]) if options.refine else runs[0]
-    unlikely = known(second, [model]) or by_chance(gather(left, second, 0.0), options.verdict)
-    return None if unlikely else second
+    if known(second, [model]) or second.count_in_front < _SECOND * model.count_in_front:
+        return None
+    return None if by_chance(gather(left, second, 0.0), options.verdict) else second
 
 
 def _warnings(alternatives: int) -> tuple[str, ...]:
