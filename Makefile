@@ -30,8 +30,8 @@ test-processors: $(VENV)/.installed-dev
 		tests/runtime/test_onnx_engine.py tests/runtime/test_processors.py \
 		tests/refinement/test_features.py
 
-# Types and layers are checked on the package as it installs: in the repository cli/ and benchmarks/
-# lie beside dgc_pose/, where mypy would take every import between them for `Any`.
+# Types and layers are checked on the package as it installs: in the repository cli/, benchmarks/
+# and training/ lie beside dgc_pose/, where mypy would take every import between them for `Any`.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from dgc_pose.cameras.colmap_camera import Distortion
 
 if TYPE_CHECKING:
-    from dgc_pose.synthesis.render.cameras import Cameras
+    from dgc_pose.training.synthesis.render.cameras import Cameras
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Lens:
 
     def before(self, cameras: Cameras) -> Cameras:
         """Cameras in the same places, and of the same size and principal point, with this lens."""
-        from dgc_pose.synthesis.render.cameras import LensCameras
+        from dgc_pose.training.synthesis.render.cameras import LensCameras
 
         K = cameras.K.clone()
         K[:, 0, 0] = K[:, 1, 1] = self.focal * cameras.size[0]

@@ -4,8 +4,11 @@ import csv
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
-from dgc_pose.benchmarks.table import aligned, decimals
-from dgc_pose.evaluation.map_scores import (
+from dgc_pose.files.json_files import finite_data
+from dgc_pose.files.tables import aligned, decimals
+from dgc_pose.metrics import Reliability
+from dgc_pose.network.config import LEVEL_SIZES
+from dgc_pose.training.evaluation.map_scores import (
     FOUND_PX,
     PCK_THRESHOLDS,
     RIGHT_PX,
@@ -14,9 +17,6 @@ from dgc_pose.evaluation.map_scores import (
     PairScores,
     summarise_maps,
 )
-from dgc_pose.files.json_files import finite_data
-from dgc_pose.metrics import Reliability
-from dgc_pose.network.config import LEVEL_SIZES
 
 Scores = Mapping[str, Sequence[PairScores]]  # by method, each over the same pairs
 ALL = "all"

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgc_pose.benchmarks.scores import PlaneScore
-from dgc_pose.benchmarks.table import decimals
 from dgc_pose.estimation.probability import RIGHT_DEG
+from dgc_pose.files.tables import decimals
 
 PLANE_HEADING = (
     "planes by relief, its height in widths of the view; poses claimed, and wrong ones among them "

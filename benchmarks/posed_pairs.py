@@ -24,9 +24,9 @@ from dgc_pose.matching.cache import BoundedCache
 if TYPE_CHECKING:
     import torch
 
-    from dgc_pose.synthesis.options import SceneOptions
-    from dgc_pose.synthesis.render.bank import TextureBank
-    from dgc_pose.synthesis.render.rendered_pairs import RenderedPairs
+    from dgc_pose.training.synthesis.options import SceneOptions
+    from dgc_pose.training.synthesis.render.bank import TextureBank
+    from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPairs
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view
@@ -138,7 +138,7 @@ class RenderedPosedPairs(PairSet[MapScore]):
 
         Raises ImageError if the folder holds no photographs.
         """
-        from dgc_pose.synthesis.photos import load_held_back
+        from dgc_pose.training.synthesis.photos import load_held_back
 
         seen = "rendered" if lens is None else f"rendered by {lens.model}"
         names = [f"{seen} {seed} {k}" for k in range(count)]
@@ -150,7 +150,7 @@ class RenderedPosedPairs(PairSet[MapScore]):
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         import torch
 
-        from dgc_pose.synthesis.options import SceneOptions
+        from dgc_pose.training.synthesis.options import SceneOptions
 
         generator = torch.Generator().manual_seed(self._seed)
         # Several copies of a photograph side by side would make its blur, not its detail, the scene
@@ -169,8 +169,8 @@ class PlanePairs(PairSet[PlaneScore]):
 
     def __init__(self, photos: Path, count: int, seed: int) -> None:
         """Raises ImageError if training holds back no photographs of the folder."""
-        from dgc_pose.synthesis.photos import load_held_back
-        from dgc_pose.synthesis.render.plane_pairs import RELIEFS
+        from dgc_pose.training.synthesis.photos import load_held_back
+        from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS
 
         reliefs = [RELIEFS[k % len(RELIEFS)] for k in range(count)]
         names = [f"plane {seed} {k}, relief {100 * h:g} %" for k, h in enumerate(reliefs)]
@@ -189,8 +189,8 @@ class PlanePairs(PairSet[PlaneScore]):
 
     def pair(self, number: int) -> PosedPair:
         """A pair by its number, whatever the others are."""
-        from dgc_pose.synthesis.draw import seeded
-        from dgc_pose.synthesis.render.plane_pairs import render_plane_pair
+        from dgc_pose.training.synthesis.draw import seeded
+        from dgc_pose.training.synthesis.render.plane_pairs import render_plane_pair
 
         ids = self.ids[number]
         generator = seeded("planes", self._seed, number)
@@ -208,7 +208,7 @@ def rendered_pair(
     lens: Lens | None = None,
 ) -> PosedPair:
     """Two views of a rendered scene, `side` pixels square."""
-    from dgc_pose.synthesis.render.rendered_pairs import render_pairs
+    from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
     seen_by, distortion = (None, None) if lens is None else (lens.before, lens.distortion)
     return _posed(render_pairs(textures, 1, side, generator, scenes, seen_by), ids, distortion)
@@ -216,7 +216,7 @@ def rendered_pair(
 
 def _posed(views: RenderedPairs, ids: Ids, distortion: Distortion | None = None) -> PosedPair:
     """The first pair of a batch."""
-    from dgc_pose.synthesis.render.scene_pair import as_arrays
+    from dgc_pose.training.synthesis.render.scene_pair import as_arrays
 
     pair = as_arrays(views)
     image1, image2 = Image(pair.image1), Image(pair.image2)

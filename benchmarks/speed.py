@@ -19,7 +19,6 @@ import torch
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from dgc_pose.benchmarks.table import aligned
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import bundled_pair
@@ -28,6 +27,7 @@ from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.poselib_calls import MINIMAL, essential_matrix, run_seeds
 from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.files.tables import aligned
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DenseMatcher, MatchResult, select_matches

@@ -14,20 +14,20 @@ import torch
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.synthesis.options import (
+from dgc_pose.training.synthesis.map_pairs import MapPairs
+from dgc_pose.training.synthesis.options import (
     WARPS,
     PairOptions,
     PhotometricOptions,
     SceneOptions,
     WarpOptions,
 )
-from dgc_pose.synthesis.photometric import random_photometric
-from dgc_pose.synthesis.photos import Photos, load_held_back
-from dgc_pose.synthesis.random_pairs import make_pairs
-from dgc_pose.synthesis.render.rendered_pairs import render_pairs
-from dgc_pose.synthesis.warp_lists import WarpRow, list_pairs, read_warps
-from dgc_pose.synthesis.warps import FAR
+from dgc_pose.training.synthesis.photometric import random_photometric
+from dgc_pose.training.synthesis.photos import Photos, load_held_back
+from dgc_pose.training.synthesis.random_pairs import make_pairs
+from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
+from dgc_pose.training.synthesis.warp_lists import WarpRow, list_pairs, read_warps
+from dgc_pose.training.synthesis.warps import FAR
 
 _WARPS = {name: WARPS[f"paper-{name}"] for name in ("affine", "affine-tps", "homography")}
 _SCENES = "scenes"  # ray-cast

@@ -27,16 +27,16 @@ from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image
-from dgc_pose.synthesis.misleading import (
+from dgc_pose.training.synthesis.misleading import (
     middle_quarter,
     night,
     render_facade,
     rolled,
     with_moving_object,
 )
-from dgc_pose.synthesis.photos import held_back_paths
-from dgc_pose.synthesis.render.scene_pair import PairKind as SceneKind
-from dgc_pose.synthesis.render.scene_pair import render_scene_pair
+from dgc_pose.training.synthesis.photos import held_back_paths
+from dgc_pose.training.synthesis.render.scene_pair import PairKind as SceneKind
+from dgc_pose.training.synthesis.render.scene_pair import render_scene_pair
 
 Change = Literal["roll 90", "roll 180", "4x zoom", "night", "moving object"]
 _VIEW = (800, 600)  # pixels of the views with procedural textures, and of the facade

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from dgc_pose.benchmarks.scores import POSE_COLUMNS, RESULTS, SECONDS, PoseScore
-from dgc_pose.benchmarks.table import aligned
+from dgc_pose.files.tables import aligned
 
 PairKind = Literal["unrelated", "true", "rotation only"]
 

@@ -144,7 +144,7 @@ def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> No
 
 def _echo_pairs(rows: Sequence[PairRow]) -> None:
     """Print a table of the first pairs, and how many more there are."""
-    from dgc_pose.benchmarks.table import aligned
+    from dgc_pose.files.tables import aligned
     from dgc_pose.geometry.rotation import rotation_angle_deg
 
     lines = [("pair", "status", "rotation", "inliers")]

@@ -33,7 +33,7 @@ INTERRUPTED = 130  # what shells report after SIGINT
 SPIN_COUNT = "10000"
 
 # By section of the help and by name, the line in the help. `some-name` is the function `some_name`
-# of cli/some_name.py.
+# of cli/some_name.py, of a benchmark and of the training of cli/laboratory/some_name.py.
 SECTIONS = {
     "Poses": {
         "estimate": "Estimate the relative pose of two photographs.",
@@ -63,6 +63,7 @@ SECTIONS = {
     "About": {"info": "Show versions, weights, devices and threads."},
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
+LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
 NO_IMAGES = {"info", "dtu-pairs"}  # that read none
 
 
@@ -76,7 +77,8 @@ class LazyGroup(click.Group):
         if cmd_name not in SUBCOMMANDS:
             return None
         name = cmd_name.replace("-", "_")
-        command = getattr(importlib.import_module(f"dgc_pose.cli.{name}"), name)
+        folder = "dgc_pose.cli.laboratory" if cmd_name in LABORATORY else "dgc_pose.cli"
+        command = getattr(importlib.import_module(f"{folder}.{name}"), name)
         assert isinstance(command, click.Command)
         return guarded(command, reads_images=cmd_name not in NO_IMAGES)
 

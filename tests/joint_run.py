@@ -7,11 +7,6 @@ import torch
 from photos import drawn_photos
 from torch import nn
 
-from dgc_pose.synthesis.batches import joined
-from dgc_pose.synthesis.draw import seeded
-from dgc_pose.synthesis.map_pairs import MapPairs
-from dgc_pose.synthesis.options import PairOptions
-from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.processes import (
     join_batch_norms,
@@ -22,6 +17,11 @@ from dgc_pose.training.processes import (
 )
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule
+from dgc_pose.training.synthesis.batches import joined
+from dgc_pose.training.synthesis.draw import seeded
+from dgc_pose.training.synthesis.map_pairs import MapPairs
+from dgc_pose.training.synthesis.options import PairOptions
+from dgc_pose.training.synthesis.random_pairs import make_pairs
 
 _SCHEDULE = Schedule(0.3, 0.7, 0.0)
 PROGRESS = {"encoder": 0.2, "decoders": 0.6}  # of the schedule

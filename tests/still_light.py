@@ -1,6 +1,6 @@
 """Pairs and views in the light that they were made in."""
 
-from dgc_pose.synthesis.options import PhotometricOptions
+from dgc_pose.training.synthesis.options import PhotometricOptions
 
 STILL = PhotometricOptions(
     gain=0,

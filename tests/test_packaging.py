@@ -14,7 +14,12 @@ from dgc_pose import errors
 
 ROOT = Path(__file__).resolve().parents[1]
 # The folders that setup.cfg maps into the import root.
-MAPPED = {"dgc_pose": "dgc_pose", "cli": "dgc_pose.cli", "benchmarks": "dgc_pose.benchmarks"}
+MAPPED = {
+    "dgc_pose": "dgc_pose",
+    "cli": "dgc_pose.cli",
+    "benchmarks": "dgc_pose.benchmarks",
+    "training": "dgc_pose.training",
+}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +54,8 @@ def test_every_folder_of_modules_is_a_listed_package(setup: configparser.ConfigP
 
 def test_mapped_folders_are_no_top_level_packages() -> None:
     """In a fresh interpreter outside the repository, as a user's."""
-    code = "import importlib.util as u; print([n for n in ('cli', 'benchmarks') if u.find_spec(n)])"
+    names = "('cli', 'benchmarks', 'training')"
+    code = f"import importlib.util as u; print([n for n in {names} if u.find_spec(n)])"
     assert run_elsewhere(code) == "[]"
 
 

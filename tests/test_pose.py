@@ -35,7 +35,7 @@ from dgc_pose.matching import MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import match_and_estimate, pose_of_pair
-from dgc_pose.synthesis.render.scene_pair import RenderedPair, render_scene_pair
+from dgc_pose.training.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 
 @pytest.fixture(scope="module")

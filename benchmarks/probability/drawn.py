@@ -19,8 +19,8 @@ from dgc_pose.cameras.colmap_camera import pixel_matrix
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.synthesis.posed_depth import PosedFrame, read_rgbd
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.training.synthesis.posed_depth import PosedFrame, read_rgbd
 
 _ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
 # Edges of the bins of overlap: share of image 2's depth that is seen in image 1, and points that

@@ -99,8 +99,8 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
 
 
 def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
-    from dgc_pose.synthesis.options import SceneOptions
-    from dgc_pose.synthesis.photos import load_held_back
+    from dgc_pose.training.synthesis.options import SceneOptions
+    from dgc_pose.training.synthesis.photos import load_held_back
 
     textures = load_held_back(folders[0]).textures
     scenes = SceneOptions(

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.records import Record
-from dgc_pose.benchmarks.table import aligned
 from dgc_pose.estimation import VerdictOptions
 from dgc_pose.estimation.choice import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
+from dgc_pose.files.tables import aligned
 from dgc_pose.metrics import Reliability, pose_auc
 
 _GATES = VerdictOptions(min_probability=None)

@@ -6,7 +6,7 @@ import pytest
 
 from dgc_pose.benchmarks.camera_summary import CAMERA_COLUMNS, summarise_cameras
 from dgc_pose.benchmarks.scores import CameraScore
-from dgc_pose.benchmarks.table import table
+from dgc_pose.files.tables import table
 
 
 def score(rotation, focal, std, probability, *, doubts=False):

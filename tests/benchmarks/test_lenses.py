@@ -12,9 +12,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.synthesis.options import SceneOptions
-from dgc_pose.synthesis.render.bank import TextureBank
-from dgc_pose.synthesis.render.rendered_pairs import render_pairs
+from dgc_pose.training.synthesis.options import SceneOptions
+from dgc_pose.training.synthesis.render.bank import TextureBank
+from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
 SIDE = 64
 

@@ -6,7 +6,7 @@ import pytest
 
 from dgc_pose.benchmarks.plane_summary import PLANE_COLUMNS, summarise_planes
 from dgc_pose.benchmarks.scores import PlaneScore
-from dgc_pose.benchmarks.table import table
+from dgc_pose.files.tables import table
 
 
 def score(relief, status, rotation, translation, probability):

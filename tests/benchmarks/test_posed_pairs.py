@@ -27,7 +27,7 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.refinement import RefinementOptions
-from dgc_pose.synthesis.render.plane_pairs import RELIEFS
+from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS
 
 OPTIONS = EstimationOptions(runs=2, iterations=200)
 

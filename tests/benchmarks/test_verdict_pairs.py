@@ -19,8 +19,8 @@ from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import SiftMatcher
-from dgc_pose.synthesis.photos import held_back_paths, load_held_back
-from dgc_pose.synthesis.render.scene_pair import render_scene_pair
+from dgc_pose.training.synthesis.photos import held_back_paths, load_held_back
+from dgc_pose.training.synthesis.render.scene_pair import render_scene_pair
 
 SIZE = (200, 160)
 

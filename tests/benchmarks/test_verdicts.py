@@ -12,7 +12,7 @@ from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.verdicts import VerdictScore, coverage, groups_table
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.images.image import Image
-from dgc_pose.synthesis.render.scene_pair import render_scene_pair
+from dgc_pose.training.synthesis.render.scene_pair import render_scene_pair
 
 GOOD = VerdictScore(
     method="net",

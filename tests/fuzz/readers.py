@@ -45,9 +45,9 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
-from dgc_pose.synthesis.photos import load_photos
-from dgc_pose.synthesis.posed_depth import read_rgbd
-from dgc_pose.synthesis.warp_lists import read_warps
+from dgc_pose.training.synthesis.photos import load_photos
+from dgc_pose.training.synthesis.posed_depth import read_rgbd
+from dgc_pose.training.synthesis.warp_lists import read_warps
 
 Make = Callable[[Path], object]  # writes good files into a folder
 Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it

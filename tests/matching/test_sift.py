@@ -4,7 +4,7 @@ import numpy as np
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import RATIO, SiftMatcher
-from dgc_pose.synthesis.render.scene_pair import render_scene_pair
+from dgc_pose.training.synthesis.render.scene_pair import render_scene_pair
 
 
 def test_matches_lie_on_the_true_map() -> None:

@@ -14,7 +14,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.geometric_net import GeometricNet
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.spline import TPS_KNOTS
-from dgc_pose.synthesis.render.procedural import procedural_textures
+from dgc_pose.training.synthesis.render.procedural import procedural_textures
 
 _AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])
 _SPLINE = TPS_KNOTS.double().numpy() + 0.1 * np.random.default_rng(4).normal(size=(9, 2))

@@ -9,11 +9,11 @@ import torch
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import EfficientNet, preset
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.synthesis.draw import seeded
-from dgc_pose.synthesis.map_pairs import MapPairs
 from dgc_pose.training.decoder_fit import fit_decoders
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.schedule import Schedule
+from dgc_pose.training.synthesis.draw import seeded
+from dgc_pose.training.synthesis.map_pairs import MapPairs
 
 
 def _pairs(count: int) -> Iterator[MapPairs]:

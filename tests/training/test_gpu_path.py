@@ -12,14 +12,14 @@ from pretend_gpu import DEVICE, MixedDevicesError, Pretended, pretended_gpu
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
-from dgc_pose.synthesis.depth_scenes import DepthScenes, load_depth_scenes
-from dgc_pose.synthesis.options import PairOptions
-from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.posed_depth import read_rgbd
-from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import Schedule
+from dgc_pose.training.synthesis.depth_scenes import DepthScenes, load_depth_scenes
+from dgc_pose.training.synthesis.options import PairOptions
+from dgc_pose.training.synthesis.photos import Photos
+from dgc_pose.training.synthesis.posed_depth import read_rgbd
+from dgc_pose.training.synthesis.random_pairs import make_pairs
 
 # Without changes of light: their noise is drawn on the device, by its own generator.
 _STILL = PairOptions(scene_share=0.4, real_share=0.3, photometric=None)

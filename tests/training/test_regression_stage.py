@@ -12,15 +12,15 @@ from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import build_network, load_network, save_weights
-from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.options import WARPS, PairOptions
-from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.initialise import initialise_from
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.regression_stage import RegressionStage
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import Schedule
+from dgc_pose.training.synthesis.draw import Draw
+from dgc_pose.training.synthesis.options import WARPS, PairOptions
+from dgc_pose.training.synthesis.photos import Photos
+from dgc_pose.training.synthesis.random_pairs import make_pairs
 from dgc_pose.training.validation import validate, validation_pairs
 
 _PAIRS = PairOptions(scene_share=0.0, warps=WARPS["paper-affine-tps"])

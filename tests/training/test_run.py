@@ -18,16 +18,16 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.weights import load_network, save_weights
-from dgc_pose.synthesis.draw import Draw
-from dgc_pose.synthesis.options import PairOptions
-from dgc_pose.synthesis.photos import Photos
-from dgc_pose.synthesis.random_pairs import make_pairs
 from dgc_pose.training.imagenet import vgg_layers
 from dgc_pose.training.log import ProgressLine
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.run import Trainer
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.synthesis.draw import Draw
+from dgc_pose.training.synthesis.options import PairOptions
+from dgc_pose.training.synthesis.photos import Photos
+from dgc_pose.training.synthesis.random_pairs import make_pairs
 from dgc_pose.training.validation import validate, validation_pairs
 
 _WARPS_ONLY = PairOptions(scene_share=0.0)

@@ -1,0 +1,207 @@
+"""`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+
+from dgc_pose.benchmarks.camera_summary import CAMERA_COLUMNS, CAMERA_HEADING, summarise_cameras
+from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
+from dgc_pose.benchmarks.lenses import LENSES
+from dgc_pose.benchmarks.methods import load_passes, parse_methods
+from dgc_pose.benchmarks.plane_summary import PLANE_COLUMNS, PLANE_HEADING, summarise_planes
+from dgc_pose.benchmarks.posed_pairs import (
+    ListedPairs,
+    PairSet,
+    PlanePairs,
+    RenderedPosedPairs,
+    require_images,
+)
+from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore, PlaneScore
+from dgc_pose.benchmarks.summary import (
+    MethodSummary,
+    by_method,
+    columns,
+    heading,
+    summarise,
+    summarise_epipolar,
+    summary_data,
+    summary_table,
+)
+from dgc_pose.cameras.pair_list import read_pairs
+from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
+from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
+from dgc_pose.cli.options import split_names
+from dgc_pose.errors import InputError, require
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.json_files import finite_data, json_text
+from dgc_pose.files.outputs import replaced, save_text, staged, write_text
+from dgc_pose.files.tables import table
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.system.options import MAX_SEED, option
+
+
+@dataclass(frozen=True)
+class PairBenchOptions:
+    """Which pairs, and where the results go."""
+
+    root: str | None = option(
+        None, "Folder of the image paths; by default the list's own.", type=NamedPath()
+    )
+    limit: int | None = option(None, "Only the first N pairs.", metavar="N", min=1, max=10**9)
+    every: int = option(
+        1, "Only the first of every N pairs of LIST.", metavar="N", min=1, max=10**9
+    )
+    rendered: int | None = option(
+        None,
+        "Instead of LIST: N pairs of rendered scenes, textured with --photos.",
+        metavar="N",
+        min=1,
+        max=10**6,
+    )
+    planes: int | None = option(
+        None,
+        "Instead of LIST: N pairs of rendered planes whose homographies have two poses, textured "
+        "with --photos, with reliefs of 0 to 20 % in turn.",
+        metavar="N",
+        min=1,
+        max=10**6,
+    )
+    photos: Path | None = option(
+        None, "Folder of photographs, as for training; those that training holds back are used."
+    )
+    scene_seed: int = option(7, "Seed of the rendered scenes or planes.", min=0, max=MAX_SEED)
+    lens: str | None = option(
+        None,
+        "The rendered pairs seen through a lens of this model of COLMAP's, from the same places.",
+        metavar="MODEL",
+    )
+    out: str | None = option(
+        None,
+        "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
+        metavar="DIR",
+        type=RUN_FOLDER,
+    )
+    json_path: str | None = option(
+        None, "Write the summary as JSON.", flag="--json", metavar="PATH", type=OutputFile()
+    )
+
+    def pair_set(self, pair_list: str | None, change: ImageChange, *, trial: bool) -> PairSet[Any]:
+        """The data set. trial: whether some method is told other cameras than the list's.
+
+        Raises InputError or ImageError if it cannot be made.
+        """
+        changed = change != ImageChange()
+        if self.lens is not None and self.rendered is None:
+            raise InputError("--lens is of rendered pairs: it needs --rendered")
+        counts = [count for count in (self.rendered, self.planes) if count is not None]
+        if pair_list is not None and not counts and self.photos is None:
+            pairs = read_pairs(pair_list, self.root)[:: self.every][: self.limit]
+            require_images(pairs)
+            kind = CameraScore if trial else PairScore
+            return ChangedPairs(pairs, change, kind) if changed else ListedPairs(pairs, kind)
+        if changed:
+            raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
+        if trial:
+            raise InputError(
+                "--K, --K-scale, --K-shift, --K-noise and --K-std need a LIST of pairs"
+            )
+        if pair_list is not None or len(counts) != 1 or self.photos is None:
+            raise InputError(
+                "give a LIST of pairs, or --rendered or --planes with --photos, one of them"
+            )
+        require({"--rendered" if self.planes is None else "--planes": "torch"})
+        if self.planes is not None:
+            return PlanePairs(self.photos, self.planes, self.scene_seed)
+        lens = None if self.lens is None else LENSES.get(self.lens)
+        if self.lens is not None and lens is None:
+            raise InputError(f"--lens must be one of {', '.join(LENSES)}, not {self.lens!r}")
+        return RenderedPosedPairs(self.photos, counts[0], self.scene_seed, lens)
+
+
+@click.command()
+@click.argument("pair_list", metavar="[LIST]", required=False)
+@dataclass_options(PairBenchOptions, "options")
+@dataclass_options(ImageChange, "change")
+@dataclass_options(CameraTrial, "cameras")
+@click.option(
+    "--methods",
+    default=f"{DEFAULT_WEIGHTS},sift",
+    show_default=True,
+    help="Comma-separated names or paths of weights or other matchers (sift, dis, rocco, "
+    "deepmatching), each with options of "
+    "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
+    "image 1.",
+)
+@dataclass_options(RunChoice, "run")
+@dataclass_options(MatcherOptions, "matcher", only=METHOD_FIELDS)
+@dataclass_options(EstimationOptions, "estimation")
+def bench_pairs(
+    pair_list: str | None,
+    options: PairBenchOptions,
+    change: ImageChange,
+    cameras: CameraTrial,
+    methods: str,
+    run: RunChoice,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
+) -> None:
+    """Score methods on the pairs of LIST, in SuperGlue's format, or on rendered pairs.
+
+    Prints for each method the median errors, AUC@5/10/20 of the larger of rotation and folded
+    translation error, the share of failures, and seconds a pair (matching and estimating). A pair
+    without a pose counts as an infinite error.
+
+    With --K and its like the K of LIST are withheld or changed, for all methods or, by NAME:K=auto,
+    NAME:K=auto:shared or NAME:K_scale=0.8, for one of several that share their matches. Errors are
+    of the true cameras as before; a second table has the focal lengths and what the poses say.
+    With --planes a second table tells by relief how many poses are claimed and how many are wrong.
+    """
+    if options.out is not None:
+        import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
+    chosen = parse_methods(split_names(methods), matcher, estimation, cameras=cameras)
+    trial = any(method.cameras.reports for method in chosen)
+    pairs = options.pair_set(pair_list, change, trial=trial)
+    images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
+    with staged(options.json_path, inputs=images) as stage:
+        passes = load_passes(chosen, device=run.device, runtime=run.runtime)
+        evaluation = run.evaluation(pairs, chosen, passes)
+        results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
+        summarised: Callable[..., MethodSummary] = summarise_cameras if trial else summarise
+        if issubclass(pairs.kind, MapScore):
+            summarised = summarise_epipolar
+        summaries = [summarised(rows) for rows in results.values()]
+        of_planes = issubclass(pairs.kind, PlaneScore)
+        planes = [
+            row
+            for rows in results.values()
+            for row in (summarise_planes(rows) if of_planes else ())
+        ]
+        figures = summary_data(summaries)
+        if planes:
+            figures["planes"] = [finite_data(asdict(row)) for row in planes]
+        data = json_text(figures)
+        if options.json_path is not None:
+            save_text(stage(options.json_path), data)
+    if options.out is not None:
+        from dgc_pose.viz import plot_errors, save_figure
+
+        numbers = columns(row for rows in results.values() for row in rows)
+        rotation, translation = (
+            {method: column[name] for method, column in numbers.items()}
+            for name in ("rotation_error_deg", "translation_folded_deg")
+        )
+        write_text(Path(options.out, "summary.json"), data)
+        with replaced(Path(options.out, "errors.png")) as file:
+            save_figure(plot_errors(rotation, translation), file)
+    click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
+    if trial:
+        click.echo(f"\n{CAMERA_HEADING}\n{table(CAMERA_COLUMNS, summaries)}")
+    if planes:
+        click.echo(f"\n{PLANE_HEADING}\n{table(PLANE_COLUMNS, planes)}")

@@ -1,0 +1,139 @@
+"""What bench-hpatches and bench-synthetic share: options, the run, and the files of --out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+from tqdm import tqdm
+
+from dgc_pose.benchmarks.map_report import (
+    ALL,
+    Scores,
+    groups_of,
+    report_data,
+    summaries,
+    write_pairs,
+)
+from dgc_pose.cli.guard import OutputFile, OutputFolder
+from dgc_pose.cli.options import split_names
+from dgc_pose.files.json_files import json_text
+from dgc_pose.files.outputs import save_text, staged, writing
+from dgc_pose.network.stored import shipped
+from dgc_pose.runtime.load import DEVICE_HELP
+from dgc_pose.system.options import option
+from dgc_pose.training.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
+from dgc_pose.viz import save_figure
+from dgc_pose.viz.curves import plot_pck, plot_reliability
+from dgc_pose.viz.map_figure import MapPicture, plot_maps
+
+if TYPE_CHECKING:
+    from dgc_pose.benchmarks.map_run import MapOutcome, MapSet
+
+_TABLES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
+
+
+@dataclass(frozen=True)
+class MapBenchOptions:
+    """What to measure, how, and where the files go."""
+
+    methods: str | None = option(
+        None,
+        "Comma-separated names or paths of weights, or of other matchers with a dense map, as "
+        "deepmatching and dis; default: all shipped weights.",
+    )
+    per_axis: bool = option(
+        False,
+        "PCK curves of max(|dx|, |dy|), as by the paper's authors; else of the Euclidean error.",
+    )
+    worst: int = option(
+        4, "Pairs of largest AEPE to draw in --out, for each method.", metavar="N", min=1, max=1000
+    )
+    out: str | None = option(
+        None,
+        "Write pairs.csv, summary.json, pck.png, reliability.png and worst_*.png there.",
+        metavar="DIR",
+        type=OutputFolder(*_TABLES),
+    )
+    json_path: str | None = option(
+        None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
+    )
+    device: str = option("auto", DEVICE_HELP, metavar="NAME")
+
+
+def run_map_bench(
+    bench: MapBenchOptions, data: MapSet, report: Callable[[Scores], Iterable[str]]
+) -> None:
+    """Score the methods on the data set, write the files, and print the blocks of `report`.
+
+    Every output file is opened first: one that cannot be written stops the run before it begins.
+    """
+    from dgc_pose.benchmarks.map_run import load_map_methods, map_outcomes
+
+    names = ",".join(shipped()) if bench.methods is None else bench.methods
+    methods = load_map_methods(split_names(names), device=bench.device)
+    pictures = {name: f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(methods, start=1)}
+    paths = {}
+    if bench.out is not None:
+        Path(bench.out).mkdir(parents=True, exist_ok=True)
+        paths = {name: str(Path(bench.out, name)) for name in (*_TABLES, *pictures.values())}
+    with staged(bench.json_path, *paths.values()) as stage:
+        scores: dict[str, list[PairScores]] = {name: [] for name in methods}
+        worst: dict[str, list[MapOutcome]] = {name: [] for name in methods}
+        outcomes = map_outcomes(data.cases, methods, bench.per_axis)
+        for outcome in tqdm(outcomes, total=data.total * len(methods), unit="pair", disable=None):
+            method = outcome.scores.method
+            scores[method].append(outcome.scores)
+            if bench.out is not None and outcome.scores.valid:  # pixels of known truth
+                worst[method] = sorted([*worst[method], outcome], key=_goodness)[: bench.worst]
+        distance = "max of |dx|, |dy|" if bench.per_axis else "Euclidean"
+        text = json_text({**data.facts, "pck_distance": distance, **report_data(scores)})
+        if bench.json_path is not None:
+            save_text(stage(bench.json_path), text)
+        if bench.out is not None:
+            files = {name: stage(path) for name, path in paths.items()}
+            save_text(files["summary.json"], text)
+            _write_figures(files, scores, distance)
+            for method, drawn in worst.items():
+                if drawn:
+                    save_figure(plot_maps([*map(_picture, drawn)]), files[pictures[method]])
+    click.echo("\n\n".join(report(scores)))
+
+
+def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> None:
+    """The table of the pairs, the PCK curves by group, and the reliability diagram."""
+    table = files["pairs.csv"]
+    with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
+        write_pairs(stream, scores)
+    groups: list[str | None] = [*groups_of(scores)] or [None]
+    curves = {
+        group or ALL: {summary.method: summary.pck for summary in summaries(scores, group)}
+        for group in groups
+    }
+    save_figure(plot_pck(curves, PCK_ALPHAS, distance=distance), files["pck.png"])
+    masked = {
+        summary.method: summary.reliability
+        for summary in summaries(scores)
+        if summary.reliability is not None
+    }
+    diagram = plot_reliability(masked, right=f"within {RIGHT_PX:g} px")
+    save_figure(diagram, files["reliability.png"])
+
+
+def _goodness(outcome: MapOutcome) -> float:
+    return -float(np.nan_to_num(outcome.scores.aepe, nan=np.inf))
+
+
+def _picture(outcome: MapOutcome) -> MapPicture:
+    scores, comparison = outcome.scores, outcome.comparison
+    return MapPicture(
+        title=f"{scores.name}, AEPE {scores.aepe:.2f}",
+        image1=outcome.image1,
+        image2=outcome.image2,
+        map=comparison.finest.points,
+        errors=comparison.errors,
+    )

@@ -1,0 +1,221 @@
+"""Pairs from depth and poses: the rendered truth, and a loop in double precision."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from depth_folder import rendered, write_rgbd
+
+from dgc_pose.errors import InputError
+from dgc_pose.training.synthesis.depth_pairs import depth_pairs, random_views
+from dgc_pose.training.synthesis.depth_scenes import (
+    DepthScenes,
+    FramePairOptions,
+    close_cracks,
+    depth_at,
+    load_depth_scenes,
+    training_frames,
+)
+from dgc_pose.training.synthesis.map_pairs import MapPairs
+from dgc_pose.training.synthesis.options import DepthOptions, PairOptions
+from dgc_pose.training.synthesis.photos import Photos
+from dgc_pose.training.synthesis.posed_depth import read_rgbd
+from dgc_pose.training.synthesis.random_pairs import make_pairs
+from dgc_pose.training.synthesis.render.procedural import procedural_textures
+from dgc_pose.training.synthesis.render.scene_pair import RenderedPair
+
+_ALL = FramePairOptions(overlap=(0.0, 1.0), baseline=(0.0, 10.0), rotation_deg=180.0)
+_WHOLE = DepthOptions(view_scale=(1.0, 1.0), view_roll_deg=0.0)
+_SIDE = 96
+
+
+@pytest.fixture(scope="module")
+def pair() -> RenderedPair:
+    return rendered(3, (_SIDE, _SIDE))
+
+
+@pytest.fixture(scope="module")
+def scenes(pair: RenderedPair, tmp_path_factory: pytest.TempPathFactory) -> DepthScenes:
+    root = write_rgbd(tmp_path_factory.mktemp("rgbd") / "walk", pair)
+    return load_depth_scenes([read_rgbd(root)], _ALL, side=_SIDE)
+
+
+def _only_forward(scenes: DepthScenes) -> DepthScenes:
+    """The pair whose source is frame 0 and whose target is frame 1, as it was rendered."""
+    chosen = (scenes.pairs[:, 0] == 0).nonzero()[:, 0]
+    poses = scenes.source_from_target[chosen]
+    return replace(scenes, pairs=scenes.pairs[chosen], source_from_target=poses)
+
+
+def test_the_map_is_the_rendered_one(pair: RenderedPair, scenes: DepthScenes) -> None:
+    found = depth_pairs(_only_forward(scenes), 1, _SIDE, torch.Generator().manual_seed(0), _WHOLE)
+    known, valid = found.known[0].numpy(), found.valid[0].numpy()
+    assert known.mean() > 0.75 and 0.3 < valid.mean() < 0.95 and (known & ~valid).mean() > 0.03
+    error = np.linalg.norm(found.map[0].numpy() - pair.map, axis=-1)
+    assert np.quantile(error[valid], 0.99) < 0.15 and error[valid].max() < 1.0
+    # Visible by the ray-caster and by depth agreement are the same, but for a few at the edges.
+    assert (valid == pair.visible)[known].mean() > 0.98
+    np.testing.assert_allclose(found.image2[0].permute(1, 2, 0), pair.image2 / 255, atol=1e-4)
+
+
+def _reference(
+    scenes: DepthScenes,
+    index: int,
+    views: tuple[np.ndarray, ...],
+    pixel: tuple[int, int],
+    size: int,
+) -> tuple[np.ndarray | None, str]:
+    """The place of a target's pixel in the source view, and what is known of it."""
+    source, target = scenes.pairs[index].tolist()
+    A1, b1, A2, b2 = views
+    K1, K2 = (scenes.K[frame].double().numpy() for frame in (source, target))
+    pose = scenes.source_from_target[index].double().numpy()
+    in_frame = A2 @ np.array(pixel, float) + b2
+    z = _depth(scenes.depth[target].double().numpy(), in_frame)
+    if z is None:
+        return None, "unknown"
+    point = pose[:, :3] @ (z * np.linalg.inv(K2) @ (*in_frame, 1)) + pose[:, 3]
+    if point[2] <= 1e-3:
+        return None, "not visible"
+    place1 = (K1 @ (point / point[2]))[:2]
+    place = np.linalg.solve(A1, place1 - b1)
+    if (place < 0).any() or (place > size - 1).any():
+        return place, "not visible"
+    there = _depth(scenes.depth[source].double().numpy(), place1)
+    if there is None:
+        return place, "unknown"
+    ratio = there / point[2]
+    if abs(ratio - 1) < DepthOptions.agree:
+        return place, "visible"
+    return place, "not visible" if ratio < 1 - DepthOptions.hidden else "unknown"
+
+
+def _depth(depth: np.ndarray, place: np.ndarray) -> float | None:
+    x, y = place
+    height, width = depth.shape
+    if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+        return None
+    left, top = min(int(x), width - 2), min(int(y), height - 2)
+    corners = depth[top : top + 2, left : left + 2]
+    if corners.min() <= 0 or corners.max() >= 1.05 * corners.min():
+        return None
+    u, v = x - left, y - top
+    weights = np.outer((1 - v, v), (1 - u, u))
+    return float(1 / (weights / corners).sum())
+
+
+def test_views_cut_from_frames_agree_with_a_loop_in_double_precision(scenes: DepthScenes) -> None:
+    holed = scenes.depth.clone()
+    holed[:, 20:50, 30:45] = 0
+    holed[1, 60:70] = 0
+    scenes = replace(scenes, depth=holed)
+    options, size, batch, seed = DepthOptions(), 48, 4, 5
+    pairs = depth_pairs(scenes, batch, size, torch.Generator().manual_seed(seed), options)
+    generator = torch.Generator().manual_seed(seed)
+    chosen = torch.randint(len(scenes.pairs), (batch,), generator=generator)
+    A, b = random_views(2 * batch, _SIDE, size, generator, options)
+    (A1, A2), (b1, b2) = A.chunk(2), b.chunk(2)
+    counts = {"visible": 0, "not visible": 0, "unknown": 0}
+    disagreeing = 0
+    for index in range(batch):
+        views = tuple(part[index].double().numpy() for part in (A1, b1, A2, b2))
+        for y in range(0, size, 3):
+            for x in range(0, size, 3):
+                place, state = _reference(scenes, int(chosen[index]), views, (x, y), size)
+                counts[state] += 1
+                valid = bool(pairs.valid[index, y, x])
+                known = bool(pairs.known[index, y, x])
+                found = "visible" if valid else "not visible" if known else "unknown"
+                disagreeing += found != state
+                if place is not None and known:
+                    np.testing.assert_allclose(pairs.map[index, y, x], place, atol=0.02)
+    # Single precision may fall on the other side of a threshold.
+    assert min(counts.values()) > 50 and disagreeing < 0.01 * sum(counts.values())
+    assert not (pairs.valid & ~pairs.known).any() and pairs.map.isfinite().all()
+
+
+def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
+    """K changes by each axis' own factor, and so do the points of the depth."""
+    pair = rendered(4, (96, 64))
+    scenes = load_depth_scenes([read_rgbd(write_rgbd(tmp_path / "a", pair))], _ALL, side=48)
+    found = depth_pairs(_only_forward(scenes), 1, 48, torch.Generator().manual_seed(0), _WHOLE)
+    valid = found.valid[0].numpy()
+    assert valid.mean() > 0.3
+    x, y = np.meshgrid(np.arange(48), np.arange(48))
+    # A square's pixel lies between two columns, at a third between two rows of the rectangle.
+    column, row = (x + 0.5) * 2 - 0.5, (y + 0.5) * 64 / 48 - 0.5
+    grid = np.stack([(2 * column + 1) / 96 - 1, (2 * row + 1) / 64 - 1], -1)
+    planes = torch.tensor(pair.map).permute(2, 0, 1)[None]
+    sampled = F.grid_sample(planes, torch.tensor(grid)[None], align_corners=False)[0]
+    truth = (sampled.permute(1, 2, 0).numpy() + 0.5) * (0.5, 48 / 64) - 0.5
+    error = np.linalg.norm(found.map[0].numpy() - truth, axis=-1)[valid]
+    assert np.median(error) < 0.02 and np.quantile(error, 0.95) < 0.15
+
+
+def test_depth_between_pixels_is_exact_on_a_plane() -> None:
+    y, x = torch.meshgrid(torch.arange(12.0), torch.arange(15.0), indexing="ij")
+    inverse = 0.5 + 0.01 * x - 0.008 * y
+    points = torch.rand(1, 50, 2, generator=torch.Generator().manual_seed(0)) * 10
+    found, known = depth_at((1 / inverse)[None], torch.zeros(1, dtype=torch.long), points)
+    expected = 1 / (0.5 + 0.01 * points[..., 0] - 0.008 * points[..., 1])
+    assert known.all()
+    torch.testing.assert_close(found, expected)
+
+
+def test_cracks_close_on_a_surface_and_not_between_two() -> None:
+    y, x = torch.meshgrid(torch.arange(30.0), torch.arange(40.0), indexing="ij")
+    plane = 1 / (0.5 + 0.004 * x - 0.003 * y)
+    inner = (slice(3, -3), slice(3, -3))  # at the border only one line has known pixels on it
+    for crack in ((slice(None), slice(10, 13)), (slice(20, 22), slice(None))):
+        cracked = plane.clone()
+        cracked[crack] = 0
+        closed = close_cracks(cracked)
+        torch.testing.assert_close(closed[inner], plane[inner], rtol=1e-5, atol=0)
+    hole = plane.clone()
+    hole[5:25, 15:35] = 0
+    closed = close_cracks(hole)
+    assert (closed[9:21, 19:31] == 0).all()
+    step = plane.clone()
+    step[:, 20:] *= 2
+    step[:, 19:21] = 0
+    assert (close_cracks(step)[3:-3, 19:21] == 0).all()
+
+
+def test_pairs_turn_within_the_range(tmp_path: Path) -> None:
+    frames = read_rgbd(write_rgbd(tmp_path / "a", rendered(5, (64, 64), rotation_deg=15.0)))
+    assert len(load_depth_scenes([frames], replace(_ALL, rotation_deg=16.0), side=64).pairs) == 2
+    with pytest.raises(InputError, match="no two overlap"):
+        load_depth_scenes([frames], replace(_ALL, rotation_deg=14.0), side=64)
+
+
+def test_scenes_do_not_mix(tmp_path: Path) -> None:
+    roots = [write_rgbd(tmp_path / str(seed), rendered(seed, (48, 48))) for seed in (3, 5)]
+    scenes = load_depth_scenes([read_rgbd(root) for root in roots], _ALL, side=48)
+    assert sorted(map(tuple, scenes.pairs.tolist())) == [(0, 1), (1, 0), (2, 3), (3, 2)]
+    median = [float(scenes.depth[k : k + 2].float().median()) for k in (0, 2)]
+    assert median == pytest.approx([1.0, 1.0], abs=0.05)
+
+
+def test_the_end_of_the_walk_is_held_back(pair: RenderedPair, tmp_path: Path) -> None:
+    frames = read_rgbd(write_rgbd(tmp_path / "a", pair)) * 5
+    assert training_frames(frames) == frames[:9]
+
+
+def test_make_pairs_mixes_real_scenes_in(scenes: DepthScenes) -> None:
+    photos = Photos.of((255 * procedural_textures(6, 64, seed=0)).byte())
+    options = PairOptions(scene_share=0.3, real_share=0.4, photometric=None)
+
+    def made(seed: int) -> MapPairs:
+        return make_pairs(photos, 24, 48, torch.Generator().manual_seed(seed), options, scenes)
+
+    pairs = made(0)
+    real = ~pairs.known.all(-1).all(-1)
+    assert 4 <= int(real.sum()) <= 15 and real[-1] and not real[0]
+    assert torch.equal(pairs.map, made(0).map) and not torch.equal(pairs.map, made(1).map)
+    with pytest.raises(InputError, match="no real scenes"):
+        make_pairs(photos, 2, 48, torch.Generator(), options)
+    with pytest.raises(InputError, match="shares of one"):
+        PairOptions(scene_share=0.7, real_share=0.4)

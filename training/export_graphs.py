@@ -1,0 +1,168 @@
+"""The convolutions as ONNX graphs without weights; `python -m dgc_pose.training.export_graphs`.
+
+Graphs for the pyramid, for what needs no weights, and for each decoder. What lies between them, the
+correlations and the consensus, is NumPy (`onnx_engine.py`). The weights stay in the safetensors
+file: the graphs name them, and the engine hands them over by name. So a graph is some kilobytes, is
+made once for a preset, and serves all weights of it.
+
+Needs torch, onnx and onnxscript. The graphs are to be made anew if the network of a preset changes;
+tests/runtime/test_onnx_engine.py fails until they are.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from dgc_pose.network.config import COARSEST, STRIDE, preset
+from dgc_pose.network.constants import DEVIATION, MEAN
+from dgc_pose.network.inference import for_inference
+from dgc_pose.network.net import DGCNet, upsample
+from dgc_pose.network.stored import COUNTER
+from dgc_pose.runtime import graphs
+
+_OPSET = 20
+_CELLS = (8, 11)  # rows and columns at stride 16 of the example that a graph is traced with
+
+
+class _Function(nn.Module):
+    """A function without weights."""
+
+    def __init__(self, function: Callable[..., Tensor]) -> None:
+        super().__init__()
+        self.function = function
+
+    def forward(self, *arguments: Tensor) -> Tensor:
+        return self.function(*arguments)
+
+
+class _Levels(nn.Module):
+    """All levels of an image (H, W, 3) of 0 to 255, float32."""
+
+    def __init__(self, net: DGCNet) -> None:
+        super().__init__()
+        scale = 1 / (255 * torch.tensor(DEVIATION))[:, None, None]
+        self.scale = nn.Buffer(scale, persistent=False)
+        self.shift = nn.Buffer(-255 * torch.tensor(MEAN)[:, None, None] * scale, persistent=False)
+        self.pyramid = net.pyramid
+
+    def input(self, pixels: Tensor) -> Tensor:
+        return pixels.permute(2, 0, 1)[None] * self.scale + self.shift
+
+    def forward(self, pixels: Tensor) -> list[Tensor]:
+        return self.pyramid(self.input(pixels))
+
+
+class _Native(_Levels):
+    """The coarsest three levels of an image, of unit length, channels last, fine to coarse."""
+
+    def forward(self, pixels: Tensor) -> list[Tensor]:
+        levels = self.pyramid.coarse(self.input(pixels))
+        return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
+
+
+class _Decoder(nn.Module):
+    """A level's state from the previous one at the same size."""
+
+    def __init__(self, net: DGCNet, level: int) -> None:
+        super().__init__()
+        self.add_module(f"reg_{level}", net.get_submodule(f"reg_{level}"))
+
+    def forward(self, features: list[Tensor], previous: Tensor, cell: Tensor) -> Tensor:
+        (decoder,) = self.children()
+        change: Tensor = decoder(torch.cat([*features, previous], 1))
+        return previous + change * cell
+
+
+def export(name: str, folder: Path) -> None:
+    """Write the graphs of a preset into a folder."""
+    config = preset(name)
+    stored = DGCNet(config).eval()
+    net = for_inference(stored)
+    net.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+    weights = stored.state_dict()
+    folder.mkdir(parents=True, exist_ok=True)
+    weights_of: dict[str, list[str]] = {}
+
+    def write(graph: str, module: nn.Module, inputs: list[Any], shapes: list[Any]) -> None:
+        model = _graph(module.eval(), tuple(inputs), tuple(shapes))
+        weights_of[graph] = _without_weights(model, set(net.state_dict()))
+        onnx.save_model(model, folder / graph)
+
+    def warp(source: Tensor, state: Tensor) -> Tensor:
+        grid = state[:, :2].movedim(1, -1)
+        return F.grid_sample(source, grid, align_corners=config.align_corners)
+
+    def resample(features: Tensor, like: Tensor) -> Tensor:
+        return F.interpolate(features, like.shape[2:], mode="bilinear")
+
+    rows, columns = _CELLS
+    c, d, h, w, u, v = (torch.export.Dim(name, min=1, max=4096) for name in "cdhwuv")
+    pixels, sides = torch.rand(STRIDE * rows, STRIDE * columns, 3), {0: STRIDE * h, 1: STRIDE * w}
+    write(graphs.LEVELS, _Levels(net), [pixels], [sides])
+    write(graphs.NATIVE, _Native(net), [pixels], [sides])
+    features, state = torch.rand(1, 24, 12, 10), torch.rand(1, config.map_channels, 14, 18)
+    any_features, pair = {1: c, 2: u, 3: v}, [features, state]
+    write(graphs.WARP, _Function(warp), pair, [(any_features, {2: h, 3: w})])
+    write(graphs.UPSAMPLE, _Function(upsample), [state], [({2: h, 3: w},)])
+    write(graphs.RESAMPLE, _Function(resample), pair, [(any_features, {1: d, 2: h, 3: w})])
+    for level in range(COARSEST + 1):
+        channels = config.level_channels[level]
+        window = config.decoder_inputs(level) - 2 * channels - config.map_channels
+        parts = [torch.rand(1, part, rows, columns) for part in (channels, channels, window)]
+        previous = torch.rand(1, config.map_channels, rows, columns)
+        write(
+            graphs.decoder_graph(level),
+            _Decoder(net, level),
+            [parts, previous, torch.rand(1, config.map_channels, 1, 1)],
+            [[{2: h, 3: w}] * len(parts), {2: h, 3: w}, {}],
+        )
+    shapes = {key: value.shape for key, value in weights.items() if not key.endswith(COUNTER)}
+    text = json.dumps({"stored": shapes, "graphs": weights_of}, indent=1)
+    (folder / graphs.WEIGHTS).write_text(text + "\n", encoding="utf-8")
+
+
+def _graph(module: nn.Module, inputs: tuple[Any, ...], shapes: tuple[Any, ...]) -> onnx.ModelProto:
+    """The graph of a module, with its weights and without the exporter's notes."""
+    program = torch.onnx.export(
+        module,
+        inputs,
+        dynamo=True,
+        opset_version=_OPSET,
+        dynamic_shapes=shapes,
+        optimize=True,
+        verbose=False,
+    )
+    assert program is not None
+    model = program.model_proto
+    del model.metadata_props[:]
+    for node in model.graph.node:
+        node.doc_string = ""
+        del node.metadata_props[:]
+    del model.graph.value_info[:]
+    return model
+
+
+def _without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
+    """Remove the values of the initializers that are among `names`, and return those."""
+    removed = [tensor for tensor in model.graph.initializer if tensor.name in names]
+    for tensor in removed:
+        tensor.ClearField("raw_data")
+        tensor.ClearField("float_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        del tensor.external_data[:]
+        # The engine hands the values over; a place must be named all the same.
+        entry = tensor.external_data.add()
+        entry.key, entry.value = "location", "weights"
+    return [tensor.name for tensor in removed]
+
+
+if __name__ == "__main__":
+    for name in graphs.PRESETS:
+        export(name, graphs.GRAPHS / name)
+        print(name)
