@@ -1,0 +1,39 @@
+"""The answers for forty rendered pairs stay as recorded, up to what processors differ by."""
+
+import golden_pairs
+import pytest
+
+CLEAR = 0.1  # a probability within this of 0 or 1 decides alike on every processor
+TIMES, PLUS_DEG = 2.0, 0.1  # of the recorded error, that a pose may be off
+TIMES_AUTO, PLUS_AUTO_DEG = 3.0, 2.0  # likewise, of focal lengths that the matches determine
+CLAIMS = ("ok", "planar", "rotation_only")
+
+
+def clear(answer: golden_pairs.Answer) -> bool:
+    p = answer.probability
+    return p is None or min(p, 1 - p) <= CLEAR
+
+
+@pytest.mark.parametrize("way", golden_pairs.WAYS)
+def test_answers_stay(way: str) -> None:
+    recorded = [answer for answer in golden_pairs.recorded() if answer.way == way]
+    times, plus = (TIMES_AUTO, PLUS_AUTO_DEG) if way == "K=auto" else (TIMES, PLUS_DEG)
+    for answer, before in zip(golden_pairs.answers(way), recorded, strict=True):
+        assert answer[:3] == before[:3]
+        if not clear(before):
+            continue
+        if before.status in CLAIMS or answer.status in CLAIMS:  # names of failures may differ
+            assert answer.status == before.status, f"{answer} was {before}"
+        for name in ("rotation_error_deg", "translation_error_deg"):
+            error, recorded_error = getattr(answer, name), getattr(before, name)
+            assert (error is None) == (recorded_error is None), f"{answer} was {before}"
+            if error is not None:
+                assert error <= times * recorded_error + plus, f"{answer} was {before}"
+
+
+def test_recorded_poses_are_right() -> None:
+    """What is recorded is no accident of one version: with K known every claim is right."""
+    claims = [a for a in golden_pairs.recorded() if a.way != "K=auto" and a.status != "improbable"]
+    assert max(a.rotation_error_deg or 0 for a in claims) < 3
+    assert max(a.translation_error_deg or 0 for a in claims) < 3
+    assert sum(a.status in ("ok", "planar") for a in claims if a.way == "auto") >= 24
