@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -117,12 +117,15 @@ def run_pipeline(
     image1, image2 = load_image(path1), load_image(path2)
     camera1, camera2 = resolve(image1, image2)
     read_seconds = time.perf_counter() - start
-    from dgc_pose.pose import match_and_estimate  # heavy; unusable input is refused without it
+    from dgc_pose.pose import estimate_relative_pose  # heavy; bad input is refused without it
 
     start = time.perf_counter()
     loaded = matcher.load()
-    load_seconds = read_seconds + time.perf_counter() - start
-    return match_and_estimate(image1, image2, camera1, camera2, loaded, estimation, load_seconds)
+    seconds = read_seconds + time.perf_counter() - start
+    trace = estimate_relative_pose(
+        image1, image2, camera1, camera2, matcher=loaded, options=estimation, trace=True
+    )
+    return replace(trace, pose=replace(trace.pose, seconds={**trace.pose.seconds, "load": seconds}))
 
 
 def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from dgc_pose.cameras.calibration import camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.result import percent_text
+from dgc_pose.estimation.texts import percent_text
 from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg

@@ -13,10 +13,9 @@ if TYPE_CHECKING:
     from dgc_pose.cameras.camera import Camera
     from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
     from dgc_pose.estimation import (
-        Alternative,
         EstimationOptions,
+        Hypothesis,
         RelativePose,
-        VerdictOptions,
         estimate_pose,
     )
     from dgc_pose.images.image import Image, load_image
@@ -28,9 +27,10 @@ if TYPE_CHECKING:
         Matcher,
         MatchingOptions,
         MatchResult,
+        PairSearch,
         load_dense_matcher,
     )
-    from dgc_pose.pose import estimate_relative_pose, trace_relative_pose
+    from dgc_pose.pose import estimate_relative_pose
     from dgc_pose.refinement import RefinementOptions, Refiner
     from dgc_pose.trace import Trace
 
@@ -40,10 +40,9 @@ _PUBLIC = {
     "cameras.camera": ("Camera",),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
     "estimation": (
-        "Alternative",
         "EstimationOptions",
+        "Hypothesis",
         "RelativePose",
-        "VerdictOptions",
         "estimate_pose",
     ),
     "images.image": ("Image", "load_image"),
@@ -55,21 +54,22 @@ _PUBLIC = {
         "MatchResult",
         "Matcher",
         "MatchingOptions",
+        "PairSearch",
         "load_dense_matcher",
     ),
     "refinement": ("RefinementOptions", "Refiner"),
-    "pose": ("estimate_relative_pose", "trace_relative_pose"),
+    "pose": ("estimate_relative_pose",),
     "trace": ("Trace",),
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
-    "Alternative",
     "Camera",
     "CorrespondenceMap",
     "DenseMatcher",
     "DgcPoseError",
     "EstimationOptions",
+    "Hypothesis",
     "Image",
     "ImageError",
     "InputError",
@@ -79,11 +79,11 @@ __all__ = [
     "MatcherOptions",
     "Matches",
     "MatchingOptions",
+    "PairSearch",
     "RefinementOptions",
     "Refiner",
     "RelativePose",
     "Trace",
-    "VerdictOptions",
     "WeightsError",
     "estimate_pose",
     "estimate_relative_pose",
@@ -91,7 +91,6 @@ __all__ = [
     "load_image",
     "load_matcher",
     "parse_camera",
-    "trace_relative_pose",
 ]
 
 

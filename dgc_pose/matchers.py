@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -21,14 +21,12 @@ from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.vismatch import VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
 from dgc_pose.network.stored import shipped
-from dgc_pose.refinement.features import FeatureMatches, NativeCache, native_cache
+from dgc_pose.refinement.features import NativeCache, native_cache
 from dgc_pose.refinement.options import RefinementOptions
-from dgc_pose.refinement.refiner import MapMatches, MatchSource, Refiner
+from dgc_pose.refinement.refiner import Refiner
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName
 from dgc_pose.system.options import check_options, check_type, option
-
-_QUICK_CORNER_RADIUS = 12  # of a quick pass
 
 
 @dataclass(frozen=True)
@@ -152,42 +150,6 @@ def load_matcher(
     return options.load(caches)
 
 
-def refined(
-    matcher: Matcher, options: MatcherOptions, caches: MatcherCaches | None = None
-) -> Refiner:
-    """A matcher with refinement of its matches, if it has a network by its features.
-
-    Raises InputError if the features of a network are asked for, and the matcher has none, or is a
-    rival of the network whose features they are.
-    """
-    source = options.refinement.source
-    sources: list[MatchSource] = []
-    quick = None
-    if source in ("auto", "features"):
-        if matcher.engine is None or matcher.engine.config.is_geometric:
-            raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
-        native = caches.native if caches else None
-        sources.append(FeatureMatches(matcher.engine, options.refinement.features, native))
-        quick = _quick(matcher, options, native)
-    if source in ("auto", "map"):
-        sources.append(MapMatches())
-    alignment, most = options.refinement.alignment, options.matching.max_matches
-    return Refiner(matcher, sources, alignment, most, quick)
-
-
-def _quick(matcher: Matcher, options: MatcherOptions, native: NativeCache | None) -> Refiner | None:
-    """What makes the quick pass: the coarsest map, and the features of small images. None for a
-    matcher that has no coarser map."""
-    features, coarse = options.refinement.features, matcher.coarser()
-    if features.quick_side == 0 or coarse is None or coarse.engine is None:
-        return None
-    small = replace(features, long_side=features.quick_side)
-    source = FeatureMatches(coarse.engine, small, native)
-    # Its cells are larger, so that the strongest corner of one is further away.
-    alignment = replace(options.refinement.alignment, corner_radius=_QUICK_CORNER_RADIUS)
-    return Refiner(coarse, [source], alignment, options.matching.max_matches)
-
-
 def _network(
     options: MatcherOptions, caches: MatcherCaches | None, engine: Engine | None
 ) -> Matcher:
@@ -203,7 +165,8 @@ def _network(
     source = options.refinement.source
     if source == "none" or (source == "auto" and matcher.engine.config.is_geometric):
         return matcher
-    return refined(matcher, options, caches)
+    native = caches.native if caches else None
+    return Refiner(matcher, source, options.matching.max_matches, native)
 
 
 def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:

@@ -1,15 +1,15 @@
 """Robust estimation of the relative pose, and the verdict on it."""
 
-from dgc_pose.estimation.options import EstimationOptions, VerdictOptions
+from dgc_pose.estimation.choice import Hypothesis
+from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.relative_pose import estimate_pose
-from dgc_pose.estimation.result import Alternative, RelativePose
+from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import Status
 
 __all__ = [
-    "Alternative",
     "EstimationOptions",
+    "Hypothesis",
     "RelativePose",
     "Status",
-    "VerdictOptions",
     "estimate_pose",
 ]

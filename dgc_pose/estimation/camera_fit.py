@@ -22,6 +22,7 @@ from dgc_pose.estimation.joint_fit import JointFit, JointPose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.poselib_calls import (
+    MAX_SAMPLED,
     essential_and_focal,
     essential_and_focals,
     essential_matrix,
@@ -116,8 +117,8 @@ def solved_start(
 def _run(
     estimate: Callable[..., Result], problem: TwoViewProblem, options: EstimationOptions, seed: int
 ) -> Result:
-    """A run of RANSAC on at most `options.max_sampled` matches."""
-    order = np.random.default_rng(seed).permutation(len(problem))[: options.max_sampled]
+    """A run of RANSAC on at most `MAX_SAMPLED` matches."""
+    order = np.random.default_rng(seed).permutation(len(problem))[:MAX_SAMPLED]
     return run_on(order, estimate, problem, options, seed)
 
 

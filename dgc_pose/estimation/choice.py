@@ -20,8 +20,11 @@ from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.refine import refit
 from dgc_pose.estimation.rivals import known
+from dgc_pose.estimation.texts import probability_text, short_text
 from dgc_pose.geometry.epipolar import sampson_distance
 
+# Inliers of another pose, over the first one's, at which it explains the matches about as well.
+ALTERNATIVE_SHARE = 0.75
 _FARTHEST = 3.0  # thresholds; larger errors, and points behind a camera, count as this
 CHOICE_FEATURES = ("likelihood", "map_agreement")
 
@@ -40,7 +43,7 @@ class Choosable(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose, and what the choice among several rests on (a `Choosable`).
+    """A pose that explains matches, and what the choice among several rests on (a `Choosable`).
 
     Attributes:
         model: The pose, and its inliers.
@@ -49,6 +52,8 @@ class Hypothesis:
             inliers.
         map_agreement: Share of the dense map that agrees, by matchability; None without a map.
         share: The probability that it is right if one is; 0 if it is not likely.
+        probability: Probability that R and t are both within 10 degrees of the truth; None if no
+            model of it is fitted for such matches, and before the verdict.
     """
 
     model: Model
@@ -56,6 +61,27 @@ class Hypothesis:
     likelihood: float
     map_agreement: float | None
     share: float = math.nan
+    probability: float | None = None
+
+    def __repr__(self) -> str:
+        R, t = short_text(self.R), short_text(self.t)
+        likely = probability_text(self.probability)
+        return f"Hypothesis(R={R}, t={t}, {self.num_inliers} inliers, {likely})"
+
+    @property
+    def R(self) -> np.ndarray:
+        """Rotation (3, 3) from camera 1 to camera 2."""
+        return self.model.R
+
+    @property
+    def t(self) -> np.ndarray:
+        """Direction (3,) of the translation, unit length, in camera 2's axes."""
+        return self.model.t
+
+    @property
+    def num_inliers(self) -> int:
+        """Number of matches that it explains."""
+        return self.model.count
 
 
 def hypotheses(
@@ -73,7 +99,7 @@ def hypotheses(
     inliers = problem.subset(first.inliers)
     scale = pose_error_scale(inliers, first.R, first.t) if len(inliers) else problem.threshold
     root = math.sqrt(max(first.count_in_front, 1))
-    least = options.verdict.alternative_share * first.count_in_front
+    least = ALTERNATIVE_SHARE * first.count_in_front
     result: list[Hypothesis] = []
     for number, model in enumerate((first, *others)):
         likely = number == 0 or model.count_in_front >= least

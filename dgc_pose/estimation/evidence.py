@@ -68,13 +68,8 @@ class Evidence:
         jackknife_translation_90_deg: The same of the direction of t.
         jackknife_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
             K is exact.
-        focal_ratio: Of an exact K: the focal lengths that the matches suggest, over those of K;
-            None if they agree.
-        focal_ratio_std: The jackknife's deviation of its logarithm; None likewise.
-        focal_angle_deg: The angle between this pose and that of the focal lengths suggested; None
-            likewise.
-        focal_angle_90_deg: The error that the latter pose is below nine times in ten, by the
-            jackknife; None likewise.
+        focal_check: What the matches suggest instead of an exact K; None if they agree with it, or
+            if it was not checked.
         residual: Median epipolar error of the inliers, over the threshold.
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         hull_cells: Area of the inliers' convex hull in grid cells, the smaller of both images.
@@ -110,10 +105,7 @@ class Evidence:
     jackknife_rotation_90_deg: float | None
     jackknife_translation_90_deg: float | None
     jackknife_focal_90_percent: float | None
-    focal_ratio: float | None
-    focal_ratio_std: float | None
-    focal_angle_deg: float | None
-    focal_angle_90_deg: float | None
+    focal_check: FocalCheck | None
     residual: float
     threshold_cells: float
     hull_cells: float
@@ -204,10 +196,7 @@ def gather(
         jackknife_rotation_90_deg=rotation_90,
         jackknife_translation_90_deg=translation_90,
         jackknife_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
-        focal_ratio=None if check is None else check.factor,
-        focal_ratio_std=None if check is None else check.std,
-        focal_angle_deg=None if check is None else check.angle_deg,
-        focal_angle_90_deg=None if check is None else check.error_90_deg,
+        focal_check=check,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         hull_cells=min(_hull_area(cells) for cells in in_cells),

@@ -14,6 +14,9 @@ from dgc_pose.system.threads import in_threads
 
 Result = TypeVar("Result")
 
+# Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC grows
+# with the matches that it scores; the models are compared and refined on all matches.
+MAX_SAMPLED = 3000
 MINIMAL = 5  # matches that determine an essential matrix
 _LEAST_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
 
@@ -25,7 +28,7 @@ _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL
 def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[Model]:
     """The models of `options.runs` RANSAC runs, that with most inliers first.
 
-    Each run draws its samples from at most `options.max_sampled` matches, chosen by its own seed.
+    Each run draws its samples from at most `MAX_SAMPLED` matches, chosen by its own seed.
     Inliers are counted over all matches.
     """
     if len(problem) < MINIMAL:
@@ -33,8 +36,8 @@ def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[
 
     def run(seed: int) -> np.ndarray | None:
         sampled = np.arange(len(problem))
-        if len(problem) > options.max_sampled:
-            sampled = np.random.default_rng(seed).permutation(sampled)[: options.max_sampled]
+        if len(problem) > MAX_SAMPLED:
+            sampled = np.random.default_rng(seed).permutation(sampled)[:MAX_SAMPLED]
         return run_on(sampled, essential_matrix, problem, options, seed)
 
     matrices = in_threads(run, run_seeds(options))

@@ -251,11 +251,8 @@ def _within(error_90_deg: float) -> float:
 def _nearness(evidence: Evidence) -> float:
     """The probability that a pose with a K that is contradicted is within 10 degrees, if that of
     the focal lengths suggested is; 1 if K is not contradicted."""
-    ratio, std = evidence.focal_ratio, evidence.focal_ratio_std
-    angle, radius = evidence.focal_angle_deg, evidence.focal_angle_90_deg
-    if ratio is None or std is None or angle is None or radius is None:
+    check = evidence.focal_check
+    if check is None or not is_contradicted(check.factor, calibrated_focal_std(check.std)):
         return 1.0
-    if not is_contradicted(ratio, calibrated_focal_std(std)):
-        return 1.0
-    deviation = max(radius / NORMAL_90, _LEAST_DEVIATION_DEG)
-    return 0.5 * math.erfc((angle - RIGHT_DEG) / deviation / math.sqrt(2))
+    deviation = max(check.error_90_deg / NORMAL_90, _LEAST_DEVIATION_DEG)
+    return 0.5 * math.erfc((check.angle_deg - RIGHT_DEG) / deviation / math.sqrt(2))

@@ -13,6 +13,7 @@ from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.matches import Matches
 
 _DEFAULTS = EstimationOptions()
+THRESHOLD_FACTOR = 2.0  # the threshold over the matches' `error_px`
 _GRID = 24  # cells along the longer side of an image
 
 
@@ -59,7 +60,7 @@ class TwoViewProblem:
             "duplicates": len(finite) - len(index),
             "their distortion cannot be undone": int((~undone).sum()),
         }
-        pixels = options.threshold_px or options.threshold_factor * matches.error_px
+        pixels = options.threshold_px or THRESHOLD_FACTOR * matches.error_px
         return cls(
             points1=points1,
             points2=points2,

@@ -9,6 +9,7 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.homography import fit_homography, homography_poses, transfer_error
 
 _ROUNDS = 3
+PLANAR_SHARE = 0.85  # of inliers that one homography explains on a plane
 _MIN_KEPT = 0.98  # of the inliers, or the fit is rejected
 # A homography's transfer error over the epipolar threshold. It takes in both coordinates of the
 # noise of both images, the epipolar constraint one: the same noise needs a wider limit.

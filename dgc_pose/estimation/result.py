@@ -11,30 +11,9 @@ from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.status import STATUSES, Status
+from dgc_pose.estimation.texts import probability_text, short_text
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
-
-
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """A pose that explains the matches about as well as another.
-
-    Attributes:
-        R: Rotation (3, 3) from camera 1 to camera 2.
-        t: Direction (3,) of the translation, unit length, in camera 2's axes.
-        num_inliers: Number of matches that it explains.
-        probability: Probability that R and t are both within 10 degrees of the truth; None if no
-            model of it is fitted for such matches.
-    """
-
-    R: np.ndarray
-    t: np.ndarray
-    num_inliers: int
-    probability: float | None
-
-    def __repr__(self) -> str:
-        R, t = _numbers(self.R), _numbers(self.t)
-        return f"Alternative(R={R}, t={t}, {self.num_inliers} inliers, {_likely(self)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +73,7 @@ class RelativePose:
     evidence: Evidence | None = None
     probability: float | None = 0.0
     any_probability: float | None = 0.0
-    alternatives: tuple[Alternative, ...] = ()
+    alternatives: tuple[Hypothesis, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -106,17 +85,17 @@ class RelativePose:
         if not self.success:
             lines.append(f"no pose: {self.reason}")
         if self.R is not None:
-            lines.append(f"R {_numbers(self.R)}")
+            lines.append(f"R {short_text(self.R)}")
         if self.t is not None:
-            lines.append(f"t {_numbers(self.t)}, up to scale")
+            lines.append(f"t {short_text(self.t)}, up to scale")
         errors = self.rotation_error_90_deg, self.translation_error_90_deg
         if errors[0] is not None and errors[1] is not None:
             lines.append(
                 f"expected error: R {errors[0]:.3f} deg, t {errors[1]:.3f} deg, nine times in ten "
                 "if the pose is right"
             )
-        others = [_likely(other) for other in self.alternatives]
-        last = [_likely(self)] if self.success else []
+        others = [probability_text(other.probability) for other in self.alternatives]
+        last = [probability_text(self.probability)] if self.success else []
         if others:
             last.append(f"{len(others)} alternative{'s'[: len(others) != 1]}: {', '.join(others)}")
         return "\n  ".join(lines + ([", ".join(last)] if last else []))
@@ -189,22 +168,3 @@ class RelativePose:
     def translation_error_90_deg(self) -> float | None:
         """Nine times in ten the angle between t and the true direction is below; None likewise."""
         return error_radii_deg(self.covariance)[1]
-
-
-def percent_text(probability: float) -> str:
-    """A probability for people: never 0 or 100 %, which no evidence gives."""
-    if probability > 0.995:
-        return "over 99 %"
-    return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
-
-
-def _likely(pose: RelativePose | Alternative) -> str:
-    if pose.probability is None:
-        return "probability not known"
-    return f"probability {percent_text(pose.probability)}"
-
-
-def _numbers(array: np.ndarray) -> str:
-    """A small array in one line, four digits behind the point."""
-    text = np.array2string(array, formatter={"float_kind": lambda v: f"{round(v, 4) + 0.0:.4f}"})
-    return " ".join(text.split())

@@ -10,13 +10,37 @@ from typing import NamedTuple
 import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.options import VerdictOptions
-from dgc_pose.estimation.result import percent_text
+from dgc_pose.estimation.refine import PLANAR_SHARE
 from dgc_pose.estimation.status import STATUSES, Status
+from dgc_pose.estimation.texts import percent_text
+
+MIN_MATCHES = 20  # distinct and finite
+MIN_SHARE = 0.8  # of the probability, that the likeliest of several poses has if it is claimed
+_MIN_INLIERS = 15
+_MIN_INLIER_RATIO = 0.15  # among all matches
+# Decimal logarithm of the expected number of models with so many inliers in random matches.
+_MAX_LOG10_FALSE_ALARMS = -2.0
+# Inlier ratio over that of the same model on the same points paired wrongly. It accounts for errors
+# that neighbouring matches have in common, the expected number above does not.
+_MIN_OVER_CHANCE = 3.0
+# Grid cells, 1/24 of the longer side wide, that inliers of a dense map must occupy: one similar
+# patch in unrelated images gives dozens of matches. It is not asked of key points.
+_MIN_OCCUPIED_CELLS = 20
+_MIN_CHEIRALITY = 0.6  # share of inliers in front of both cameras
+# "rotation_only": matches that a rotation explains, over the inliers, with little parallax ...
+_ROTATION_SHARE = 0.8
+# ... and with any: share of inliers that a rotation explains within the epipolar threshold. Smooth
+# errors of dense matches resemble a translation.
+_STRICT_ROTATION_SHARE = 0.9
+_MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more for few matches
+# Expected error of R and of t, by the jackknife, nine times in ten. Of normal errors with more,
+# less than half are within 10 degrees.
+_MAX_ERROR_DEG = 24.0
+_SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
 
 
 class Verdict(NamedTuple):
-    """What a model is taken for."""
+    """The status of a model, and why."""
 
     status: Status
     reason: str  # one sentence for people
@@ -25,14 +49,14 @@ class Verdict(NamedTuple):
 
 def judge(
     evidence: Evidence,
-    options: VerdictOptions,
+    min_probability: float | None,
     probability: float | None = None,
     against: Sequence[str] = (),
     shares: Sequence[float] = (),
 ) -> Verdict:
     """The verdict on a model.
 
-    Without a probability, or without `options.min_probability`, the first gate that the evidence
+    Without a probability, or without `min_probability`, the first gate that the evidence
     fails decides. Otherwise the probability does, unless random matches have as many inliers, the
     translation is not determined at all, or most inliers lie behind a camera: the data that it is
     fitted on do not show these.
@@ -40,23 +64,23 @@ def judge(
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
     first; () for a single one.
     """
-    untold = _translation_untold(evidence, options)
-    if probability is None or options.min_probability is None:
+    undetermined = _undetermined_translation(evidence)
+    if probability is None or min_probability is None:
         # Chance before all: few inliers say nothing about a rotation either.
-        failed = by_chance(evidence, options) or untold or _implausible(evidence, options)
-        return failed or _moved_plane(evidence) or _pose(evidence, options)
-    impossible = _random(evidence, options) or untold or _behind(evidence, options)
+        failed = by_chance(evidence) or undetermined or _implausible(evidence)
+        return failed or _moved_plane(evidence) or _pose(evidence)
+    impossible = _random(evidence) or undetermined or _behind(evidence)
     if impossible is not None:
-        return by_chance(evidence, options) or impossible
-    if probability >= options.min_probability and (moved := _moved_plane(evidence)):
+        return by_chance(evidence) or impossible
+    if probability >= min_probability and (moved := _moved_plane(evidence)):
         return moved
     share = shares[0] if shares else 1.0
-    if share * probability >= options.min_probability and share >= options.min_share:
-        return _pose(evidence, options)
-    if share < options.min_share and probability >= options.min_probability:
+    if share * probability >= min_probability and share >= MIN_SHARE:
+        return _pose(evidence)
+    if share < MIN_SHARE and probability >= min_probability:
         return _ambiguous(probability, shares)
     probability *= share
-    failed = by_chance(evidence, options) or _implausible(evidence, options)
+    failed = by_chance(evidence) or _implausible(evidence)
     reason = f"the pose is right with a probability of {percent_text(probability)}"
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
@@ -70,13 +94,13 @@ def _ambiguous(probability: float, shares: Sequence[float]) -> Verdict:
     return Verdict("ambiguous", reason)
 
 
-def by_chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+def by_chance(evidence: Evidence) -> Verdict | None:
     """Whether unrelated images could have such inliers."""
-    least = max(options.min_inlier_ratio, options.chance_factor * evidence.chance_ratio)
-    few = evidence.num_inliers < options.min_inliers or evidence.inlier_ratio < least
-    if verdict := _random(evidence, options, few):
+    least = max(_MIN_INLIER_RATIO, _MIN_OVER_CHANCE * evidence.chance_ratio)
+    few = evidence.num_inliers < _MIN_INLIERS or evidence.inlier_ratio < least
+    if verdict := _random(evidence, few):
         return verdict
-    if evidence.key_points or evidence.occupied_cells >= options.min_occupied_cells:
+    if evidence.key_points or evidence.occupied_cells >= _MIN_OCCUPIED_CELLS:
         return None
     reason = (
         f"the {evidence.num_inliers} inliers lie in only {evidence.occupied_cells} grid cells; "
@@ -85,9 +109,9 @@ def by_chance(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
     return Verdict("chance_inliers", reason)
 
 
-def _random(evidence: Evidence, options: VerdictOptions, few: bool = False) -> Verdict | None:
+def _random(evidence: Evidence, few: bool = False) -> Verdict | None:
     """Whether random matches would have as many inliers of some model. few: so they would."""
-    if not few and evidence.log10_false_alarms <= options.max_log10_false_alarms:
+    if not few and evidence.log10_false_alarms <= _MAX_LOG10_FALSE_ALARMS:
         return None
     reason = (
         f"only {evidence.num_inliers} matches ({100 * evidence.inlier_ratio:.1f} %) agree on an "
@@ -97,21 +121,21 @@ def _random(evidence: Evidence, options: VerdictOptions, few: bool = False) -> V
     return Verdict("chance_inliers", reason)
 
 
-def _translation_untold(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
+def _undetermined_translation(evidence: Evidence) -> Verdict | None:
     """Whether many poses explain the matches, because the translation does not show."""
     if evidence.collinear:
         return Verdict("collinear", STATUSES["collinear"].meaning)
     # The model fits the noise of few matches: their errors come out too small by some 1 / sqrt.
-    min_parallax = options.min_parallax * (1 + 4 / np.sqrt(max(evidence.num_rotation_inliers, 1)))
-    rotates = evidence.rotation_share >= options.rotation_share
-    strictly = evidence.strict_rotation_share >= options.strict_rotation_share
+    min_parallax = _MIN_PARALLAX * (1 + 4 / np.sqrt(max(evidence.num_rotation_inliers, 1)))
+    rotates = evidence.rotation_share >= _ROTATION_SHARE
+    strictly = evidence.strict_rotation_share >= _STRICT_ROTATION_SHARE
     if strictly or (rotates and evidence.parallax < min_parallax):
         reason = (
             f"a rotation alone explains {evidence.num_rotation_inliers} matches, as many as the "
             f"essential matrix does: the images do not determine the translation"
         )
         return Verdict("rotation_only", reason)
-    if evidence.still_ratio >= options.strict_rotation_share:
+    if evidence.still_ratio >= _STRICT_ROTATION_SHARE:
         reason = (
             f"a camera that only turned, zoomed or cropped explains "
             f"{100 * evidence.still_ratio:.0f} % of the inliers: the images do not determine the "
@@ -121,20 +145,20 @@ def _translation_untold(evidence: Evidence, options: VerdictOptions) -> Verdict 
     return None
 
 
-def _behind(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
-    if evidence.cheirality_ratio >= options.min_cheirality:
+def _behind(evidence: Evidence) -> Verdict | None:
+    if evidence.cheirality_ratio >= _MIN_CHEIRALITY:
         return None
     share = 100 * evidence.cheirality_ratio
     reason = f"only {share:.0f} % of the inliers lie in front of both cameras"
     return Verdict("behind_cameras", reason)
 
 
-def _implausible(evidence: Evidence, options: VerdictOptions) -> Verdict | None:
-    if behind := _behind(evidence, options):
+def _implausible(evidence: Evidence) -> Verdict | None:
+    if behind := _behind(evidence):
         return behind
     for part in ("rotation", "translation"):
         error: float | None = getattr(evidence, f"jackknife_{part}_90_deg")
-        if error is not None and error > options.max_error_deg:
+        if error is not None and error > _MAX_ERROR_DEG:
             reason = (
                 f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
                 f"wrong by {error:.0f} deg"
@@ -154,14 +178,14 @@ def _moved_plane(evidence: Evidence) -> Verdict | None:
     return Verdict("ambiguous", reason)
 
 
-def _pose(evidence: Evidence, options: VerdictOptions) -> Verdict:
+def _pose(evidence: Evidence) -> Verdict:
     warnings: tuple[str, ...] = ()
     angle = evidence.median_triangulation_angle_deg
-    if angle < options.small_angle_deg:
+    if angle < _SMALL_ANGLE_DEG:
         warnings += (
             f"the median triangulation angle is {angle:.2f} deg: the translation is uncertain",
         )
-    if evidence.homography_ratio < options.planar_share:
+    if evidence.homography_ratio < PLANAR_SHARE:
         return Verdict("ok", STATUSES["ok"].meaning, warnings)
     warnings += (
         f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers: "

@@ -63,15 +63,14 @@ class DenseMatcher(Matcher):
         """Of the weights: different weights of one network have different fingerprints."""
         return self.engine.fingerprint
 
-    def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """The maps at `finest` x `finest` cells, and the matches of each that pass the options."""
-        return [
-            MatchResult(select_matches(correspondence_map, self.options), correspondence_map)
-            for correspondence_map in self.correspondence_maps(pairs)
-        ]
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        """The map at `finest` x `finest` cells, and its matches that pass the options."""
+        dense = self.correspondence_map(image1, image2)
+        return MatchResult(select_matches(dense, self.options), dense)
 
     def coarser(self) -> DenseMatcher | None:
-        """As `Matcher`; None for a mask network, which needs the finest map."""
+        """The matcher of the coarsest map, of upright images of one scale, for a quick pass; None
+        for a mask network, which needs the finest map."""
         if self.engine.config.matchability == "network":
             return None
         options = replace(self.options, finest=60, cycle_px=None, search_below=0.0)
@@ -82,6 +81,10 @@ class DenseMatcher(Matcher):
         view = View.whole(image.size)
         features = self.cache.get((image, view), partial(self._encode, image, view))
         return np.concatenate(self.engine.coarsest(features))
+
+    def correspondence_map(self, image1: Image, image2: Image) -> CorrespondenceMap:
+        """The map of a pair, see `correspondence_maps`."""
+        return self.correspondence_maps([(image1, image2)])[0]
 
     def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
         """The map of each pair, with the cycle error if the options ask for it.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,8 +13,9 @@ from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.texture import textured
+from dgc_pose.matching.texture import Texture, texture
 from dgc_pose.runtime.engine import Engine
+from dgc_pose.system.threads import in_threads
 
 # Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.
 ERROR_CELLS = 0.5
@@ -98,7 +100,7 @@ class MatchResult:
 
 
 class Matcher:
-    """Anything that matches two images: the network, SIFT, optical flow, files, or a refiner."""
+    """Anything that matches two images: the network, SIFT, optical flow, or files."""
 
     engine: Engine | None = None  # of a network of ours, whose features may refine the matches
     name: str  # in results and tables
@@ -108,56 +110,82 @@ class Matcher:
         """16 hexadecimal digits that identify the weights; None for a matcher without weights."""
         return None
 
+    def search(self, image1: Image, image2: Image) -> PairSearch:
+        """The search for matches of two images, step by step; nothing is computed yet."""
+        return PairSearch(self, image1, image2)
+
     def match(self, image1: Image, image2: Image) -> MatchResult:
         """Matches in pixels of the images, both points where the images have structure, and the
-        dense map if the matcher makes one."""
-        return self.match_batch([(image1, image2)])[0]
-
-    def match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """As `match` for each pair; a network decodes the pairs together."""
-        return [
-            replace(result, matches=textured(result.matches, *pair))
-            for result, pair in zip(self._match_batch(pairs), pairs, strict=True)
-        ]
-
-    def coarser(self) -> Matcher | None:
-        """The matcher of the coarsest map, of upright images of one scale, for a quick pass; None
-        if there is none."""
-        return None
-
-    def match_quickly(self, image1: Image, image2: Image) -> MatchResult | None:
-        """As `match`, with less of everything: enough for a pair that is easy. None from a matcher
-        that has no quick pass, and where it shows that the pair is not easy."""
-        return None
-
-    def match_finely(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
-        """The matches that the map of a quick pass leads to at full resolution; `result` itself
-        from a matcher that has no quick pass."""
-        return result
-
-    def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
-        """The matches of a result of `match`, and with them those of images that are made narrower
-        or lower; `result` itself from a matcher that does not search again."""
-        return result
-
-    def match_near(
-        self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
-    ) -> MatchResult:
-        """The matches of a result of `match`, and with them those near the epipolar lines of each
-        hypothesis of the pose; `result` itself from a matcher that does not search again."""
-        return result
+        dense map if the matcher makes one: the step `whole` of `search`."""
+        return self.search(image1, image2).whole()
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.
 
         Raises InputError for a matcher that has none.
         """
-        raise InputError(f"--pairs auto needs the features of a network, and {self.name} has none")
+        raise InputError(f"{self.name} has no features of a network, which choose pairs")
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, also where an image has no structure: what a subclass defines."""
         raise NotImplementedError
 
-    def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        """As `_match` for each pair: what a subclass that matches them together defines instead."""
-        return [self._match(*pair) for pair in pairs]
+
+class PairSearch:
+    """The matches of two images, by one step after another.
+
+    It keeps what its steps compute of the pair. Each step but `whole` returns None if it has no
+    other matches than those that are there; a plain matcher has `whole` alone. `result` has the
+    matches of the last step that had any.
+    """
+
+    def __init__(self, matcher: Matcher, image1: Image, image2: Image) -> None:
+        self.matcher = matcher
+        self.image1, self.image2 = image1, image2
+        self.result: MatchResult | None = None
+
+    @property
+    def last(self) -> MatchResult:
+        """The matches of the last step that had any. Raises ValueError before it."""
+        if self.result is None:
+            raise ValueError("no step of the search has been done")
+        return self.result
+
+    def quick(self) -> MatchResult | None:
+        """Match with less of everything: enough for an easy pair."""
+        return None
+
+    def fine(self) -> MatchResult | None:
+        """Match at full resolution by the map of the step before."""
+        return None
+
+    def whole(self) -> MatchResult:
+        """Match with all that the matcher has."""
+        self.result = self._unrefined
+        return self.result
+
+    def squeezed(self) -> MatchResult | None:
+        """Add the matches of images that are made narrower or lower."""
+        return None
+
+    def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
+        """Add the matches near the epipolar lines of each hypothesis of the pose."""
+        return None
+
+    @cached_property
+    def _unrefined(self) -> MatchResult:
+        result = self.matcher._match(self.image1, self.image2)
+        return replace(result, matches=self._textured(result.matches))
+
+    def _textured(self, matches: Matches) -> Matches:
+        """The matches whose points have structure around them in both images."""
+        first, second = self._textures
+        kept = first.at(matches.points1) & second.at(matches.points2)
+        return matches if kept.all() else matches.subset(kept)
+
+    @cached_property
+    def _textures(self) -> tuple[Texture, Texture]:
+        if self.image1 is self.image2:
+            return (texture(self.image1),) * 2
+        first, second = in_threads(texture, [self.image1, self.image2])
+        return first, second

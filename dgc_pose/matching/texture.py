@@ -7,15 +7,12 @@ or a stripe the smaller one is not (the aperture problem). Uniform bars at the b
 """
 
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.images.image import Image, resize_by
-from dgc_pose.matches import Matches
-from dgc_pose.system.threads import in_threads
 
 LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
 _GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
@@ -52,24 +49,11 @@ class Texture:
         return inside & self.mask[row.clip(0, height - 1), column.clip(0, width - 1)]
 
 
-_KEPT: WeakKeyDictionary[Image, Texture] = WeakKeyDictionary()  # as long as the image itself
-
-
-def textured(matches: Matches, image1: Image, image2: Image) -> Matches:
-    """The matches whose points have structure around them in both images."""
-    if not (image1 in _KEPT and image2 in _KEPT):
-        in_threads(texture, [image1] if image1 is image2 else [image1, image2])
-    kept = texture(image1).at(matches.points1) & texture(image2).at(matches.points2)
-    return matches if kept.all() else matches.subset(kept)
-
-
 def texture(image: Image) -> Texture:
-    """Where an image has structure; computed once for each image."""
-    if image not in _KEPT:
-        shrunk = resize_by(image.pixels, min(1.0, LONG_SIDE / max(image.size)))
-        grey = cv2.cvtColor(shrunk, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        _KEPT[image] = Texture(structured(grey), image.size)
-    return _KEPT[image]
+    """Where an image has structure."""
+    shrunk = resize_by(image.pixels, min(1.0, LONG_SIDE / max(image.size)))
+    grey = cv2.cvtColor(shrunk, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return Texture(structured(grey), image.size)
 
 
 def structured(grey: np.ndarray) -> np.ndarray:

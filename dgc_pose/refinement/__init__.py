@@ -1,11 +1,6 @@
-"""Refinement: matches at the accuracy of the original photographs, whatever the matcher."""
+"""Refinement: matches at the accuracy of the original photographs."""
 
-from dgc_pose.refinement.options import (
-    AlignmentOptions,
-    FeatureOptions,
-    RefinementOptions,
-    SourceName,
-)
+from dgc_pose.refinement.options import RefinementOptions, SourceName
 from dgc_pose.refinement.refiner import Refiner
 
-__all__ = ["AlignmentOptions", "FeatureOptions", "RefinementOptions", "Refiner", "SourceName"]
+__all__ = ["RefinementOptions", "Refiner", "SourceName"]

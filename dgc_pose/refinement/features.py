@@ -35,10 +35,13 @@ from dgc_pose.refinement.map_geometry import (
     rotation_between,
     window_shown,
 )
-from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
 
+LONG_SIDE = 800  # most pixels of the images that features are computed on
+SIMILAR_CELLS = 12  # most similar cells of stride 16, for the consensus
+LIKELY_CELLS = 4  # of them and of the map's, that are searched besides the map's
+MOST_HYPOTHESES = 4  # near whose epipolar lines matches are searched
 _SQUEEZES = (0.6, 0.45)  # of the width or the height of one image
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
 _WIDER = 1.6  # ratio of the fields of view, along a side
@@ -62,73 +65,61 @@ def native_cache(limit_bytes: int = 2 * 2**30) -> NativeCache:
 
 
 class FeatureMatches:
-    """Matches of the features of a frozen network, guided by the map (a `MatchSource`).
+    """Matches of the features of a frozen network, guided by a map.
 
-    cache: of the features; None to keep those of the last pair or a few.
+    long_side: most pixels of the images that features are computed on. cache: of the features; None
+    to keep those of the last pair or a few.
     """
 
     def __init__(
-        self,
-        engine: Engine,
-        options: FeatureOptions | None = None,
-        cache: NativeCache | None = None,
+        self, engine: Engine, long_side: int = LONG_SIDE, cache: NativeCache | None = None
     ) -> None:
         self.engine = engine
-        self.options = options or FeatureOptions()
+        self.long_side = long_side
         self.cache = cache or native_cache(_PAIR_BYTES)
 
-    def find(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
+    def at_scale(
+        self,
+        image1: Image,
+        image2: Image,
+        correspondence_map: CorrespondenceMap,
+        scale: float | None = None,
     ) -> Matches:
-        """Matches at the scale that the map shows, to the octave."""
-        scale = octave_between(correspondence_map)
-        return self.at_scale(image1, image2, correspondence_map, scale)
+        """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
 
-    def find_near(
+        scale: pixels of image 1 per pixel of image 2; by default as the map shows, to the octave.
+        Features are invariant neither to scale nor to rotation: the images, or the parts that the
+        map shows to match, are resized to one scale, with long sides of about `long_side` pixels,
+        and image 2 is rotated as the map shows.
+        """
+        views = _views(correspondence_map, self.long_side, scale)
+        return self._matches(self._pair(image1, image2, correspondence_map, views))
+
+    def near(
         self,
         image1: Image,
         image2: Image,
         correspondence_map: CorrespondenceMap,
         hypotheses: Sequence[TwoViews],
     ) -> list[Matches]:
-        """As `find`, of each of the first hypotheses the matches near its epipolar lines."""
-        hypotheses = hypotheses[: self.options.hypotheses]
+        """As `at_scale`, of each of the first hypotheses the matches near its epipolar lines."""
         if not hypotheses:
             return []
-        views = self._views(correspondence_map)
+        views = _views(correspondence_map, self.long_side)
         pair = self._pair(image1, image2, correspondence_map, views)
-        return [self._matches(pair, views) for views in hypotheses]
+        return [self._matches(pair, views) for views in hypotheses[:MOST_HYPOTHESES]]
 
-    def find_squeezed(
+    def squeezed(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
     ) -> list[Matches]:
-        """As `find`, with one image narrower or lower than it is: a surface that one camera sees
-        from the side and the other from the front becomes alike."""
-        if not self.options.squeezed:
-            return []
-        views = self._views(correspondence_map)
+        """As `at_scale`, with one image narrower or lower than it is: a surface that one camera
+        sees from the side and the other from the front becomes alike."""
+        views = _views(correspondence_map, self.long_side)
         return [
-            self._matches(self._pair(image1, image2, correspondence_map, squeezed))
+            self._matches(self._pair(image1, image2, correspondence_map, changed))
             for factor, axis, number in product(_SQUEEZES, (0, 1), (0, 1))
-            for squeezed in [_squeezed(views, factor, axis, number)]
+            for changed in [_squeezed(views, factor, axis, number)]
         ]
-
-    def at_scale(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, scale: float
-    ) -> Matches:
-        """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
-
-        scale: pixels of image 1 per pixel of image 2. Features are invariant neither to scale nor
-        to rotation: the images, or the parts that the map shows to match, are resized to one scale,
-        with long sides of about `long_side` pixels, and image 2 is rotated as the map shows.
-        """
-        views = _views(correspondence_map, scale, self.options.long_side)
-        return self._matches(self._pair(image1, image2, correspondence_map, views))
-
-    def _views(self, correspondence_map: CorrespondenceMap) -> list[tuple[View, Size]]:
-        """Those at the scale that the map shows, to the octave."""
-        scale = octave_between(correspondence_map)
-        return _views(correspondence_map, scale, self.options.long_side)
 
     def _pair(
         self,
@@ -151,7 +142,6 @@ class FeatureMatches:
 
     def _matches(self, pair: _FeaturePair, hypothesis: TwoViews | None = None) -> Matches:
         """Mutual nearest neighbours, with a hypothesis those near its epipolar lines."""
-        options, scales = self.options, self.engine.correlation_scales
         source, target, guided = pair.source, pair.target, pair.guided
         coarse, middle = None, None
         if hypothesis is not None:
@@ -162,9 +152,9 @@ class FeatureMatches:
             source,
             target,
             guided,
-            scales,
-            similar=options.similar,
-            likely=options.likely,
+            self.engine.correlation_scales,
+            similar=SIMILAR_CELLS,
+            likely=LIKELY_CELLS,
             allowed=coarse,
         )
         candidates = np.concatenate([candidates, guided], 1)
@@ -203,10 +193,11 @@ class _FeaturePair:
 
 
 def _views(
-    correspondence_map: CorrespondenceMap, scale: float, long_side: int
+    correspondence_map: CorrespondenceMap, long_side: int, scale: float | None = None
 ) -> list[tuple[View, Size]]:
-    """Of the parts of both images that the map shows to match, at one orientation; and the columns
-    and rows of stride 16 at one scale."""
+    """Views of the parts of both images that the map shows to match, at one orientation; and the
+    columns and rows of stride 16 at one scale: by default that of the map, to the octave."""
+    scale = octave_between(correspondence_map) if scale is None else scale
     points1, points2 = matchable_points(correspondence_map)
     size1, size2 = correspondence_map.size1, correspondence_map.size2
     # What a weak map shows is too little to crop by, unless the fields of view differ.

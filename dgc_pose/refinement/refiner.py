@@ -1,87 +1,65 @@
-"""The refiner: a matcher's matches, or more accurate ones of the pair, aligned on the images."""
+"""The refiner: more accurate matches of a pair than its dense map has, aligned on the images."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
 
 from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.dense import DenseMatcher
+from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult, PairSearch
 from dgc_pose.matching.selection import WEAK
-from dgc_pose.matching.texture import textured
-from dgc_pose.refinement.align import align, spread
+from dgc_pose.refinement.align import CORNER_RADIUS, align, spread
 from dgc_pose.refinement.consistency import consistent
-from dgc_pose.refinement.options import AlignmentOptions
+from dgc_pose.refinement.features import FeatureMatches, NativeCache
+from dgc_pose.refinement.options import SourceName
 
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
-
-
-class MatchSource(Protocol):
-    """Makes the matches that a refiner aligns."""
-
-    def find(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
-    ) -> Matches:
-        """Matches in pixels of the images, of a matcher's map and of the matches selected from it;
-        `error_px` is the error of this source."""
-
-    def find_squeezed(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
-    ) -> list[Matches]:
-        """As `find`, each with one of the images made narrower or lower; none from a source that
-        does not search."""
-        return []
-
-    def find_near(
-        self,
-        image1: Image,
-        image2: Image,
-        correspondence_map: CorrespondenceMap,
-        hypotheses: Sequence[TwoViews],
-    ) -> list[Matches]:
-        """As `find`, of each hypothesis of the pose the matches near its epipolar lines; none from
-        a source that does not search."""
-        return []
-
-
-class MapMatches(MatchSource):
-    """The matches selected from the map as they are: the map has a single point for each cell."""
-
-    def find(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap, matches: Matches
-    ) -> Matches:
-        return matches
+QUICK_SIDE = 512  # most pixels of the images that a quick pass computes features on
+QUICK_CORNER_RADIUS = 12  # its cells are larger, so that the strongest corner of one is further
+NEIGHBOURS = 12  # nearest matches whose affinity a match must fit
+PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
+MIN_ZNCC = 0.8  # least correlation of a pair of aligned patches
+MIN_MATCHES = 50  # a source that leaves fewer is passed over
+MIN_ALIGNED = 100  # fewer aligned matches are completed by the consistent ones
 
 
 class Refiner(Matcher):
-    """A matcher with refinement of its matches. The dense map is the matcher's.
+    """A matcher of a dense map with more accurate matches. The dense map is the matcher's.
 
-    sources: tried in this order until one gives enough matches. For a pair without a map the
-    matcher's matches are aligned instead. max_matches: an even subsample of at most so many. quick:
-    what makes the quick pass.
+    source: of the matches that are aligned, see `RefinementOptions`. max_matches: an even subsample
+    of at most so many. cache: of the features; None to keep those of the last pair or a few.
+
+    Raises InputError if the source is features, and the matcher has no network.
     """
 
     def __init__(
         self,
         matcher: Matcher,
-        sources: Sequence[MatchSource] = (MapMatches(),),
-        options: AlignmentOptions | None = None,
+        source: SourceName = "map",
         max_matches: int = 2000,
-        quick: Refiner | None = None,
+        cache: NativeCache | None = None,
     ) -> None:
-        self.matcher = matcher
-        self.name = matcher.name
-        self.sources = tuple(sources)
-        self.options = options or AlignmentOptions()
-        self.max_matches = max_matches
-        self.quick = quick
+        self.matcher, self.name, self.engine = matcher, matcher.name, matcher.engine
+        self.source, self.max_matches = source, max_matches
+        self.features: FeatureMatches | None = None
+        self.coarser: DenseMatcher | None = None  # makes the map of the quick pass
+        if source in ("auto", "features"):
+            if matcher.engine is None or matcher.engine.config.is_geometric:
+                raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
+            self.features = FeatureMatches(matcher.engine, cache=cache)
+            if isinstance(matcher, DenseMatcher):
+                self.coarser = matcher.coarser()
+                self.quick_features = FeatureMatches(
+                    matcher.engine, QUICK_SIDE, self.features.cache
+                )
 
     @property
     def fingerprint(self) -> str | None:
@@ -90,126 +68,122 @@ class Refiner(Matcher):
     def coarse_features(self, image: Image) -> np.ndarray:
         return self.matcher.coarse_features(image)
 
-    def _match_batch(self, pairs: Sequence[tuple[Image, Image]]) -> list[MatchResult]:
-        results = self.matcher.match_batch(pairs)
-        return [self.refine(*pair, result) for pair, result in zip(pairs, results, strict=True)]
+    def search(self, image1: Image, image2: Image) -> RefinedSearch:
+        return RefinedSearch(self, image1, image2)
 
-    def refine(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
-        """A matcher's result with its matches refined; `error_px` is that of the last step done.
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        return self.matcher._match(image1, image2)
 
-        A step that leaves too few matches is undone. If all do, `result` itself is returned.
-        """
-        return self._refined(image1, image2, result) or result
 
-    def match_quickly(self, image1: Image, image2: Image) -> MatchResult | None:
-        """As `Matcher`; None too if the quick pass leaves too few matches, and if the images may
+class RefinedSearch(PairSearch):
+    """The steps of a refiner for one pair.
+
+    `quick` has the coarsest map and the features of small images, `fine` the features at full
+    resolution by the same map, `whole` those by the finest map. `squeezed` and `near` add to the
+    matches that are there.
+    """
+
+    matcher: Refiner
+
+    def quick(self) -> MatchResult | None:
+        """As `PairSearch`; None too if the quick pass leaves too few matches, and if the images may
         be rotated or of different scales, which it does not search."""
-        if self.quick is None:
-            return None
-        result = self.quick.matcher.match(image1, image2)
-        dense = result.correspondence_map
+        dense = self._coarse_map
         if dense is None or dense.matchability.mean() < WEAK:
             return None
-        return self.quick._refined(image1, image2, result)
+        matches = self.matcher.quick_features.at_scale(self.image1, self.image2, dense)
+        aligned, agreeing = self._aligned(matches, QUICK_CORNER_RADIUS)
+        return self._keep(self._final(aligned, agreeing, dense))
 
-    def match_finely(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
-        """As `Matcher`, by all sources."""
-        return self.refine(image1, image2, result)
+    def fine(self) -> MatchResult | None:
+        return None if self.result is None else self._keep(self._refined(self.result))
 
-    def _refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """As `refine`; None if every step leaves too few matches."""
-        dense = result.correspondence_map
-        sources: Iterable[Matches] = [result.matches]
-        if dense is not None:
-            sources = (s.find(image1, image2, dense, result.matches) for s in self.sources)
-        for source in sources:
-            steps = self._steps(image1, image2, source)
-            refined = self._last_step(image1, image2, *steps, dense)
-            if refined is not None:
+    def whole(self) -> MatchResult:
+        """As `PairSearch`; the matches of the map as they are where refinement leaves too few."""
+        self.result = self._whole
+        return self.result
+
+    def squeezed(self) -> MatchResult | None:
+        features, dense = self.matcher.features, self._searched_map
+        if features is None or dense is None:
+            return None
+        return self._add(features.squeezed(self.image1, self.image2, dense), dense)
+
+    def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
+        """As `PairSearch`. The matches of all hypotheses go together: those near the lines of a
+        single pose would agree with it, right or wrong."""
+        features, dense = self.matcher.features, self._searched_map
+        if features is None or dense is None:
+            return None
+        return self._add(features.near(self.image1, self.image2, dense, hypotheses), dense)
+
+    @cached_property
+    def _coarse_map(self) -> CorrespondenceMap | None:
+        coarser = self.matcher.coarser
+        if coarser is None:
+            return None
+        return coarser.correspondence_map(self.image1, self.image2)
+
+    @cached_property
+    def _whole(self) -> MatchResult:
+        return self._refined(self._unrefined) or self._unrefined
+
+    @property
+    def _searched_map(self) -> CorrespondenceMap | None:
+        """The map of the matches that are there, if these are refined."""
+        if self.result is None or self.result.aligned is None:
+            return None
+        return self.result.correspondence_map
+
+    def _keep(self, result: MatchResult | None) -> MatchResult | None:
+        self.result = result or self.result
+        return result
+
+    def _refined(self, result: MatchResult) -> MatchResult | None:
+        """Refine the matches of the sources in turn, until one leaves enough."""
+        for matches in self._sources(result):
+            aligned, agreeing = self._aligned(matches)
+            if refined := self._final(aligned, agreeing, result.correspondence_map):
                 return refined
         return None
 
-    def match_squeezed(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
-        """As `Matcher`, by the first source."""
-        return self._searched(image1, image2, result, self.sources[0].find_squeezed)
+    def _sources(self, result: MatchResult) -> Iterator[Matches]:
+        features, dense = self.matcher.features, result.correspondence_map
+        if features is not None and dense is not None:
+            yield features.at_scale(self.image1, self.image2, dense)
+        if self.matcher.source in ("auto", "map"):
+            yield result.matches
 
-    def match_near(
-        self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
-    ) -> MatchResult:
-        """As `Matcher`, by the first source. The matches of all hypotheses go together: those near
-        the lines of a single pose would agree with it, right or wrong."""
-        near = partial(self.sources[0].find_near, hypotheses=hypotheses)
-        return self._searched(image1, image2, result, near)
-
-    def _searched(
-        self,
-        image1: Image,
-        image2: Image,
-        result: MatchResult,
-        search: Callable[[Image, Image, CorrespondenceMap], list[Matches]],
-    ) -> MatchResult:
-        """A result with the matches that a search has in parts, each refined by itself; `result`
-        itself without a map, without refinement, and if the search has none."""
-        dense, aligned = result.correspondence_map, result.aligned
-        if dense is None or aligned is None:
-            return result
-        parts = search(image1, image2, dense)
-        if not parts:
-            return result
-        steps = [self._steps(image1, image2, matches) for matches in parts]
-        moved = Matches.joined([aligned, *(part for part, _ in steps)])
-        agreeing = Matches.joined([result.matches, *(part for _, part in steps)])
-        return self._last_step(image1, image2, moved, agreeing, dense) or result
-
-    def _last_step(
-        self,
-        image1: Image,
-        image2: Image,
-        moved: Matches,
-        agreeing: Matches,
-        dense: CorrespondenceMap | None,
-    ) -> MatchResult | None:
-        """The aligned matches, or all that agree, where the images have structure; None if they are
-        too few."""
-        aligned = textured(moved, image1, image2)
-        if len(aligned) >= self.options.min_aligned:
-            aligned = self._spread(aligned, image2)
-            return MatchResult(aligned, dense, aligned)
-        # Patches of views far apart often differ too much. What is left of them is more accurate,
-        # but too little to tell a pose from chance: both together have the error that all of them
-        # had before.
-        completed = textured(agreeing, image1, image2)
-        if len(completed) < self.options.min_matches:
+    def _add(self, parts: Sequence[Matches], dense: CorrespondenceMap) -> MatchResult | None:
+        """The matches that are there with those of further parts, each refined by itself."""
+        if not parts or self.result is None or self.result.aligned is None:
             return None
-        return MatchResult(self._spread(completed, image2), dense, aligned)
+        refined = [self._aligned(matches) for matches in parts]
+        aligned = Matches.joined([self.result.aligned, *(part for part, _ in refined)])
+        agreeing = Matches.joined([self.result.matches, *(part for _, part in refined)])
+        return self._keep(self._final(aligned, agreeing, dense))
 
-    def _spread(self, matches: Matches, image2: Image) -> Matches:
-        """An even subsample of at most `max_matches`."""
-        rows = spread(matches.points2, matches.confidence, image2.size, self.max_matches)
-        return matches.subset(rows)
-
-    def _steps(self, image1: Image, image2: Image, matches: Matches) -> tuple[Matches, Matches]:
+    def _aligned(
+        self, matches: Matches, corner_radius: int = CORNER_RADIUS
+    ) -> tuple[Matches, Matches]:
         """The matches that can be aligned, and all that agree with their neighbours, aligned where
         that succeeds; none if too few agree."""
-        options = self.options
-        local = consistent(matches, options.neighbours)
-        if len(local.index) < options.min_matches:
+        local = consistent(matches, NEIGHBOURS)
+        if len(local.index) < MIN_MATCHES:
             none = matches.subset(local.index[:0])
             return none, none
         agreeing = matches.subset(local.index)
-        if not options.align:
-            return agreeing.subset(local.index[:0]), agreeing
         aligned = align(
-            image1.pixels,
-            image2.pixels,
+            self.image1.pixels,
+            self.image2.pixels,
             local,
-            radius=options.patch_radius,
-            corner_radius=options.corner_radius,
+            radius=PATCH_RADIUS,
+            corner_radius=corner_radius,
             error_px=matches.error_px,
-            min_zncc=options.min_zncc,
-            max_matches=self.max_matches,
+            min_zncc=MIN_ZNCC,
+            max_matches=self.matcher.max_matches,
         )
-        good = aligned.converged & (aligned.zncc >= options.min_zncc)
+        good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
         moved = Matches(
             aligned.points1[good],
             aligned.points2[good],
@@ -221,3 +195,25 @@ class Refiner(Matcher):
         points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()
         points1[rows], points2[rows] = moved.points1, moved.points2
         return moved, replace(agreeing, points1=points1, points2=points2)
+
+    def _final(
+        self, aligned: Matches, agreeing: Matches, dense: CorrespondenceMap | None
+    ) -> MatchResult | None:
+        """The aligned matches, or all that agree, where the images have structure; None if they are
+        too few."""
+        aligned = self._textured(aligned)
+        if len(aligned) >= MIN_ALIGNED:
+            aligned = self._spread(aligned)
+            return MatchResult(aligned, dense, aligned)
+        # Patches of views far apart often differ too much. What is left of them is more accurate,
+        # but too little to tell a pose from chance: both together have the error that all of them
+        # had before.
+        completed = self._textured(agreeing)
+        if len(completed) < MIN_MATCHES:
+            return None
+        return MatchResult(self._spread(completed), dense, aligned)
+
+    def _spread(self, matches: Matches) -> Matches:
+        """An even subsample of at most `max_matches`."""
+        most, size = self.matcher.max_matches, self.image2.size
+        return matches.subset(spread(matches.points2, matches.confidence, size, most))
