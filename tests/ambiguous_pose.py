@@ -6,8 +6,8 @@ import numpy as np
 from good_evidence import GOOD_EVIDENCE
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.result import Alternative
+from dgc_pose.estimation import Hypothesis, RelativePose
+from dgc_pose.estimation.model import Model
 
 PROBABILITIES = 0.52, 0.45
 INLIERS = 271, 270
@@ -17,7 +17,10 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
     """Of so many matches."""
     rotations = Rotation.from_rotvec([[0.0, 0.5, 0.0], [0.1, -0.3, 0.0]]).as_matrix()
     directions = np.array([[0.6, 0.0, 0.8], [-0.8, 0.6, 0.0]])
-    poses = zip(rotations, directions, INLIERS, PROBABILITIES, strict=True)
+    models = [
+        Model(R, t, np.arange(count) < inliers, np.ones(count, dtype=bool))
+        for R, t, inliers in zip(rotations, directions, INLIERS, strict=True)
+    ]
     return RelativePose(
         status="ambiguous",
         reason="two poses explain the matches, with probabilities of 52 % and 45 %",
@@ -25,5 +28,8 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
         num_matches=count,
         evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),
         any_probability=sum(PROBABILITIES),
-        alternatives=tuple(Alternative(*pose) for pose in poses),
+        alternatives=tuple(
+            Hypothesis(model, True, 0.0, None, probability=probability)
+            for model, probability in zip(models, PROBABILITIES, strict=True)
+        ),
     )

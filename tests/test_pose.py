@@ -1,5 +1,7 @@
 """The whole pipeline, from paths, arrays and tensors to a pose and its verdict."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +18,7 @@ import dgc_pose
 from dgc_pose import (
     Camera,
     EstimationOptions,
+    Image,
     ImageError,
     InputError,
     RelativePose,
@@ -23,7 +26,6 @@ from dgc_pose import (
     estimate_relative_pose,
     load_image,
     load_matcher,
-    trace_relative_pose,
 )
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cameras.prior import auto_camera, auto_cameras
@@ -31,10 +33,10 @@ from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchResult
+from dgc_pose.matching import MatchResult, PairSearch
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
-from dgc_pose.pose import match_and_estimate, pose_of_pair
+from dgc_pose.pose import pose_of_pair
 from dgc_pose.training.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 
@@ -66,8 +68,13 @@ def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_pat
 def test_cameras_may_be_cameras_and_warnings_arrive(pair: RenderedPair) -> None:
     odd = pair.K2.copy()
     odd[0, 2] += 0.24 * 560  # far from the middle, as a crop's principal point may be
-    trace = trace_relative_pose(
-        pair.image1, pair.image2, Camera(pair.K1, (640, 480)), odd, matcher=SiftMatcher()
+    trace = estimate_relative_pose(
+        pair.image1,
+        pair.image2,
+        Camera(pair.K1, (640, 480)),
+        odd,
+        matcher=SiftMatcher(),
+        trace=True,
     )
     assert trace.correspondence_map is None and len(trace.matches) > 50
     assert any("principal point" in warning for warning in trace.pose.warnings)
@@ -83,7 +90,7 @@ def test_the_cameras_of_a_trace_are_those_of_its_pose(
         return replace(pose, camera1=fitted[0], camera2=fitted[1])
 
     monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
-    trace = trace_relative_pose(pair.image1, pair.image2, matcher=SiftMatcher())
+    trace = estimate_relative_pose(pair.image1, pair.image2, matcher=SiftMatcher(), trace=True)
     assert (trace.camera1, trace.camera2) == fitted
     np.testing.assert_array_equal(trace.pose.K1, pair.K1)
     np.testing.assert_array_equal(trace.pose.K2, pair.K2)
@@ -108,7 +115,7 @@ NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
 def test_what_is_known_of_the_cameras(
     values: tuple[Any, ...], known: tuple[bool, bool], shared: bool
 ) -> None:
-    trace = trace_relative_pose(*NOISE, *values, matcher=SiftMatcher())
+    trace = estimate_relative_pose(*NOISE, *values, matcher=SiftMatcher(), trace=True)
     assert trace.pose.K1 is None and trace.pose.focal_std2 is None  # there is no pose
     cameras = trace.camera1, trace.camera2
     assert tuple(camera.focal_std == 0 for camera in cameras) == known
@@ -131,7 +138,7 @@ def test_an_orientation_that_is_not_applied_is_told_once_and_of_a_K_that_was_giv
         ((auto_camera(first), known), 1),
     ]
     for cameras, count in cases:
-        pose = match_and_estimate(first, second, *cameras, SiftMatcher()).pose
+        pose = estimate_relative_pose(first, second, *cameras, matcher=SiftMatcher())
         told = [text for text in pose.warnings if "EXIF orientation 6 is not applied" in text]
         assert len(told) == count
 
@@ -142,7 +149,7 @@ def test_an_orientation_that_is_not_applied_is_told_once_and_of_a_K_that_was_giv
 )
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
-    trace = trace_relative_pose(*dense_scene.pictures(), *values, matcher=matcher)
+    trace = estimate_relative_pose(*dense_scene.pictures(), *values, matcher=matcher, trace=True)
     pose, truth = trace.pose, dense_scene.K[0, 0]
     assert pose.success
     cameras = (trace.camera1, trace.camera2), (trace.prior1, trace.prior2)
@@ -158,42 +165,53 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
     assert error_90 is not None and rotation_error_deg(pose.R, dense_scene.R) < error_90 < 2
 
 
-class _Stepwise(dense_scene.MapMatcher):
+class _Stepwise(PairSearch):
     """The map's matches: every fourth of them by a quick pass, every third by the fine one, every
     second by the whole, no more of squeezed images, and all near lines. Of the mirror image of
     image 2 every fourth or none."""
 
-    quick, of_mirror_image = True, False
+    has_quick, of_mirror_image = True, False
+
+    def __init__(self, matcher: _Steps, image1: Image, image2: Image) -> None:
+        super().__init__(matcher, image1, image2)
+        self.steps, self.views = matcher.steps, None
+
+    def every(self, step: str, count: int) -> MatchResult:
+        self.steps.append(step)
+        result = self.matcher._match(*PICTURES)
+        rows = np.arange(len(result.matches)) % count == 0
+        self.result = replace(result, matches=result.matches.subset(rows))
+        return self.result
+
+    def quick(self) -> MatchResult | None:
+        is_mirrored = self.image2 is not PICTURES[1]
+        result = self.every("mirrored" if is_mirrored else "quick", 4)
+        return result if (self.of_mirror_image if is_mirrored else self.has_quick) else None
+
+    def fine(self) -> MatchResult:
+        return self.every("fine", 3)
+
+    def whole(self) -> MatchResult:
+        return self.every("match", 2)
+
+    def squeezed(self) -> MatchResult | None:
+        self.steps.append("squeezed")
+        return None
+
+    def near(self, hypotheses: Any) -> MatchResult:
+        self.views = hypotheses
+        return self.every("near", 1)
+
+
+class _Steps(dense_scene.MapMatcher):
+    """The matcher of such searches, and the steps that they did."""
 
     def __init__(self) -> None:
         super().__init__(dense_scene.true_map(error_px=0.2))
         self.steps: list[str] = []
-        self.views: Any = None
 
-    def every(self, step: str, count: int) -> MatchResult:
-        self.steps.append(step)
-        result = self._match(*PICTURES)
-        rows = np.arange(len(result.matches)) % count == 0
-        return replace(result, matches=result.matches.subset(rows))
-
-    def match_quickly(self, image1: Any, image2: Any) -> MatchResult | None:
-        is_mirrored = image2 is not PICTURES[1]
-        result = self.every("mirrored" if is_mirrored else "quick", 4)
-        return result if (self.of_mirror_image if is_mirrored else self.quick) else None
-
-    def match_finely(self, image1: Any, image2: Any, result: MatchResult) -> MatchResult:
-        return self.every("fine", 3)
-
-    def match(self, image1: Any, image2: Any) -> MatchResult:
-        return self.every("match", 2)
-
-    def match_squeezed(self, image1: Any, image2: Any, result: MatchResult) -> MatchResult:
-        self.steps.append("squeezed")
-        return result
-
-    def match_near(self, image1: Any, image2: Any, result: MatchResult, views: Any) -> MatchResult:
-        self.views = views
-        return self.every("near", 1)
+    def search(self, image1: Image, image2: Image) -> _Stepwise:
+        return _Stepwise(self, image1, image2)
 
 
 PICTURES = tuple(map(load_image, dense_scene.pictures()))
@@ -261,17 +279,15 @@ def test_steps_are_done_as_long_as_they_may_change_the_answer(
     monkeypatch: pytest.MonkeyPatch, effort: Effort, answers: Any, steps: list[str]
 ) -> None:
     estimated = _with(monkeypatch, *answers)
-    matcher, told = _Stepwise(), []
-    options = replace(OPTIONS, effort=effort)
-    pose, last = pose_of_pair(
-        matcher, *PICTURES, EXACT, EXACT, options, matched=lambda matches: told.append(matches)
-    )
+    search = _Steps().search(*PICTURES)
+    pose = pose_of_pair(search, EXACT, EXACT, replace(OPTIONS, effort=effort))
     poses = [step for step in steps if step not in ("squeezed", "mirrored")]  # without matches here
-    assert matcher.steps == steps and list(pose.seconds) == [*poses, "estimate"]
-    assert len(estimated) == len(told) == len(poses)
-    assert last.matches is estimated[-1] is told[-1] and len(pose.inliers) == len(last.matches)
+    assert search.steps == steps and list(pose.seconds) == [*poses, "estimate"]
+    last = search.last.matches
+    assert len(estimated) == len(poses)
+    assert last is estimated[-1] and len(pose.inliers) == len(last)
     expected = {"quick": 4, "fine": 3, "match": 2, "near": 1}[poses[-1]]
-    assert len(last.matches) == -(-len(matcher._match(*PICTURES).matches) // expected)
+    assert len(last) == -(-len(search.matcher._match(*PICTURES).matches) // expected)
 
 
 def test_a_quick_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -279,9 +295,9 @@ def test_a_quick_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.Monkey
     wrong = Camera(np.diag([1.15, 1.15, 1]) @ dense_scene.K, dense_scene.SIZE)
     for camera, steps in ((EXACT, ["quick"]), (wrong, ["quick", "fine"])):
         _with(monkeypatch, CERTAIN)
-        matcher = _Stepwise()
-        pose_of_pair(matcher, *PICTURES, camera, camera, OPTIONS)
-        assert matcher.steps[:2] == steps
+        search = _Steps().search(*PICTURES)
+        pose_of_pair(search, camera, camera, OPTIONS)
+        assert search.steps[:2] == steps
 
 
 @pytest.mark.parametrize("uncertain", [1, 2])
@@ -290,9 +306,9 @@ def test_focal_lengths_that_are_not_known_need_all_the_matches(
 ) -> None:
     _with(monkeypatch, _doubt(0.5))
     cameras = [replace(EXACT, focal_std=0.02 if n + 1 == uncertain else 0.0) for n in range(2)]
-    matcher = _Stepwise()
-    pose_of_pair(matcher, *PICTURES, *cameras, OPTIONS)
-    assert matcher.steps == ["match", "mirrored"]
+    search = _Steps().search(*PICTURES)
+    pose_of_pair(search, *cameras, OPTIONS)
+    assert search.steps == ["match", "mirrored"]
 
 
 @pytest.mark.parametrize(("answer", "status"), [(_doubt(0.96), "mirrored"), (_doubt(0.9), "ok")])
@@ -301,10 +317,10 @@ def test_a_likely_pose_of_the_mirror_image_ends_the_search(
 ) -> None:
     monkeypatch.setattr(_Stepwise, "of_mirror_image", True)
     estimated = _with(monkeypatch, _doubt(0.5), _doubt(0.5), answer)
-    matcher = _Stepwise()
-    pose, last = pose_of_pair(matcher, *PICTURES, EXACT, EXACT, OPTIONS)
-    steps = ["quick", "match", "mirrored"]
-    assert matcher.steps == (steps if status == "mirrored" else [*steps, "squeezed", "near"])
+    search = _Steps().search(*PICTURES)
+    pose = pose_of_pair(search, EXACT, EXACT, OPTIONS)
+    steps, last = ["quick", "match", "mirrored"], search.last
+    assert search.steps == (steps if status == "mirrored" else [*steps, "squeezed", "near"])
     assert pose.status == status and len(pose.inliers) == len(last.matches)
     if status == "mirrored":
         assert last.matches is estimated[1] and not pose.success and "mirror image" in pose.reason
@@ -327,40 +343,31 @@ def test_a_quick_pass_without_an_answer_is_followed_by_the_whole(
     monkeypatch: pytest.MonkeyPatch, effort: Effort
 ) -> None:
     estimated = _with(monkeypatch, CERTAIN)
-    matcher = _Stepwise()
-    matcher.quick = False
-    pose, last = pose_of_pair(matcher, *PICTURES, EXACT, EXACT, replace(OPTIONS, effort=effort))
-    assert matcher.steps == ["quick", "match"] and len(estimated) == 1
+    search = _Steps().search(*PICTURES)
+    search.has_quick = False
+    pose = pose_of_pair(search, EXACT, EXACT, replace(OPTIONS, effort=effort))
+    assert search.steps == ["quick", "match"] and len(estimated) == 1
     assert list(pose.seconds) == ["match", "estimate"]
-
-
-def test_the_whole_may_come_from_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    _with(monkeypatch, CERTAIN)
-    matcher, options = _Stepwise(), replace(OPTIONS, effort="thorough")
-    there = matcher.every("before", 3)
-    _, last = pose_of_pair(matcher, *PICTURES, EXACT, EXACT, options, whole=lambda: there)
-    assert last is there and matcher.steps == ["before"]
 
 
 def test_a_pose_that_squeezed_images_made_certain_is_not_searched_further(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     _with(monkeypatch, _doubt(0.5), _doubt(0.5), CERTAIN)
-    matcher = _Stepwise()
-    every = matcher.every("before", 1)
-    monkeypatch.setattr(_Stepwise, "match_squeezed", lambda *arguments: every)
-    pose, last = pose_of_pair(matcher, *PICTURES, EXACT, EXACT, OPTIONS)
-    assert last is every and len(pose.inliers) == len(every.matches)
-    assert matcher.steps == ["before", "quick", "match", "mirrored"]
+    monkeypatch.setattr(_Stepwise, "squeezed", lambda self: self.every("squeezed", 1))
+    search = _Steps().search(*PICTURES)
+    pose = pose_of_pair(search, EXACT, EXACT, OPTIONS)
+    assert len(pose.inliers) == len(search.last.matches)
+    assert search.steps == ["quick", "match", "mirrored", "squeezed"]
 
 
 def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
     _with(monkeypatch, _doubt(0.5))
-    matcher = _Stepwise()
-    before = estimate_pose(matcher.every("before", 2).matches, EXACT, EXACT, OPTIONS)
-    pose_of_pair(matcher, *PICTURES, EXACT, EXACT, OPTIONS)
-    assert len(matcher.views) == len(before.hypotheses) > 0
-    for views, hypothesis in zip(matcher.views, before.hypotheses, strict=True):
+    search = _Steps().search(*PICTURES)
+    before = estimate_pose(search.every("before", 2).matches, EXACT, EXACT, OPTIONS)
+    pose_of_pair(search, EXACT, EXACT, OPTIONS)
+    assert len(search.views) == len(before.hypotheses) > 0
+    for views, hypothesis in zip(search.views, before.hypotheses, strict=True):
         assert (views.camera1, views.camera2) == (EXACT, EXACT)
         np.testing.assert_allclose(views.R, hypothesis.model.R, atol=0.01)
         np.testing.assert_allclose(views.t, hypothesis.model.t, atol=0.05)
@@ -431,7 +438,7 @@ SIFT = SiftMatcher()
         (lambda: EstimationOptions(runs="5"), "runs"),
         (lambda: EstimationOptions(runs=2.5), "runs"),
         (lambda: EstimationOptions(seed=10**40), "seed"),
-        (lambda: EstimationOptions(verdict=None), "verdict"),
+        (lambda: EstimationOptions(min_probability="high"), "min_probability"),
         (lambda: EstimationOptions(refine="no"), "refine"),
     ],
 )

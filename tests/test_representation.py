@@ -9,7 +9,7 @@ from ambiguous_pose import ambiguous_pose
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matching import MatchResult
-from dgc_pose.pose import trace_relative_pose
+from dgc_pose.pose import estimate_relative_pose
 from two_view import SceneKind, two_view_scene
 
 OPTIONS = EstimationOptions(runs=1, iterations=300)
@@ -67,8 +67,8 @@ def test_matches_and_images_are_their_sizes() -> None:
 
 def test_a_trace_is_its_images_matches_and_pose() -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map())
-    trace = trace_relative_pose(
-        *dense_scene.pictures(), dense_scene.K, matcher=matcher, options=OPTIONS
+    trace = estimate_relative_pose(
+        *dense_scene.pictures(), dense_scene.K, matcher=matcher, options=OPTIONS, trace=True
     )
     images, matches, *pose = repr(trace).splitlines()
     assert images == "Trace: Image(image1, 320 x 240), Image(image2, 320 x 240)"

@@ -15,8 +15,8 @@ from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
-from dgc_pose.matching.search import likely_views
-from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.matching.search import search_views
+from dgc_pose.matching.selection import WEAK, MatchingOptions, select_matches
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
@@ -35,7 +35,9 @@ def feature_cache(limit_bytes: int = 2 * 2**30) -> FeatureCache:
 class DenseMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    cache: of the encoder's features; None to keep those of the last pair or a few.
+    cache: of the encoder's features; None to keep those of the last pair or a few. search_below:
+    the network is trained on upright photographs of similar scale; if the mean matchability is
+    below this, other rotations of image 2 and other scales are searched.
 
     Raises InputError if `finest` is a level that the network's mask is not made for.
     """
@@ -47,8 +49,10 @@ class DenseMatcher(Matcher):
         engine: Engine,
         options: MatchingOptions | None = None,
         cache: FeatureCache | None = None,
+        search_below: float = WEAK,
     ) -> None:
         self.engine = engine
+        self.search_below = search_below
         self.name = engine.config.name
         self.options = options or MatchingOptions()
         if engine.config.matchability == "network" and self.options.finest != INPUT_SIZE:
@@ -73,8 +77,8 @@ class DenseMatcher(Matcher):
         for a mask network, which needs the finest map."""
         if self.engine.config.matchability == "network":
             return None
-        options = replace(self.options, finest=60, cycle_px=None, search_below=0.0)
-        return DenseMatcher(self.engine, options, self.cache)
+        options = replace(self.options, finest=60, cycle_px=None)
+        return DenseMatcher(self.engine, options, self.cache, search_below=0.0)
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""
@@ -97,8 +101,8 @@ class DenseMatcher(Matcher):
         likely = {
             i: pair_views
             for i, (upright, _) in enumerate(decoded)
-            if upright.matchability.mean() < self.options.search_below
-            and (pair_views := likely_views(self.engine, *pairs[i]))
+            if upright.matchability.mean() < self.search_below
+            and (pair_views := search_views(self.engine, *pairs[i]))
         }
         again = self._decode([pairs[i] for i in likely], list(likely.values()))
         for (i, pair_views), other in zip(likely.items(), again, strict=True):

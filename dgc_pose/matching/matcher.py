@@ -13,7 +13,7 @@ from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.texture import Texture, texture
+from dgc_pose.matching.texture import Texture, texture, textured
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.threads import in_threads
 
@@ -179,9 +179,7 @@ class PairSearch:
 
     def _textured(self, matches: Matches) -> Matches:
         """The matches whose points have structure around them in both images."""
-        first, second = self._textures
-        kept = first.at(matches.points1) & second.at(matches.points2)
-        return matches if kept.all() else matches.subset(kept)
+        return textured(matches, *self._textures)
 
     @cached_property
     def _textures(self) -> tuple[Texture, Texture]:

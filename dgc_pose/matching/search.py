@@ -75,7 +75,7 @@ class _Candidate:
     cell_px: float  # side of a cell of the larger copy in pixels of its image
 
 
-def likely_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
+def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
     """Views of both images at one rotation and scale; None if the images as they are match best.
 
     An image that the network squeezes is not rotated: its copy would be nearly all border.

@@ -13,6 +13,7 @@ from dgc_pose.system.options import check_options, option
 
 FinestLevel = Literal[240, 120, 60]
 
+MIN_SHARE = 0.01  # of all cells that must pass; a smaller patch matches by chance
 WEAK = 0.25  # mean matchability of a map that may be of images rotated or of different scales
 
 
@@ -23,9 +24,6 @@ class MatchingOptions:
 
     Attributes:
         finest: Cells a side of the level that the map is taken from.
-        min_share: Share of all cells that must pass; a smaller patch matches by chance.
-        search_below: The network is trained on upright photographs of similar scale. If the mean
-            matchability is below this, other rotations of image 2 and other scales are searched.
     """
 
     finest: FinestLevel = option(
@@ -60,16 +58,16 @@ class MatchingOptions:
         max=2**31,
         section="matching",
     )
-    min_share: float = option(0.01, min=0, max=1)
-    search_below: float = option(WEAK, min=0, max=1)
 
     def __post_init__(self) -> None:
         check_options(self)
 
 
-def select_matches(correspondence_map: CorrespondenceMap, options: MatchingOptions) -> Matches:
-    """The cells that pass the options, as matches. With matchability 0, no cycle_px and min_share
-    0 these are all cells that the map sends into image 1.
+def select_matches(
+    correspondence_map: CorrespondenceMap, options: MatchingOptions, min_share: float = MIN_SHARE
+) -> Matches:
+    """The cells that pass the options, as matches; none if they are less than a share of all. With
+    matchability 0, no cycle_px and min_share 0 these are all cells that the map sends into image 1.
 
     Raises InputError if the options have a cycle_px and the map has no cycle error.
     """
@@ -81,7 +79,7 @@ def select_matches(correspondence_map: CorrespondenceMap, options: MatchingOptio
         if correspondence_map.cycle is None:
             raise InputError("cycle_px needs a correspondence map with its cycle error")
         keep &= correspondence_map.cycle <= options.cycle_px
-    if keep.mean() < options.min_share:
+    if keep.mean() < min_share:
         keep = np.zeros_like(keep)
     keep = even_subsample(keep, correspondence_map.matchability, options.max_matches)
     return Matches(

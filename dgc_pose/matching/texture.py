@@ -13,6 +13,7 @@ import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.images.image import Image, resize_by
+from dgc_pose.matches import Matches
 
 LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
 _GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
@@ -47,6 +48,12 @@ class Texture:
         column, row = np.rint(cells.clip(-2, LONG_SIDE + 1)).astype(np.int64).T
         inside = finite & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         return inside & self.mask[row.clip(0, height - 1), column.clip(0, width - 1)]
+
+
+def textured(matches: Matches, first: Texture, second: Texture) -> Matches:
+    """The matches whose points have structure around them in both images."""
+    kept = first.at(matches.points1) & second.at(matches.points2)
+    return matches if kept.all() else matches.subset(kept)
 
 
 def texture(image: Image) -> Texture:

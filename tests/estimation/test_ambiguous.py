@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose, relative_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose, relative_pose, verdict
 from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -25,8 +25,8 @@ def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(relative_pose, "shipped_models", lambda: models)
 
 
-def _estimate(scene, matches=None, **verdict):
-    options = EstimationOptions(runs=3, iterations=300, verdict=VerdictOptions(**verdict))
+def _estimate(scene, matches=None, min_probability=0.5):
+    options = EstimationOptions(runs=3, iterations=300, min_probability=min_probability)
     return estimate_pose(scene.matches if matches is None else matches, *scene.cameras, options)
 
 
@@ -43,7 +43,7 @@ def test_a_plane_with_two_poses_is_ambiguous(seed: int) -> None:
     assert pose.covariance is None and pose.camera1 is None and pose.cam2_from_cam1 is None
     assert pose.probability == 0
     first, second = pose.alternatives
-    assert first.probability >= second.probability > 0.2 * ANY  # 1 - `min_share`
+    assert first.probability >= second.probability > 0.2 * ANY  # 1 - `MIN_SHARE`
     assert min(_off(first, scene), _off(second, scene)) < 1
     assert max(_off(first, scene), _off(second, scene)) > 10
     assert first.probability + second.probability == pytest.approx(ANY)
@@ -79,10 +79,13 @@ def test_points_behind_a_camera_tell_the_two_poses_apart(seed: int) -> None:
 
 
 @pytest.mark.usefixtures("known_models")
-def test_without_a_least_share_the_likelier_pose_is_claimed() -> None:
+def test_without_a_least_share_the_likelier_pose_is_claimed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scene = poster_scene(seed=2, sigma_px=0.1)
     withheld = _estimate(scene)
-    claimed = _estimate(scene, min_share=0, min_probability=0.3)
+    monkeypatch.setattr(verdict, "MIN_SHARE", 0.0)
+    claimed = _estimate(scene, min_probability=0.3)
     assert claimed.status == "planar" and claimed.success
     likelier, other = withheld.alternatives
     assert np.array_equal(claimed.R, likelier.R) and np.array_equal(claimed.t, likelier.t)
@@ -91,7 +94,7 @@ def test_without_a_least_share_the_likelier_pose_is_claimed() -> None:
     assert np.array_equal(alternative.R, other.R)
     assert any("1 other pose explains" in warning for warning in claimed.warnings)
     # The likelier of the two is right with less than the least probability.
-    assert _estimate(scene, min_share=0, min_probability=0.94).status == "improbable"
+    assert _estimate(scene, min_probability=0.94).status == "improbable"
 
 
 @pytest.mark.usefixtures("known_models")
@@ -133,7 +136,7 @@ def test_the_probabilities_of_one_pair_add_up_to_one_at_most(kind, seed: int) ->
 
 @pytest.mark.parametrize("kind", ["general", "planar"])
 def test_the_first_hypothesis_is_the_pose_itself(kind) -> None:
-    pose = _estimate(two_view_scene(kind, count=300), min_share=0, min_probability=0)
+    pose = _estimate(two_view_scene(kind, count=300), min_probability=0.0)
     assert pose.success
     first, *others = (hypothesis.model for hypothesis in pose.hypotheses)
     assert np.array_equal(first.R, pose.R) and np.array_equal(first.t, pose.t)

@@ -13,7 +13,6 @@ from scipy.stats import norm
 
 from dgc_pose.estimation.choice import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.probability import (
     FEATURES,
     match_kind,
@@ -157,22 +156,22 @@ def test_the_package_s_own_file_can_be_read() -> None:
         assert all(weight >= 0 for weight in model.choice.values())
 
 
-OPTIONS = VerdictOptions(min_probability=0.5)
+LEAST = 0.5  # probability of a success
 
 
 def test_the_probability_decides_and_not_the_gates() -> None:
     few = _worse(num_inliers=12, occupied_cells=9)
-    assert judge(few, OPTIONS).status == "chance_inliers"
-    assert judge(few, OPTIONS, 0.5).status == "ok"
-    assert judge(GOOD_EVIDENCE, OPTIONS, 0.49).status == "improbable"
-    assert judge(GOOD_EVIDENCE, VerdictOptions(min_probability=0.3), 0.4).status == "ok"
-    assert judge(GOOD_EVIDENCE, VerdictOptions(min_probability=None), 0.1).status == "ok"
-    assert judge(_worse(homography_ratio=0.9), OPTIONS, 0.9).status == "planar"
+    assert judge(few, LEAST).status == "chance_inliers"
+    assert judge(few, LEAST, 0.5).status == "ok"
+    assert judge(GOOD_EVIDENCE, LEAST, 0.49).status == "improbable"
+    assert judge(GOOD_EVIDENCE, 0.3, 0.4).status == "ok"
+    assert judge(GOOD_EVIDENCE, None, 0.1).status == "ok"
+    assert judge(_worse(homography_ratio=0.9), LEAST, 0.9).status == "planar"
 
 
 def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
     against = ["only 28 % of the matches are inliers", "there is little parallax"]
-    status, reason, _ = judge(_worse(occupied_cells=8), OPTIONS, 0.231, against)
+    status, reason, _ = judge(_worse(occupied_cells=8), LEAST, 0.231, against)
     assert status == "chance_inliers"
     assert reason == (
         "the pose is right with a probability of 23 %: only 28 % of the matches are inliers, "
@@ -181,8 +180,8 @@ def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
 
 
 def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behind() -> None:
-    assert judge(_worse(log10_false_alarms=0.0), OPTIONS, 0.99).status == "chance_inliers"
+    assert judge(_worse(log10_false_alarms=0.0), LEAST, 0.99).status == "chance_inliers"
     rotated = _worse(rotation_share=1.0, parallax=1.0)
-    assert judge(rotated, OPTIONS, 0.99).status == "rotation_only"
-    assert judge(_worse(collinear=True), OPTIONS, 0.99).status == "collinear"
-    assert judge(_worse(cheirality_ratio=0.4), OPTIONS, 0.99).status == "behind_cameras"
+    assert judge(rotated, LEAST, 0.99).status == "rotation_only"
+    assert judge(_worse(collinear=True), LEAST, 0.99).status == "collinear"
+    assert judge(_worse(cheirality_ratio=0.4), LEAST, 0.99).status == "behind_cameras"

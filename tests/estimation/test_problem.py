@@ -88,8 +88,7 @@ def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length
 
     pixel = (1 / 1695 + 1 / 1105) / 2  # mean focal lengths of K1 and K2
     assert threshold(threshold_px=3.0) == pytest.approx(3.0 * pixel)
-    assert threshold(threshold_factor=1.5) == pytest.approx(1.5 * matches.error_px * pixel)
-    assert threshold(threshold_px=3.0, threshold_factor=9.0) == threshold(threshold_px=3.0)
+    assert threshold() == pytest.approx(2 * matches.error_px * pixel)
 
 
 def test_a_cell_is_a_24th_of_the_longer_side():

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -54,7 +52,8 @@ def test_each_run_samples_from_its_own_draw_and_its_model_is_scored_on_all(monke
         return truth
 
     monkeypatch.setattr(poselib_calls, "essential_matrix", answer)
-    options = EstimationOptions(max_sampled=120)
+    monkeypatch.setattr(poselib_calls, "MAX_SAMPLED", 120)
+    options = EstimationOptions()
     model = sampled_models(problem, options)[0]
     assert [len(set(drawn)) for drawn in seen.values()] == [120] * 5
     assert len({tuple(sorted(drawn)) for drawn in seen.values()}) == 5
@@ -64,7 +63,8 @@ def test_each_run_samples_from_its_own_draw_and_its_model_is_scored_on_all(monke
     sampled_models(problem, options)
     assert seen == again
     seen.clear()
-    sampled_models(problem, replace(options, max_sampled=300))
+    monkeypatch.setattr(poselib_calls, "MAX_SAMPLED", 300)
+    sampled_models(problem, options)
     assert list(seen.values()) == [list(range(300))] * 5
 
 

@@ -82,7 +82,7 @@ def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind):
         scene = two_view_scene(kind, seed=4, count=500, sigma_px=1.0, outliers=0.4)
         first, second = scene.cameras
         second = first if kind == "identical" else second
-        options = EstimationOptions(runs=2, threshold_factor=factor)
+        options = EstimationOptions(runs=2, threshold_px=factor * 2 * scene.matches.error_px)
         pose = estimate_pose(scene.matches, first, second, options)
         assert_no_pose(pose)
         assert pose.status == "rotation_only"

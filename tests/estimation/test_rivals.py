@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions, VerdictOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.rivals import DISTINCT_DEG, mirrored
 from dgc_pose.matches import Matches
@@ -13,7 +13,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, poster_scene, two_view_scene
 
 # Of two poses that explain a plane equally well none has a probability above one half.
-OPTIONS = EstimationOptions(runs=3, iterations=300, verdict=VerdictOptions(min_probability=None))
+OPTIONS = EstimationOptions(runs=3, iterations=300, min_probability=None)
 
 
 def _off(R: np.ndarray, t: np.ndarray, scene) -> float:

@@ -86,7 +86,7 @@ def test_a_wrong_K_is_told_with_the_focal_length_that_fits(factor):
     true = scene.cameras[0].focal
     assert suggested == pytest.approx(true, rel=0.03)
     assert f"K says {factor * true:.0f}" in warning
-    assert pose.evidence.focal_ratio == pytest.approx(1 / factor, rel=0.03)
+    assert pose.evidence.focal_check.factor == pytest.approx(1 / factor, rel=0.03)
 
 
 def test_a_wrong_K_is_told_although_it_has_a_deviation():

@@ -3,14 +3,13 @@ import dataclasses
 import pytest
 from good_evidence import GOOD_EVIDENCE
 
-from dgc_pose.estimation.options import VerdictOptions
 from dgc_pose.estimation.verdict import judge
 
-OPTIONS = VerdictOptions()
+LEAST = 0.5  # probability of a success
 
 
-def verdict(options=OPTIONS, **changes):
-    return judge(dataclasses.replace(GOOD_EVIDENCE, **changes), options)
+def verdict(**changes):
+    return judge(dataclasses.replace(GOOD_EVIDENCE, **changes), LEAST)
 
 
 def test_good_evidence_is_a_pose_without_warnings():
@@ -100,29 +99,20 @@ def test_a_small_triangulation_angle_and_a_plane_give_warnings():
     ],
 )
 def test_a_pose_is_claimed_if_it_is_probable_and_clearly_the_likeliest(status, probability, shares):
-    assert judge(GOOD_EVIDENCE, OPTIONS, probability, (), shares).status == status
-
-
-@pytest.mark.parametrize(
-    ("status", "least", "share"),
-    [("ok", 0.6, 0.6), ("ambiguous", 0.6, 0.59), ("ok", 0.0, 0.56), ("improbable", 0.0, 0.55)],
-)
-def test_the_least_share_can_be_chosen(status, least, share):
-    options = VerdictOptions(min_share=least)
-    assert judge(GOOD_EVIDENCE, options, 0.9, (), (share, 1 - share)).status == status
+    assert judge(GOOD_EVIDENCE, LEAST, probability, (), shares).status == status
 
 
 def test_an_ambiguous_pair_has_the_probabilities_of_its_poses_in_words():
-    assert judge(GOOD_EVIDENCE, OPTIONS, 0.97, ("few",), (0.536, 0.464)).reason == (
+    assert judge(GOOD_EVIDENCE, LEAST, 0.97, ("few",), (0.536, 0.464)).reason == (
         "two poses explain the matches, with probabilities of 52 % and 45 %"
     )
-    assert judge(GOOD_EVIDENCE, OPTIONS, 0.8, (), (0.5, 0.3, 0.2)).reason == (
+    assert judge(GOOD_EVIDENCE, LEAST, 0.8, (), (0.5, 0.3, 0.2)).reason == (
         "3 poses explain the matches, with probabilities of 40 %, 24 % and 16 %"
     )
 
 
 def test_an_improbable_pose_has_its_own_probability_in_words():
-    verdict = judge(GOOD_EVIDENCE, OPTIONS, 0.55, ("there is little parallax",), (0.9, 0.1))
+    verdict = judge(GOOD_EVIDENCE, LEAST, 0.55, ("there is little parallax",), (0.9, 0.1))
     assert verdict.reason == (
         "the pose is right with a probability of 50 %: there is little parallax"  # 0.495
     )
@@ -130,8 +120,7 @@ def test_an_improbable_pose_has_its_own_probability_in_words():
 
 def test_only_the_probability_makes_a_pair_ambiguous():
     shares = (0.5, 0.5)
-    gates = VerdictOptions(min_probability=None)
-    assert judge(GOOD_EVIDENCE, gates, 0.9, (), shares).status == "ok"
-    assert judge(GOOD_EVIDENCE, OPTIONS, None, (), shares).status == "ok"
+    assert judge(GOOD_EVIDENCE, None, 0.9, (), shares).status == "ok"
+    assert judge(GOOD_EVIDENCE, LEAST, None, (), shares).status == "ok"
     rotated = dataclasses.replace(GOOD_EVIDENCE, rotation_share=1.0, parallax=1.0)
-    assert judge(rotated, OPTIONS, 0.9, (), shares).status == "rotation_only"
+    assert judge(rotated, LEAST, 0.9, (), shares).status == "rotation_only"

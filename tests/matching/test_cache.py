@@ -75,9 +75,9 @@ def _images(count: int) -> list[Image]:
 def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite0"))
-    options = MatchingOptions(matchability=0.0, search_below=0.0)
+    options = MatchingOptions(matchability=0.0)
     engine = TorchEngine(net)
-    plain, cached = DenseMatcher(engine, options), DenseMatcher(engine, options, feature_cache())
+    plain, cached = (DenseMatcher(engine, options, c, 0.0) for c in (None, feature_cache()))
     images = _images(3)
     for first, second in ((0, 1), (0, 2), (1, 2)):
         pair = (images[first], images[second])
@@ -90,13 +90,12 @@ def test_the_encoder_runs_once_an_image_and_rotation() -> None:
 def test_views_have_features_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """Features are made for both images, and for the view of image 2 that the search suggests."""
     torch.manual_seed(0)
-    options = MatchingOptions(matchability=0.0, search_below=1.0)
+    options = MatchingOptions(matchability=0.0)
     engine = TorchEngine(DGCNet(preset("dgcm-lite0")))
-    matcher = DenseMatcher(engine, options, feature_cache())
-    plain = DenseMatcher(engine, options)
+    matcher, plain = (DenseMatcher(engine, options, c, 1.0) for c in (feature_cache(), None))
     images = _images(2)
     suggested = View.whole(images[0].size), View.whole(images[1].size, 50.0)
-    monkeypatch.setattr("dgc_pose.matching.dense.likely_views", lambda *given: suggested)
+    monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
     (found,), (expected,) = (
         one.correspondence_maps([(images[0], images[1])]) for one in (matcher, plain)
     )

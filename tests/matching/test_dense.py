@@ -93,7 +93,7 @@ def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
         ]
         prediction = net(*inputs)
     for level, cells in ((1, 120), (2, 60)):
-        options = MatchingOptions(finest=cells, search_below=0.0, cycle_px=10.0)  # type: ignore[arg-type]
+        options = MatchingOptions(finest=cells, cycle_px=10.0)  # type: ignore[arg-type]
         found = _map(DenseMatcher(TorchEngine(net), options), first, second)
         wanted = prediction.maps[-1 - level][0].movedim(0, -1).numpy()  # edges at -1 and +1
         wanted = (wanted + 1) * first.size / np.array(2) - 0.5
@@ -143,7 +143,7 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
     second = Image(rotated.cut(upright.pixels))
     view2 = View.whole(second.size, -angle)
     suggested = (View.whole(upright.size), view2)
-    monkeypatch.setattr("dgc_pose.matching.dense.likely_views", lambda *given: suggested)
+    monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
     engine = TorchEngine(_constant_net(align_corners=False))
     decode, calls = engine.decode, []
 
@@ -166,7 +166,7 @@ def test_a_part_of_image_1_is_decoded_as_one(monkeypatch: pytest.MonkeyPatch) ->
     first, second = _image(300, 200), _image(90, 60)
     view1 = View(0.0, 2.0, (100.0, 80.0), (180, 120))
     suggested = (view1, View.whole(second.size))
-    monkeypatch.setattr("dgc_pose.matching.dense.likely_views", lambda *given: suggested)
+    monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
     engine = TorchEngine(_constant_net(align_corners=False))
     means = iter([0.1, 0.9])
     decode = engine.decode
@@ -194,8 +194,8 @@ def test_a_batch_gives_what_its_pairs_give_alone() -> None:
         (_image(90, 120, 5), _image(160, 120, 6)),
     ]
     means = [float(_map(matcher, *pair).matchability.mean()) for pair in pairs]
-    weakest = replace(options, search_below=(sorted(means)[0] + sorted(means)[1]) / 2)
-    matcher = DenseMatcher(matcher.engine, weakest)
+    weakest = (sorted(means)[0] + sorted(means)[1]) / 2
+    matcher = DenseMatcher(matcher.engine, options, search_below=weakest)
     for pair, found in zip(pairs, matcher.correspondence_maps(pairs), strict=True):
         alone = _map(matcher, *pair)
         np.testing.assert_allclose(found.map, alone.map, atol=0.02)

@@ -12,7 +12,7 @@ from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.files import FileMatcher
-from dgc_pose.matching.texture import textured
+from dgc_pose.matching.texture import texture, textured
 
 STORED = (80, 60)  # width, height of both views as stored
 SHOWN = (40, 20)  # and as shown to the methods
@@ -122,7 +122,7 @@ def test_matches_are_selected_from_a_map(tmp_path) -> None:
         result = matcher.match(*_images(STORED))
         assert result.correspondence_map is not None
         expected = select_matches(result.correspondence_map, matcher.options)
-        expected = textured(expected, *_images(STORED))
+        expected = textured(expected, *map(texture, _images(STORED)))
         assert np.array_equal(result.matches.points1, expected.points1)
         assert (len(expected) > 0) == (count > 0) and len(expected) <= count
 

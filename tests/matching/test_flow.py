@@ -7,7 +7,7 @@ from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches
 from dgc_pose.matching.flow import FlowMatcher, agreement, scaled_map
-from dgc_pose.matching.texture import textured
+from dgc_pose.matching.texture import texture, textured
 
 
 def _picture(x: np.ndarray, y: np.ndarray) -> Image:
@@ -46,7 +46,7 @@ def test_the_map_leads_from_image_2_into_image_1(sizes, plane) -> None:
     result = matcher.match(*images)
     found = result.correspondence_map
     assert isinstance(found, CorrespondenceMap)
-    selected = textured(select_matches(found, matcher.options), *images)
+    selected = textured(select_matches(found, matcher.options), *map(texture, images))
     assert len(result.matches) == len(selected) > 500
     assert (found.size1, found.size2) == sizes
     # From the grid by the formula above, in plane units and back to pixels of image 1.

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.search import likely_views, matching_distribution, mean_entropy
+from dgc_pose.matching.search import matching_distribution, mean_entropy, search_views
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
@@ -42,7 +42,7 @@ def _window(side: float) -> np.ndarray:
 
 def test_equal_views_need_no_search() -> None:
     image = Image(_scene())
-    assert likely_views(_engine(), image, Image(image.pixels[8:, 5:].copy())) is None
+    assert search_views(_engine(), image, Image(image.pixels[8:, 5:].copy())) is None
 
 
 @pytest.mark.parametrize("size", [(500, 1), (1, 500), (3000, 2), (3000, 300)])
@@ -53,7 +53,7 @@ def test_a_thin_image_is_not_rotated(size: tuple[int, int], first: bool) -> None
     encoded: list[np.ndarray] = []
     engine = SimpleNamespace(native=lambda pixels, cells: encoded.append(pixels))
     pair = (thin, scene) if first else (scene, thin)
-    assert likely_views(engine, *pair) is None  # type: ignore[arg-type]
+    assert search_views(engine, *pair) is None  # type: ignore[arg-type]
     assert not encoded
 
 
@@ -61,7 +61,7 @@ def test_a_thin_image_is_not_rotated(size: tuple[int, int], first: bool) -> None
 def test_a_rotation_is_found(angle: float) -> None:
     image = Image(_scene())
     rotated = Image(View.whole(image.size, angle).cut(image.pixels))
-    views = likely_views(_engine(), image, rotated)
+    views = search_views(_engine(), image, rotated)
     assert views is not None
     assert views[0] == View.whole(image.size)
     assert abs((views[1].angle_deg + angle + 180) % 360 - 180) <= 20
@@ -74,7 +74,7 @@ def test_a_part_is_found_in_the_whole(closer: int) -> None:
     """One image shows the middle third of the other."""
     images = [Image(resize(_scene(), (320, 240))), Image(_window(1 / 3))]
     first, second = images if closer == 2 else images[::-1]
-    views = likely_views(_engine(), first, second)
+    views = search_views(_engine(), first, second)
     assert views is not None
     wide, close = views if closer == 2 else views[::-1]
     assert close == View.whole((320, 240))

@@ -78,8 +78,8 @@ def test_a_small_patch_is_no_match() -> None:
     few = np.zeros_like(correspondence_map.matchability)
     few[10:14, 10:14] = 0.9
     patch = replace(correspondence_map, matchability=few)
-    assert len(select_matches(patch, MatchingOptions(min_share=0.01))) == 0
-    assert len(select_matches(patch, MatchingOptions(min_share=0.0))) == 16
+    assert len(select_matches(patch, MatchingOptions(), 0.01)) == 0
+    assert len(select_matches(patch, MatchingOptions(), 0.0)) == 16
 
 
 def test_a_cycle_error_is_required_if_asked_for() -> None:
@@ -90,7 +90,7 @@ def test_a_cycle_error_is_required_if_asked_for() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0), ("search_below", -0.1)],
+    [("matchability", 1.2), ("cycle_px", 0.0), ("max_matches", 0)],
 )
 def test_wrong_options_are_named(field: str, value: float) -> None:
     with pytest.raises(InputError, match=field):

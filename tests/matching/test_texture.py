@@ -20,7 +20,6 @@ from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
 from dgc_pose.refinement import Refiner
-from dgc_pose.refinement.refiner import MapMatches
 
 SIZE = (320, 240)
 PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)
@@ -50,7 +49,7 @@ def _stored(folder: Path) -> FileMatcher:
 
 SOURCES: dict[str, Callable[[Path], Matcher]] = {
     "map": lambda folder: _everywhere(),
-    "map refined": lambda folder: Refiner(_everywhere(), [MapMatches()]),
+    "map refined": lambda folder: Refiner(_everywhere()),
     "sift": lambda folder: SiftMatcher(),
     "files": _stored,
     "files refined": lambda folder: Refiner(_stored(folder)),
@@ -162,8 +161,8 @@ def test_both_points_need_structure_and_the_rest_of_a_match_stays() -> None:
     points = PIXELS[:: 7 * 3].astype(float)
     confidence = np.linspace(0, 1, len(points))
     matches = Matches(points, points, confidence, 0.7, True)
-    kept = textured(matches, Image(picture), Image(half))
-    other = textured(matches, Image(half), Image(picture))
+    whole, part = texture(Image(picture)), texture(Image(half))
+    kept, other = textured(matches, whole, part), textured(matches, part, whole)
     assert np.array_equal(kept.points1, other.points1) and (kept.points1[:, 0] > 150).all()
     assert (kept.error_px, kept.key_points) == (0.7, True) and 0 < len(kept) < len(points) / 2
     assert np.isin(kept.confidence, confidence).all()

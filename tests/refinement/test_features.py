@@ -17,6 +17,7 @@ from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.matching.view import View
 from dgc_pose.refinement.epipolar_band import EpipolarBand
 from dgc_pose.refinement.features import (
+    MOST_HYPOTHESES,
     FeatureMatches,
     _views,
     cells_at,
@@ -25,7 +26,6 @@ from dgc_pose.refinement.features import (
     native_cache,
     subcell_points,
 )
-from dgc_pose.refinement.options import FeatureOptions
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 
@@ -97,8 +97,7 @@ def _match(
     guide: CorrespondenceMap,
     scale: float = 1.0,
 ) -> Matches:
-    options = FeatureOptions(long_side=192, similar=4)
-    return FeatureMatches(engine, options).at_scale(Image(first), Image(second), guide, scale)
+    return FeatureMatches(engine, 192).at_scale(Image(first), Image(second), guide, scale)
 
 
 def _unit(features: np.ndarray) -> np.ndarray:
@@ -183,7 +182,7 @@ def test_parts_that_match_are_resized_instead_of_whole_images() -> None:
     """Image 2 shows a small part of image 1, at the same scale."""
     grid = _grid((160, 120))
     guide = _guide(grid + (100, 200), grid, (640, 480), (160, 120))
-    (view1, cells1), (view2, cells2) = _views(guide, 1.0, 160)
+    (view1, cells1), (view2, cells2) = _views(guide, 160, 1.0)
     assert view2 == View.whole((160, 120)) and view1.centre == pytest.approx((179.5, 259.5), abs=1)
     assert 230 < view1.size[0] < 245 and 172 < view1.size[1] < 185
     factor = 160 / view1.size[0]  # of both images
@@ -212,11 +211,8 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
     )
 
-    def search(count: int) -> list[Matches]:
-        source = FeatureMatches(engine, FeatureOptions(hypotheses=count))
-        return source.find_near(first, second, guide, [true, wrong])
-
-    near = search(2)
+    features = FeatureMatches(engine)
+    near = features.near(first, second, guide, [true, wrong])
     for matches, views in zip(near, (true, wrong), strict=True):
         points = camera.normalise(matches.points1), camera.normalise(matches.points2)
         off = dense_scene.K[0, 0] * sampson_distance(*points, views.E)
@@ -227,9 +223,10 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         for matches in near
     ]
     assert (errors[0] < 3).mean() > 2 * (errors[1] < 3).mean()
-    (alone,) = search(1)
+    (alone,) = features.near(first, second, guide, [true])
     np.testing.assert_array_equal(alone.points1, near[0].points1)
-    assert search(0) == []
+    assert features.near(first, second, guide, []) == []
+    assert len(features.near(first, second, guide, 9 * [true])) == MOST_HYPOTHESES
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -248,7 +245,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
     guide.matchability[:] = 0.0
     images = [Image(pixels) for pixels in pictures]
-    every = FeatureMatches(engine).find_squeezed(*images, guide)
+    every = FeatureMatches(engine).squeezed(*images, guide)
     assert len(every) == 8
     counts = []
     for matches in every:

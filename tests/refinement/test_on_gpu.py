@@ -9,12 +9,11 @@ import torch
 from pretend_gpu import DEVICE, pretended_gpu
 
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import MatcherOptions, refined
 from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import RefinementOptions
+from dgc_pose.refinement import Refiner
 from dgc_pose.runtime.torch_engine import TorchEngine
 
 
@@ -38,10 +37,9 @@ def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
 
 def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
     net = load_network("dgcm-lite0").eval()
-    options = MatcherOptions(refinement=RefinementOptions(source="features"))
-    on_cpu = refined(DenseMatcher(TorchEngine(net)), options).match(*images).matches
+    on_cpu = Refiner(DenseMatcher(TorchEngine(net)), "features").match(*images).matches
     with pretended_gpu():
         matcher = DenseMatcher(TorchEngine(deepcopy(net).to(DEVICE)))
-        on_device = refined(matcher, options).match(*images).matches
+        on_device = Refiner(matcher, "features").match(*images).matches
     assert len(on_device) == len(on_cpu) > 50
     np.testing.assert_allclose(on_device.points1, on_cpu.points1, atol=0.01)

@@ -24,11 +24,11 @@ import json, sys
 from dgc_pose import load_matcher
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.images.image import load_image
-from dgc_pose.pose import match_and_estimate
+from dgc_pose.pose import estimate_relative_pose
 pair = bundled_pair()
 images = load_image(pair.path1), load_image(pair.path2)
 matcher = load_matcher(device="cpu", **json.loads(sys.argv[1]))
-pose = match_and_estimate(*images, pair.camera1, pair.camera2, matcher).pose
+pose = estimate_relative_pose(*images, pair.camera1, pair.camera2, matcher=matcher)
 print(json.dumps([pose.R.tolist(), pose.t.tolist()]))
 """
 Pose = tuple[np.ndarray, np.ndarray]

@@ -10,17 +10,18 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
-from dgc_pose.pose import trace_relative_pose
+from dgc_pose.pose import estimate_relative_pose
 from dgc_pose.viz.figure import picture_format, save_figure
 from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose, spread_evenly
 
 
 def trace_of(correspondence_map):
-    return trace_relative_pose(
+    return estimate_relative_pose(
         *dense_scene.pictures(),
         dense_scene.K,
         matcher=dense_scene.MapMatcher(correspondence_map),
         options=EstimationOptions(runs=1, iterations=200),
+        trace=True,
     )
 
 
