@@ -23,7 +23,7 @@ class Trace:
         image2: Image 2, likewise.
         camera1: Camera of image 1 that the pose is of, as in `pose`; without a pose, `prior1`.
         camera2: Camera of image 2, likewise.
-        prior1: Camera of image 1 before the estimation: of the K given, or of what the image says.
+        prior1: Camera of image 1 before the estimation: of the K stated or of EXIF data.
         prior2: Camera of image 2, likewise.
         correspondence_map: The dense map; None for a matcher that makes none.
         matches: The N matches that the pose was estimated from.

@@ -1,7 +1,7 @@
 """Whether the matches contradict the focal lengths of exact cameras.
 
 From the pose that these cameras give, the pose and a factor of both focal lengths are fitted
-together. Where the matches tell the focal length at all, the fit leads from a wrong one to the
+together. Where the matches determine the focal length at all, the fit leads from a wrong one to the
 right one; where it does not, the six-point solver has a better start.
 """
 
@@ -25,7 +25,7 @@ from dgc_pose.matches import Matches
 
 _STD = 0.5  # of ln f: a focal length that is hardly known
 _CENTRE_STD = 0.005  # of the principal point, over the focal length
-_HARDLY_TOLD = 0.1  # standard deviation of ln f, beyond which there is a warning
+_UNCERTAIN_STD = 0.1  # standard deviation of ln f, beyond which there is a warning
 _EXPLAINED = 0.8  # share of inliers beyond which no other focal length explains many more
 _MORE = 1.2  # of the inliers that another focal length must have to be a start
 _SAMPLED = 400  # matches that are fitted first
@@ -41,22 +41,23 @@ def focal_warnings(
     stated: the cameras before the estimation; fitted: those of the pose, with the standard
     deviations that are left; check: of exact cameras.
     """
-    told: dict[str, None] = {}
-    says = {"given": "K", "exif": "EXIF"}
+    contradicted: dict[str, None] = {}
+    sources = {"given": "K", "exif": "EXIF"}
     for before, after in zip(stated, fitted, strict=True):
         f, std, allowed = after.focal, after.focal_std, before.focal_std
         if check is not None:
             f, std = check.factor * before.focal, calibrated_focal_std(check.std)
             allowed = std
-        source = says.get(before.focal_source)
+        source = sources.get(before.focal_source)
         if source and is_contradicted(f / before.focal, allowed):
-            told[f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"] = None
-    if told:
-        return (f"the matches suggest {'; '.join(told)}",)
+            text = f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"
+            contradicted[text] = None
+    if contradicted:
+        return (f"the matches suggest {'; '.join(contradicted)}",)
     loose = dict.fromkeys(
         f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
         for camera in fitted
-        if camera.focal_std > _HARDLY_TOLD
+        if camera.focal_std > _UNCERTAIN_STD
     )
     return (f"the matches hardly tell the focal length: {'; '.join(loose)}",) if loose else ()
 
@@ -69,7 +70,7 @@ def check_focals(
     camera2: Camera,
     options: EstimationOptions,
 ) -> FocalCheck | None:
-    """The factor of the focal lengths that the matches suggest; None if it is 1 or not told.
+    """The factor of the focal lengths that the matches suggest; None if it is 1 or not determined.
 
     problem: of the matches, normalised by the cameras. model: of the pose that these give.
     """
@@ -84,7 +85,7 @@ def check_focals(
     pose = JointPose(model.R, model.t, np.zeros(len(spread)))
     other = None
     if model.count_in_front < _EXPLAINED * len(problem):
-        # The pose of a wrong K may lie in a valley of its own.
+        # The pose of a wrong K may be a local minimum.
         other = solved_start(problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * model.count_in_front:
         pose = other

@@ -1,10 +1,10 @@
-"""The focal lengths that the matches tell, of cameras that are not exact.
+"""The focal lengths that the matches determine, of cameras that are not exact.
 
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
 unknowns, are starts. From the best of them pose and cameras are fitted together.
 
-Where the matches do not tell the focal length (optical axes that meet, forward motion, a plane,
-little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
+Where the matches do not determine the focal length (optical axes that meet, forward motion, a
+plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Which of several poses is the right one, if one of them is: the second step of the probability.
 
-A plane has two poses with nearly the same inliers, and their counts do not tell which is right. The
-likelihood of all matches tells more. Errors of neighbouring matches are alike, so a difference of
-log-likelihoods counts by the square root of the number of matches.
+A plane has two poses with nearly the same inliers, and their counts do not decide which is right.
+The likelihood of all matches does better. Errors of neighbouring matches are alike, so a difference
+of log-likelihoods counts by the square root of the number of matches.
 """
 
 from __future__ import annotations
@@ -91,8 +91,8 @@ def hypotheses(
     map_problem: TwoViewProblem | None,
     options: EstimationOptions,
 ) -> list[Hypothesis]:
-    """Those of the model with most inliers, whose errors say how accurate the matches are, and of
-    others, those of which that are likely with their last fit if it is still a pose of its own.
+    """Make hypotheses of the model with most inliers, whose errors show how accurate the matches
+    are, and of others; those that are likely have their last fit, if it is still another pose.
 
     map_problem: an even sample of the dense map.
     """

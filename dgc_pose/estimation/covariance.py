@@ -7,7 +7,7 @@ spread is measured by leaving out one block after the other (the delete-a-group 
 2001), so that correlated errors are left out together.
 
 Cameras that are not exact are parameters as the pose is. Their prior is information that no block
-holds: to what the blocks say, the spread that the prior leaves is added.
+holds: to what the blocks show, the spread that the prior leaves is added.
 """
 
 import math

@@ -34,7 +34,7 @@ _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
 class FocalCheck(NamedTuple):
-    """What the matches say of the focal lengths of exact cameras."""
+    """What the matches suggest of the focal lengths of exact cameras."""
 
     factor: float  # of both that they suggest
     std: float  # of its logarithm, by the jackknife
@@ -224,7 +224,7 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
     rounds = min(count - 1, max(_MIN_ROUNDS, math.ceil(_PAIRS / count)))
     hits = 0
     for shift in range(1, rounds + 1):
-        wrong = np.roll(order, shift)  # never a point with its own match
+        wrong = np.roll(order, shift)  # never a point with its match
         distance = sampson_distance(problem.points1[order], problem.points2[wrong], E)
         hits += int((distance < problem.threshold).sum())
     return (hits + 1) / (rounds * count + 1)
@@ -288,14 +288,14 @@ def map_agreement(
     problem: TwoViewProblem, model: Model, order: np.ndarray | slice = _AS_THEY_ARE
 ) -> float:
     """Share of a dense map's sample that agrees with a model, by the square of the matchability: a
-    cell of little says little. order: of the points of image 1."""
+    cell of little is little evidence. order: of the points of image 1."""
     distance = sampson_distance(problem.points1[order], problem.points2, model.E)
     weight = problem.confidence**2
     return float(weight @ (distance < problem.threshold)) / max(float(weight.sum()), 1e-9)
 
 
 def _map_evidence(problem: TwoViewProblem | None, model: Model) -> dict[str, float]:
-    """What a dense map says of a model, by the names of the fields."""
+    """The evidence of a dense map for a model, by the names of the fields."""
     if problem is None or not len(problem):
         return {}
     wrong = np.random.default_rng(problem.seed).permutation(len(problem))

@@ -66,7 +66,7 @@ class JointFit:
         for turn in range(rounds):
             error, in_front = self._errors(pose), self._in_front(pose)
             near = error < threshold
-            # The errors do not tell the sign of t.
+            # The errors do not depend on the sign of t.
             if (near & ~in_front).sum() > (near & in_front).sum():
                 pose = replace(pose, t=-pose.t)
                 in_front = self._in_front(pose)

@@ -28,7 +28,7 @@ _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL
 def sampled_models(problem: TwoViewProblem, options: EstimationOptions) -> list[Model]:
     """The models of `options.runs` RANSAC runs, that with most inliers first.
 
-    Each run draws its samples from at most `MAX_SAMPLED` matches, chosen by its own seed.
+    Each run draws its samples from at most `MAX_SAMPLED` matches, chosen by its seed.
     Inliers are counted over all matches.
     """
     if len(problem) < MINIMAL:
@@ -74,8 +74,8 @@ def essential_matrix(
     """The essential matrix (3, 3) of one RANSAC run; None if it fails.
 
     points1, points2: normalised (N, 2), N >= 5; threshold: Sampson distance in the same unit. The
-    same seed gives the same answer to the bit. A run ends as soon as its share of inliers says that
-    a sample without outliers was drawn, with PoseLib's probability of 0.9999.
+    same seed gives the same answer to the bit. A run ends as soon as its share of inliers shows
+    that a sample without outliers was drawn, with PoseLib's probability of 0.9999.
     """
     pose, info = poselib.estimate_relative_pose(
         points1 * _FOCAL,

@@ -29,7 +29,7 @@ def refine(problem: TwoViewProblem, model: Model) -> Model:
 def refit(problem: TwoViewProblem, model: Model, *, adapt_scale: bool = False) -> Model:
     """The model after least squares on its inliers in front of both cameras.
 
-    adapt_scale: take the scale of the loss from the inliers' own errors, three times in turn,
+    adapt_scale: take the scale of the loss from the inliers' errors, three times in turn,
     instead of the threshold. Most inliers are far more accurate than the threshold, and the others
     would bias the pose. Returns `model` itself if it has no more than five such inliers, or if the
     fit would lose more than one inlier in fifty.

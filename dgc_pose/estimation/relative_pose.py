@@ -139,7 +139,7 @@ def assess(
     competing = _compete(problem, best, runs, homography, map_problem, logistic, options)
     model, is_plane = competing[0].model, homography[0] >= PLANAR_SHARE
 
-    # The spread says what K may be; without it K is to be right. A plane's homography fits poses of
+    # The spread is what K may be; without it K is to be right. A plane's homography fits poses of
     # any focal length, so a plane does not determine it.
     spread, check, still, second = CameraSpread.of(*cameras), None, None, None
     if not len(spread) and not is_plane:

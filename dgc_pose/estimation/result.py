@@ -27,7 +27,7 @@ class RelativePose:
         status: "ok" or "planar" with a pose; any other status names why there is none.
         reason: Why there is no pose, or what kind of pose it is: one sentence for people.
         inliers: Which of the matches agree with the pose, (N,) bool, over the matches as they were
-            given.
+            passed.
         num_matches: Number of matches used: without those that are not finite, duplicates and the
             like.
         R: Rotation (3, 3) from camera 1 to camera 2; None if it is not known.
@@ -38,11 +38,11 @@ class RelativePose:
             the inliers do not determine it. Scaled so that the expected error of right poses holds
             nine times in ten; it does not include an alternative pose, a wrong K or a wrong
             verdict.
-        camera1: Camera of image 1 that the pose is of: as it was given, or with the focal length
-            that the matches tell, if its own had a deviation. None without a pose.
+        camera1: Camera of image 1 that the pose is of: as it was stated, or with the focal length
+            that the matches determine, if the stated one had a deviation. None without a pose.
         camera2: Camera of image 2, likewise.
         camera_covariance: Covariance (6, 6) of ln f and the principal point, pixels, of camera 1
-            and then of camera 2, which the matches tell; None for cameras that were not fitted.
+            and then of camera 2, by the matches; None for cameras that were not fitted.
         evidence: What the verdict rests on; None without a model.
         probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
             model, with "rotation_only" and with "ambiguous". None if no model of the probability is

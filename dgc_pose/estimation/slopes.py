@@ -58,7 +58,7 @@ def _lens_slopes(
     spread: CameraSpread,
     deviations: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `error_slopes`, of cameras with lenses: deviations move each point in its own way."""
+    """As `error_slopes`, of cameras with lenses: deviations move each point in another way."""
     sides = list(
         zip(
             (problem.points1, problem.points2),

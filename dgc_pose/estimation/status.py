@@ -22,7 +22,7 @@ Status = Literal[
 
 @dataclass(frozen=True)
 class StatusFacts:
-    """What a status says."""
+    """The meaning of a status."""
 
     meaning: str  # one sentence for people
     has_R: bool = False

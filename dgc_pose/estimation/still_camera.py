@@ -26,7 +26,7 @@ def still_camera(inliers: TwoViewProblem) -> StillCamera:
     """The camera that did not move and explains most inliers.
 
     Either image 2 is image 1 scaled, rolled and shifted, or the camera turned about its centre,
-    each image with a focal length of its own. inliers: normalised by the cameras as stated, whose
+    each image with another focal length. inliers: normalised by the cameras as stated, whose
     principal points no fit has moved.
     """
     points, limit = (inliers.points1, inliers.points2), TRANSFER_LIMIT * inliers.threshold

@@ -66,7 +66,7 @@ def judge(
     """
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
-        # Chance before all: few inliers say nothing about a rotation either.
+        # Chance before all: few inliers are no evidence of a rotation either.
         failed = by_chance(evidence) or undetermined or _implausible(evidence)
         return failed or _moved_plane(evidence) or _pose(evidence)
     impossible = _random(evidence) or undetermined or _behind(evidence)

@@ -75,7 +75,7 @@ class FileMatcher(Matcher):
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The stored map with the matches selected from it, or the stored points without a map; in
-        pixels of the images given.
+        pixels of the images.
 
         Raises InputError, with the path, if the file is missing or malformed.
         """

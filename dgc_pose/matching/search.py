@@ -34,7 +34,7 @@ _LOWER = 0.92
 _CLEAR = 0.8  # relative to the median: below it, other scales are not tried
 _PIXELS = 480  # square root of the area of a view, before the network resizes it
 _MARGIN = 1.5  # sides of a window, relative to what the other image is expected to cover
-_LEAST = 6  # matches that a similarity must fit
+_MIN_MATCHES = 6  # matches that a similarity must fit
 _ANGLE_STEP = 5  # degrees that views are rotated by a multiple of
 _REACH = 1.5  # cells that they may be off
 _ANGLE_OFF = 30.0  # degrees that a similarity may differ by from what was compared
@@ -216,7 +216,7 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
     """
     narrow, wide = best.in_narrow, best.in_wide
     matrix, fits = None, 0
-    if len(narrow) >= _LEAST:
+    if len(narrow) >= _MIN_MATCHES:
         matrix, mask = cv2.estimateAffinePartial2D(
             narrow, wide, ransacReprojThreshold=_REACH * best.cell_px
         )
@@ -225,7 +225,7 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
         best.angle_deg if best.octave >= 0 else -best.angle_deg, best.ratio, (0, 0), (1, 1)
     )
     linear = expected.matrix[:, :2]
-    if matrix is not None and fits >= _LEAST:
+    if matrix is not None and fits >= _MIN_MATCHES:
         change = np.linalg.solve(linear, matrix[:, :2])  # near the identity, if the fit is right
         off, grown = abs(math.atan2(change[0, 1], change[0, 0])), float(np.hypot(*change[0]))
         if off < math.radians(_ANGLE_OFF) and 1 / _SCALE_OFF < grown < _SCALE_OFF:

@@ -4,7 +4,7 @@ Each match moves to the strongest corner near it in image 2. The patch around it
 the local affinity cuts from image 1 differ by a small shift, a gain and an offset: the shifts of
 all patches are computed at once. Few patches of views far apart are similar: their affinity is not
 known well enough, and the shift is larger than the structure. These are aligned on images shrunk
-until the error of the matches is a pixel, with their affinities adjusted, and then on the given
+until the error of the matches is a pixel, with their affinities adjusted, and then on the
 images. Patches that stay dissimilar are dropped. If the scales of the images differ much, the
 larger image is shrunk first: neighbouring samples of its patches would be many pixels apart.
 """
@@ -40,7 +40,7 @@ class Aligned:
     # (N,) float64, correlation of the aligned patches, -1 to 1; NaN, as it is undefined, if one of
     # them has no more contrast than noise
     zncc: np.ndarray
-    converged: np.ndarray  # (N,) bool: settled, within the tolerance of where it began
+    converged: np.ndarray  # (N,) bool: at rest, within the tolerance of where it began
     index: np.ndarray  # (N,) int, of the matches that they come from
     pixel: float = 1.0  # of the images aligned, in pixels of the originals: mean over both
 
@@ -99,14 +99,14 @@ def _align(
     grey1, grey2 = grey1.astype(np.float32), grey2.astype(np.float32)
 
     patches = align_patches(grey1, grey2, chosen, radius)
-    settled = _settled(patches, start, grey1, _SHIFT * error)
+    converged = _converged(patches, start, grey1, _SHIFT * error)
     points1, zncc = patches.points1, patches.zncc
-    rest = np.flatnonzero(~(settled & (zncc >= min_zncc)))
+    rest = np.flatnonzero(~(converged & (zncc >= min_zncc)))
     if len(rows) - len(rest) < _ENOUGH:
         coarse, similar = _from_coarse(grey1, grey2, chosen.subset(rest), radius, error, min_zncc)
         again = rest[similar]
-        points1[again], zncc[again], settled[again] = coarse.points1, coarse.zncc, True
-    return Aligned(points1, corners, zncc, settled, chosen.index)
+        points1[again], zncc[again], converged[again] = coarse.points1, coarse.zncc, True
+    return Aligned(points1, corners, zncc, converged, chosen.index)
 
 
 def _from_coarse(
@@ -117,15 +117,15 @@ def _from_coarse(
     error: np.ndarray,
     min_zncc: float,
 ) -> tuple[Patches, np.ndarray]:
-    """Patches that become similar on shrunk images, aligned on the given ones if that succeeds; and
+    """Patches that become similar on shrunk images, aligned on the originals if that succeeds; and
     which of the matches they are, indices."""
     shrink = min(1.0, 1 / float(error.mean()))
     coarse = _Shrunk.of(grey1, grey2, matches, shrink, shrink).align_affine(radius)
-    similar = _settled(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= min_zncc)
+    similar = _converged(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= min_zncc)
     coarse, matches = coarse.subset(similar), matches.subset(similar)
     start = LocalMatches(coarse.points1, matches.points2, coarse.affinity, matches.index)
     fine = align_patches(grey1, grey2, start, radius)
-    better = _settled(fine, start.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
+    better = _converged(fine, start.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
     points1 = np.where(better[:, None], fine.points1, coarse.points1)
     zncc = np.where(better, fine.zncc, coarse.zncc)
     return replace(coarse, points1=points1, zncc=zncc), np.flatnonzero(similar)
@@ -171,7 +171,7 @@ def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return (points + 0.5) / scale - 0.5
 
 
-def _settled(
+def _converged(
     patches: Patches, start: np.ndarray, image: np.ndarray, max_shift: np.ndarray | float
 ) -> np.ndarray:
     """Which patches came to rest, (N,) bool, on the image and near where they began."""
@@ -190,8 +190,8 @@ def locate(
     of image 2. max_shift: pixels of image 1.
     """
     patches = align_patches(grey1, grey2, matches, radius)
-    settled = _settled(patches, matches.points1, grey1, max_shift)
-    return Aligned(patches.points1, matches.points2, patches.zncc, settled, matches.index)
+    converged = _converged(patches, matches.points1, grey1, max_shift)
+    return Aligned(patches.points1, matches.points2, patches.zncc, converged, matches.index)
 
 
 def nearby_corners(

@@ -17,7 +17,7 @@ from dgc_pose.system.threads import in_threads, slices
 _CHUNK = 128  # cells compared at a time, which stay in the processor's cache
 _NEIGHBOURS = [(1, 0), (-1, 1), (0, 1), (1, 1)]  # the other four are their opposites
 _NEVER = -1e3  # score of a candidate that is there already, or that is not allowed
-_LEAST = 1e-30  # likelihood of a cell that matches none
+_UNMATCHED = 1e-30  # likelihood of a cell that matches none
 
 
 def likely_cells(
@@ -115,12 +115,12 @@ def _candidates(
         return values.sum(0) if allowed is None else (values * allowed[rows]).sum(0)
 
     # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
-    rivals = np.log(np.sum(in_threads(sums_over, parts), 0) + _LEAST)
+    normaliser = np.log(np.sum(in_threads(sums_over, parts), 0) + _UNMATCHED)
 
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         scores = evidence(rows)
         scores *= 2
-        scores -= rivals
+        scores -= normaliser
         if allowed is not None:
             scores[~allowed[rows]] = _NEVER
         candidates = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)

@@ -206,8 +206,8 @@ class RefinedSearch(PairSearch):
             aligned = self._spread(aligned)
             return MatchResult(aligned, dense, aligned)
         # Patches of views far apart often differ too much. What is left of them is more accurate,
-        # but too little to tell a pose from chance: both together have the error that all of them
-        # had before.
+        # but too little to distinguish a pose from chance: both together have the error that all of
+        # them had before.
         completed = self._textured(agreeing)
         if len(completed) < MIN_MATCHES:
             return None
