@@ -13,6 +13,7 @@ from dgc_pose.benchmarks.dtu.report_page import write_report
 from dgc_pose.benchmarks.dtu.view_pairs import listed_pair
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.benchmarks.summary import (
     by_method,
     heading,
@@ -28,7 +29,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
 

@@ -7,13 +7,13 @@ import pytest
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.methods import MatchingPass, load_passes, parse_methods
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.refinement import FeatureOptions, RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)

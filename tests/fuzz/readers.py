@@ -31,6 +31,7 @@ from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
 from dgc_pose.benchmarks.samples import draw_sample, read_sample, write_sample
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -40,7 +41,6 @@ from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_checkpoint, load_network, save_weights

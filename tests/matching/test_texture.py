@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.probability.planned import BLANKS, BlankKind, blank
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, MatchingOptions, select_matches
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.matching.texture import texture, textured
 
 STORED = (80, 60)  # width, height of both views as stored
