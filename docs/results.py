@@ -1,4 +1,4 @@
-"""Write the tables of relative poses, in README.md and docs/benchmarks.md, from docs/results.csv.
+"""Write the tables of relative poses, in README.md and docs/results.md, from docs/results.csv.
 
     python docs/results.py [RUNS]
 
@@ -14,7 +14,7 @@ from datetime import date
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
-RESULTS, PAGES = DOCS / "results.csv", (DOCS.parent / "README.md", DOCS / "benchmarks.md")
+RESULTS, PAGES = DOCS / "results.csv", (DOCS.parent / "README.md", DOCS / "results.md")
 FIGURES = {
     **{name: f"{{{name}}}" for name in ("date", "pairs", "failures", "wrong")},
     "R": "{median_rotation_deg:.2f}",
