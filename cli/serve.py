@@ -6,11 +6,9 @@ import asyncio
 import secrets
 import signal
 import socket
-import threading
 import webbrowser
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING
 
 import click
 
@@ -23,12 +21,6 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.serve.options import ServeOptions
 from dgc_pose.system.options import check_options, option
-
-if TYPE_CHECKING:
-    import uvicorn
-
-    from dgc_pose.serve.app import Server
-    from dgc_pose.serve.estimator import Estimator
 
 HOST = "127.0.0.1"
 
@@ -60,6 +52,7 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
     import uvicorn
 
     from dgc_pose.serve.app import Server
+    from dgc_pose.serve.estimator import Estimator
     from dgc_pose.serve.guard import local_hosts
 
     pair = bundled_pair()
@@ -69,7 +62,7 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
         for path, camera in views
     ]
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
-    make_estimator = partial(_estimator, matcher, weights)
+    estimator = Estimator(matcher.load(), pose_data, weights)
     token = secrets.token_urlsafe(24)
     with socket.socket() as bound, scratch_folder() as folder:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -80,7 +73,7 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
             raise InputError(f"port {address.port} of {HOST}: {error.strerror}") from None
         port = bound.getsockname()[1]
         hosts = local_hosts(port)
-        server = Server(make_estimator, example, folder, token=token, hosts=hosts, options=limits)
+        server = Server(estimator, example, folder, token=token, hosts=hosts, options=limits)
         config = uvicorn.Config(
             server.app,
             log_level="warning",
@@ -100,44 +93,11 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
                 await super().shutdown(sockets)
 
         url = f"http://{HOST}:{port}/?token={token}"
-        return _run(Web(config), server, bound, url, address.browser)
-
-
-def _run(web: uvicorn.Server, server: Server, bound: socket.socket, url: str, browser: bool) -> int:
-    """Serve until Ctrl-C, or until the matcher cannot be loaded."""
-    from dgc_pose.serve.worker import Refused, WorkError
-
-    failed: list[Refused] = []
-
-    def load() -> None:
-        try:
-            server.estimator.call("ready", seconds=60)
-        except Refused as error:
-            failed.append(error)
-            web.should_exit = True
-        except WorkError:
-            pass  # the server has ended, or a request will fail with this
-
-    # On SIGTERM uvicorn ends the server and raises the signal again: end as after Ctrl-C.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    server.start()
-    click.echo(f"{url}\nCtrl-C ends the server")
-    threading.Thread(target=load, daemon=True).start()
-    if browser:
-        webbrowser.open(url)
-    try:
-        web.run(sockets=[bound])
-    except KeyboardInterrupt:
-        pass  # as intended
-    finally:
-        server.close()
-    if failed:
-        raise failed[0]
+        # On SIGTERM uvicorn ends the server and raises the signal again: end as after Ctrl-C.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        click.echo(f"{url}\nCtrl-C ends the server")
+        if address.browser:
+            webbrowser.open(url)
+        with suppress(KeyboardInterrupt):  # as intended
+            Web(config).run(sockets=[bound])
     return 0
-
-
-def _estimator(matcher: MatcherOptions, weights: str | None) -> Estimator:
-    """For the worker's process: the server itself imports no network."""
-    from dgc_pose.serve.estimator import Estimator
-
-    return Estimator(matcher.load(), pose_data, weights)

@@ -2,10 +2,9 @@
 
 import asyncio
 import json
+import secrets
 import threading
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import suppress
-from functools import partial
+from collections.abc import AsyncIterator, Mapping, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -21,11 +20,12 @@ from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest, lens_note
-from dgc_pose.serve.decoder import ImageDecoder
+from dgc_pose.serve.decoder import preview
+from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.options import ServeOptions
 from dgc_pose.serve.store import ImageStore, StoredImage
-from dgc_pose.serve.worker import RequestWorker, Unavailable
+from dgc_pose.serve.worker import Unavailable, Worker
 from dgc_pose.version import version
 
 _STATIC = resources.files("dgc_pose.serve") / "static"
@@ -35,21 +35,19 @@ _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _FILES = {file.name: file for file in _STATIC.iterdir() if Path(file.name).suffix in _TYPES}
 _MAX_JSON = 10_000 + 4 * MAX_FILE_BYTES // 3  # bytes of a request; a file is in base 64
 _MAX_NAME = 200  # characters of an image's name
-_DECODER_MEMORY = 2 * 2**30  # bytes
 
 
 class Server:
     """The workers, the images, and an ASGI application of them.
 
-    make_estimator: makes the `Estimator` in its process. example: the images that the page offers,
-    each with its K as the command takes it. folder: for the images; empty, and removed by the
-    caller when the server has ended. token: what the page must know. hosts: see
-    `guard.local_hosts`.
+    example: the images that the page offers, each with its K as the command takes it. folder: for
+    the images; empty, and removed by the caller when the server has ended. token: what the page
+    must know. hosts: see `guard.local_hosts`.
     """
 
     def __init__(
         self,
-        make_estimator: Callable[[], Any],
+        estimator: Estimator,
         example: Sequence[tuple[Path, str]],
         folder: Path,
         *,
@@ -58,12 +56,11 @@ class Server:
         options: ServeOptions,
     ) -> None:
         self.options = options
-        self._example, self._token = example, token
+        self._example, self._token, self._estimator = example, token, estimator
         self._bundled_images: list[dict[str, Any]] = []  # of the example, once they are asked for
         self._store = ImageStore(folder, options.images)
-        decoder = partial(ImageDecoder, int(options.max_megapixels * 1e6))
-        self._decoder = RequestWorker(decoder, waiting=options.waiting, memory=_DECODER_MEMORY)
-        self.estimator = RequestWorker(make_estimator, waiting=options.waiting)
+        # A photograph need not wait for a pose.
+        self._decoding, self._estimating = Worker(options.waiting), Worker(options.waiting)
         self._uploads = asyncio.Semaphore(options.waiting)
         self.app = Starlette(
             routes=[
@@ -77,15 +74,10 @@ class Server:
             exception_handlers={DgcPoseError: _refused, ClientDisconnect: _refused},
         )
 
-    def start(self) -> None:
-        """Start the workers, so that the first pair need not wait for them."""
-        self._decoder.start()
-        self.estimator.start()
-
     def close(self) -> None:
-        """End the workers."""
-        self._decoder.close()
-        self.estimator.close()
+        """End the workers; in the thread of the server's event loop."""
+        self._decoding.close()
+        self._estimating.close()
 
     async def _page(self, request: Request) -> Response:
         text = (_STATIC / _PAGE).read_text(encoding="utf-8")
@@ -106,11 +98,11 @@ class Server:
             raise Unavailable("too many images are being sent: try again in a moment")
         name = request.query_params.get("name", "")
         name = "".join(letter for letter in name if letter.isprintable())[:_MAX_NAME] or "image"
-        path = self._store.new_path()
+        path = self._store.folder / secrets.token_hex(16)
         try:
             async with self._uploads:
                 await self._receive(request, path)
-            return JSONResponse(await self._described(path, name, self._store.keep))
+            return JSONResponse(await self._described(path, name))
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -118,9 +110,8 @@ class Server:
     async def _bundled(self, request: Request) -> Response:
         """The bundled pair, each image as `_image` describes it, and K of both."""
         if not self._bundled_images:
-            keep = self._store.keep_bundled
             self._bundled_images = [
-                await self._described(path, path.name, keep) for path, _ in self._example
+                await self._described(path, path.name) for path, _ in self._example
             ]
         return JSONResponse({"images": self._bundled_images, "k": [k for _, k in self._example]})
 
@@ -139,29 +130,26 @@ class Server:
         lines: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
         gone = threading.Event()
 
-        def send(line: Mapping[str, Any]) -> None:
-            with suppress(RuntimeError):  # the server has ended
-                loop.call_soon_threadsafe(lines.put_nowait, line)
+        def report(text: str) -> None:
+            if gone.is_set():
+                raise Unavailable("the client has left")
+            loop.call_soon_threadsafe(lines.put_nowait, {"progress": text})
 
-        def estimate() -> None:
+        async def estimate() -> None:
+            arguments = (report, image1, image2, camera)
+            seconds = self.options.estimate_seconds
             try:
-                result = self.estimator.call(
-                    "estimate",
-                    image1,
-                    image2,
-                    camera,
-                    seconds=self.options.estimate_seconds,
-                    report=lambda text: send({"progress": text}),
-                    gone=gone,
+                result = await self._estimating.call(
+                    self._estimator.estimate, *arguments, seconds=seconds
                 )
-                send({"result": result})
+                lines.put_nowait({"result": result})
             except DgcPoseError as error:
                 text = str(error)
                 for image in (image1, image2):
                     text = text.replace(str(image.path), image.name)
-                send({"error": text})
+                lines.put_nowait({"error": text})
 
-        loop.run_in_executor(None, estimate)
+        task = asyncio.create_task(estimate())
         line: Mapping[str, Any] = {"progress": ""}
         try:
             while "progress" in line:
@@ -169,6 +157,7 @@ class Server:
                 yield json.dumps(line) + "\n"
         finally:  # also where the client has left, which ends the response
             gone.set()
+            task.cancel()
 
     async def _receive(self, request: Request, path: Path) -> None:
         """The body into a new file. Raises HTTPException."""
@@ -188,14 +177,11 @@ class Server:
             text = f"the server's temporary folder: {error.strerror}"
             raise HTTPException(507, text) from None
 
-    async def _described(
-        self, path: Path, name: str, keep: Callable[[StoredImage], str]
-    ) -> dict[str, Any]:
+    async def _described(self, path: Path, name: str) -> dict[str, Any]:
         """The image, once it is decoded and kept, as the page is told of it."""
-        preview = await asyncio.to_thread(
-            self._decoder.call, "preview", path, seconds=self.options.decode_seconds
-        )
-        return {"id": keep(StoredImage(path, name)), "name": name, **preview}
+        most, seconds = int(self.options.max_megapixels * 1e6), self.options.decode_seconds
+        shown = await self._decoding.call(preview, path, most, seconds=seconds)
+        return {"id": self._store.keep(StoredImage(path, name)), "name": name, **shown}
 
 
 async def _refused(request: Request, error: Exception) -> Response:

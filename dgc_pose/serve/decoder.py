@@ -1,51 +1,43 @@
-"""What the first worker does: read an image that was sent, and make a picture that a browser shows.
+"""An image that was sent, read and made a picture that a browser shows.
 
 The browser gets our pixels, not the file: it could not read a TIFF, and would apply an orientation
 tag that the pose does not.
 """
 
-from __future__ import annotations
-
 import base64
-import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 
-from dgc_pose.errors import DgcPoseError, ImageError, ImageSizeError
-from dgc_pose.images.image import MAX_PIXELS_VARIABLE, load_image, resize_by
-from dgc_pose.serve.worker import Report
+from dgc_pose.errors import DgcPoseError, ImageError
+from dgc_pose.images.image import image_size, load_image, resize_by
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
-THE_FILE = "the file"  # what errors call it: its path is none of the client's business
 
 
-@dataclass(frozen=True)
-class ImageDecoder:
-    """Reads images of at most so many pixels."""
+def preview(path: Path, max_pixels: int) -> dict[str, Any]:
+    """Size (width, height) and EXIF orientation of an image, and a picture for the browser.
 
-    max_pixels: int
-
-    def preview(self, report: Report, path: Path) -> dict[str, Any]:
-        """Size (width, height) and EXIF orientation of an image, and a picture for the browser.
-
-        Raises ImageError, without the path, if it cannot be read.
-        """
-        os.environ[MAX_PIXELS_VARIABLE] = str(self.max_pixels)  # of this process alone
-        try:
-            image = load_image(path)
-        except DgcPoseError as error:
-            option = " (--max-megapixels of dgc-pose serve)"
-            text = str(error).replace(str(path), THE_FILE)
-            raise ImageError(text + option * isinstance(error, ImageSizeError)) from None
-        return {
-            "size": list(image.size),
-            "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
-            "orientation": image.orientation,
-        }
+    Raises ImageError, without the path, if it cannot be read or has too many pixels.
+    """
+    try:
+        width, height = image_size(path)
+        if width * height > max_pixels:  # before they are decoded
+            raise ImageError(
+                f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
+                "(--max-megapixels of dgc-pose serve)"
+            )
+        image = load_image(path)
+    except DgcPoseError as error:
+        # The path is none of the client's business.
+        raise ImageError(str(error).replace(str(path), "the file")) from None
+    return {
+        "size": list(image.size),
+        "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
+        "orientation": image.orientation,
+    }
 
 
 def shrunk(pixels: np.ndarray) -> np.ndarray:

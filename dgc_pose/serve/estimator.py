@@ -1,4 +1,4 @@
-"""What the second worker does: estimate a pose, and describe it for the page."""
+"""A pose, estimated and described for the page."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +17,6 @@ from dgc_pose.pose import match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.decoder import picture_url, shrunk
 from dgc_pose.serve.store import StoredImage
-from dgc_pose.serve.worker import Report
 from dgc_pose.trace import Trace
 
 SHOWN_MATCHES = 3000  # more would slow the page down
@@ -35,13 +34,17 @@ class Estimator:
     describe: Callable[[RelativePose], dict[str, Any]]  # as the command writes JSON
     weights: str | None  # as the command takes them; None for the default
 
-    def ready(self, report: Report) -> None:
-        """Nothing; that it answers says that the matcher is loaded."""
-
     def estimate(
-        self, report: Report, stored1: StoredImage, stored2: StoredImage, request: CameraRequest
+        self,
+        report: Callable[[str], None],
+        stored1: StoredImage,
+        stored2: StoredImage,
+        request: CameraRequest,
     ) -> dict[str, Any]:
-        """The pose and what the page shows of it, as values of JSON."""
+        """The pose and what the page shows of it, as values of JSON.
+
+        report: takes what is being done, for people; what it raises ends the work.
+        """
         report("reading the images")
         image1, image2 = (
             replace(load_image(stored.path), name=stored.name) for stored in (stored1, stored2)

@@ -42,7 +42,7 @@ def map_url(tmp_path_factory):
         bound.listen()
         port = bound.getsockname()[1]
         settings = {"token": "t", "hosts": local_hosts(port), "options": ServeOptions(images=2)}
-        server = Server(serve_parts.estimator, example, folder, **settings)
+        server = Server(serve_parts.estimator(), example, folder, **settings)
         web = uvicorn.Server(uvicorn.Config(server.app, log_level="warning"))
         thread = threading.Thread(target=web.run, kwargs={"sockets": [bound]})
         thread.start()
@@ -50,8 +50,8 @@ def map_url(tmp_path_factory):
             yield f"http://127.0.0.1:{port}/?token=t"
         finally:
             web.should_exit = True
-            server.close()
             thread.join()
+            server.close()
 
 
 @pytest.fixture

@@ -1,9 +1,11 @@
+import asyncio
 import base64
 import io
 import json
 import shlex
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import cv2
@@ -29,6 +31,7 @@ from dgc_pose.serve.options import ServeOptions
 K_FILE = "\n".join(" ".join(map(str, row)) for row in dense_scene.K.tolist())
 TOKEN = "a-token"
 PORT = 8000
+HOST = f"127.0.0.1:{PORT}"
 OPTIONS = ServeOptions(max_megabytes=0.5, max_megapixels=1, decode_seconds=5, images=8)
 
 
@@ -46,20 +49,22 @@ def pictures(tmp_path_factory):
     return dense_scene.write_pictures(tmp_path_factory.mktemp("pictures"))
 
 
-@pytest.fixture(scope="module")
-def server(folder, pictures):
+def server_of(estimator, pictures, folder, options=OPTIONS):
     example = [(Path(path), dense_scene.K_TEXT) for path in pictures]
-    settings = {"token": TOKEN, "hosts": local_hosts(PORT), "options": OPTIONS}
-    server = Server(serve_parts.estimator, example, folder, **settings)
-    yield server
-    server.close()
+    settings = {"token": TOKEN, "hosts": local_hosts(PORT), "options": options}
+    return Server(estimator, example, folder, **settings)
+
+
+def client_of(server):
+    return TestClient(server.app, f"http://{HOST}", headers={TOKEN_HEADER: TOKEN})
 
 
 @pytest.fixture(scope="module")
-def client(server):
-    headers = {TOKEN_HEADER: TOKEN}
-    with TestClient(server.app, f"http://127.0.0.1:{PORT}", headers=headers) as client:
+def client(folder, pictures):
+    server = server_of(serve_parts.estimator(), pictures, folder)
+    with client_of(server) as client:
         yield client
+    server.close()
 
 
 def encoded(ending, pixels=None):
@@ -324,9 +329,9 @@ def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):
         assert "no longer there" in poses(client, identifier, pair[1], {"kind": "auto"})["error"]
 
 
-def test_a_full_temporary_folder_is_told_as_one(client, server, monkeypatch, tmp_path):
-    monkeypatch.setattr(server._store, "_folder", tmp_path / "gone")
-    answer = send(client, encoded(".png"))
+def test_a_full_temporary_folder_is_told_as_one(tmp_path):
+    server = server_of(serve_parts.estimator(), [], tmp_path / "gone")
+    answer = send(client_of(server), encoded(".png"))
     assert answer.status_code == 507
     assert answer.text == "the server's temporary folder: No such file or directory"
 
@@ -362,3 +367,75 @@ def test_cameras_without_a_lens_need_no_pycolmap(client, pictures, monkeypatch):
     ):
         camera1, _ = CameraRequest.of(request).resolve(image1, image2)
         assert camera1.distortion is None
+
+
+# Clients that wait, and others
+
+
+class HeldEstimator:
+    """Says that it has begun, and goes on when it is let go."""
+
+    def __init__(self):
+        self.go_on, self.steps = threading.Event(), []
+
+    def estimate(self, report, *_):
+        report("begun")
+        self.steps.append("begun")
+        assert self.go_on.wait(60)
+        report("goes on")
+        self.steps.append("done")
+        return {}
+
+
+@pytest.fixture
+def held():
+    estimator = HeldEstimator()
+    yield estimator
+    estimator.go_on.set()
+
+
+def body_of_example(server):
+    first, second = (image["id"] for image in client_of(server).post("/example").json()["images"])
+    return {"image1": first, "image2": second, "camera": {"kind": "auto"}}
+
+
+def test_a_pose_that_takes_too_long_is_an_error_of_one_line(held, pictures, tmp_path):
+    server = server_of(held, pictures, tmp_path, ServeOptions(estimate_seconds=0.2))
+    answer = client_of(server).post("/poses", json=body_of_example(server))
+    last = json.loads(answer.text.splitlines()[-1])
+    assert last == {"error": "stopped after 0.2 seconds"}
+
+
+def test_a_client_that_has_left_gives_up_its_place_and_its_pose(held, pictures, tmp_path):
+    server = server_of(held, pictures, tmp_path, ServeOptions(waiting=1))
+    body = body_of_example(server)
+    headers = {"host": HOST, TOKEN_HEADER: TOKEN}
+    scope = {
+        "type": "http",
+        "asgi": {"spec_version": "2.3"},
+        "method": "POST",
+        "path": "/poses",
+        "query_string": b"",
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }
+
+    async def leave():
+        begun = asyncio.Event()
+        requests = [{"type": "http.request", "body": json.dumps(body).encode()}]
+
+        async def receive():
+            if not requests:
+                await begun.wait()
+            return requests.pop() if requests else {"type": "http.disconnect"}
+
+        async def take(message):
+            if b"begun" in message.get("body", b""):
+                begun.set()
+
+        await server.app(scope, receive, take)
+
+    asyncio.run(leave())
+    held.go_on.set()
+    answer = client_of(server).post("/poses", json=body)
+    assert json.loads(answer.text.splitlines()[-1]) == {"result": {}}
+    assert held.steps == ["begun", "begun", "done"]  # the first ended at its next report

@@ -1,145 +1,113 @@
-import os
+"""Calls in the server's thread: each ends within its time, whatever the function does."""
+
+import asyncio
+import sys
 import threading
-import time
 
 import pytest
-import serve_tasks
 
-import dgc_pose.serve.worker as worker_module
-from dgc_pose.serve.worker import Refused, RequestWorker, Unavailable, WorkError
+from dgc_pose.errors import InputError
+from dgc_pose.serve.worker import Unavailable, Worker, WorkError
 
-
-@pytest.fixture(scope="module")
-def worker():
-    worker = RequestWorker(serve_tasks.Tasks, memory=2**29)
-    yield worker
-    worker.close()
+SECONDS = 60
 
 
-def test_calls_share_another_process_and_their_reports_come_first(worker):
-    reports = []
-    assert worker.call("add", 2, 3, seconds=20, report=reports.append) == 5
-    assert reports == ["adding 2", "and 3"]
-    first, second = (worker.call("process", seconds=20) for _ in range(2))
-    assert first == second != os.getpid()
+@pytest.fixture
+def held():
+    """Let a function that waits for it come to its end."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+def refuse():
+    raise InputError("this\n will not do")
+
+
+def fail():
+    raise ZeroDivisionError
+
+
+def fill_memory():
+    raise MemoryError
+
+
+def lack_a_package():
+    raise ModuleNotFoundError(name="pycolmap")
 
 
 @pytest.mark.parametrize(
-    ("method", "error", "message"),
+    ("function", "message"),
     [
-        ("hang", WorkError, "stopped after 0.2 seconds"),
-        ("crash", WorkError, "the worker's process ended: signal 6"),
-        ("refuse", Refused, "this will not do"),
-        ("fail", WorkError, "ZeroDivisionError"),
+        (refuse, "^this will not do$"),
+        (fail, "^the server failed: ZeroDivisionError$"),
+        (fill_memory, "^not enough memory: MemoryError$"),
+        (lack_a_package, "needs pycolmap, which is not installed"),
     ],
 )
-def test_whatever_happens_the_next_call_works(worker, method, error, message):
-    with pytest.raises(error, match=message) as caught:
-        worker.call(method, seconds=0.2)
-    assert type(caught.value) is error
-    assert caught.value.status == 422 and "\n" not in str(caught.value)
-    assert worker.call("add", 1, 1, seconds=20) == 2
+def test_a_failure_is_one_line_and_the_next_call_works(function, message, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+
+    async def calls():
+        worker = Worker(1)
+        with pytest.raises(WorkError, match=message) as caught:
+            await worker.call(function, seconds=SECONDS)
+        assert type(caught.value) is WorkError and caught.value.status == 422
+        assert await worker.call(sum, [1, 2], seconds=SECONDS) == 3
+        worker.close()
+
+    asyncio.run(calls())
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="Linux alone bounds memory")
-def test_memory_is_bounded(worker):
-    assert worker.call("fill", 2**20, seconds=20) == 2**20
-    with pytest.raises(Refused, match="memory"):
-        worker.call("fill", 2**31, seconds=20)
+def test_what_takes_too_long_is_given_up_and_the_next_call_waits_for_it(held):
+    async def calls():
+        worker = Worker(2)
+        with pytest.raises(WorkError, match=r"^stopped after 0\.1 seconds$"):
+            await worker.call(held.wait, seconds=0.1)
+        # The time of the next call passes before it begins, and it never does.
+        begun = threading.Event()
+        with pytest.raises(WorkError, match="stopped"):
+            await worker.call(begun.set, seconds=0.1)
+        held.set()
+        assert await worker.call(sum, [1, 2], seconds=SECONDS) == 3 and not begun.is_set()
+        worker.close()
+
+    asyncio.run(calls())
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [(serve_tasks.no_tasks, "no such weights"), (serve_tasks.broken_tasks, "a library's own")],
-)
-def test_an_object_that_cannot_be_made_is_a_refusal(make, message, capfd):
-    worker = RequestWorker(make)
-    with pytest.raises(Refused, match=message):
-        worker.call("add", 1, 1, seconds=20)
-    worker.close()
-    assert "Traceback" not in capfd.readouterr().err
+def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them(held):
+    async def calls():
+        worker = Worker(2)
+        waiting = [asyncio.create_task(worker.call(held.wait, seconds=SECONDS)) for _ in "ab"]
+        await asyncio.sleep(0)  # until both have begun
+        with pytest.raises(Unavailable, match="busy"):
+            await worker.call(sum, [], seconds=SECONDS)
+        worker.close()
+        errors = await asyncio.gather(*waiting, return_exceptions=True)
+        with pytest.raises(Unavailable) as late:
+            await worker.call(sum, [], seconds=SECONDS)
+        for error in (*errors, late.value):
+            assert (str(error), error.status) == ("the server is ending", 503)
+
+    asyncio.run(calls())
 
 
-def _hang_in_thread(worker, errors, begun, gone=None):
-    """A call that does not come to an end; what it raises goes to `errors`."""
+def test_a_call_that_is_cancelled_gives_up_its_place(held):
+    async def calls():
+        worker, begun = Worker(2), threading.Event()
+        left = [
+            asyncio.create_task(worker.call(function, seconds=SECONDS))
+            for function in (held.wait, begun.set)
+        ]
+        await asyncio.sleep(0)
+        for task in left:
+            task.cancel()
+        await asyncio.wait(left)
+        assert all(task.cancelled() for task in left)
+        next_one = asyncio.create_task(worker.call(sum, [1, 2], seconds=SECONDS))
+        await asyncio.sleep(0)
+        held.set()
+        assert await next_one == 3 and not begun.is_set()
+        worker.close()
 
-    def call():
-        try:
-            worker.call("hang", seconds=60, report=lambda _: begun.set(), gone=gone)
-        except WorkError as error:
-            errors.append((str(error), error.status))
-
-    thread = threading.Thread(target=call)
-    thread.start()
-    return thread
-
-
-def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them():
-    worker, errors, begun = RequestWorker(serve_tasks.Tasks, waiting=2), [], threading.Event()
-    threads = [_hang_in_thread(worker, errors, begun)]
-    assert begun.wait(60)
-    threads.append(_hang_in_thread(worker, errors, begun))
-    while worker._places._value:  # until the second call waits for the first
-        time.sleep(0.01)
-    with pytest.raises(Unavailable, match="busy"):
-        worker.call("add", 1, 1, seconds=20)
-    worker.close()
-    for thread in threads:
-        thread.join(20)
-    assert errors == 2 * [("the server is ending", 503)]
-    assert worker._process is None
-
-
-def test_a_client_that_leaves_gives_up_its_place_and_ends_its_work():
-    worker, errors, begun = RequestWorker(serve_tasks.Tasks, waiting=2), [], threading.Event()
-    running, waiting = threading.Event(), threading.Event()
-    threads = [_hang_in_thread(worker, errors, begun, running)]
-    assert begun.wait(60)
-    process = worker._process
-    threads.append(_hang_in_thread(worker, errors, threading.Event(), waiting))
-    waiting.set()
-    threads[1].join(20)
-    assert worker._places._value == 1 and worker._process is process and process.is_alive()
-    running.set()
-    threads[0].join(20)
-    assert errors == 2 * [("the client has left", 503)]
-    assert not process.is_alive() and worker._process.is_alive()  # the next one need not wait
-    assert worker.call("add", 1, 1, seconds=20) == 2
-    worker.close()
-
-
-def test_a_closed_worker_starts_no_process(monkeypatch):
-    worker = RequestWorker(serve_tasks.Tasks)
-    worker.close()
-    monkeypatch.setattr(worker_module, "_CONTEXT", None)  # nothing can be started by it
-    for use in (worker.start, lambda: worker.call("add", 1, 1, seconds=20)):
-        with pytest.raises(Unavailable, match="the server is ending"):
-            use()
-
-
-def test_closing_while_the_process_starts_ends_it(monkeypatch):
-    worker, errors, starts = RequestWorker(serve_tasks.Tasks), [], threading.Event()
-    go_on, started, context = threading.Event(), [], worker_module._CONTEXT
-
-    class SlowContext:
-        Pipe = staticmethod(context.Pipe)
-
-        @staticmethod
-        def Process(**arguments):
-            starts.set()
-            assert go_on.wait(60)
-            started.append(context.Process(**arguments))
-            return started[0]
-
-    monkeypatch.setattr(worker_module, "_CONTEXT", SlowContext)
-    threads = [_hang_in_thread(worker, errors, threading.Event())]
-    assert starts.wait(60)
-    threads.append(threading.Thread(target=worker.close))
-    threads[1].start()
-    while not worker._closed:
-        time.sleep(0.01)
-    go_on.set()
-    for thread in threads:
-        thread.join(20)
-    assert errors == [("the server is ending", 503)]
-    assert worker._process is None and not started[0].is_alive()
+    asyncio.run(calls())
