@@ -1,4 +1,4 @@
-"""Errors of methods as curves and histograms: cumulative, residuals, PCK, reliability."""
+"""Errors of methods as curves and histograms: cumulative, PCK, reliability."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -42,33 +42,6 @@ def draw_cumulative(
     axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} ({unit})", ylabel="pairs (%)")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", fontsize=9)
-
-
-def draw_residuals(
-    axes: Axes, residuals: np.ndarray, inliers: np.ndarray, *, limit: float | None = None
-) -> None:
-    """Draw the histogram of the matches' epipolar residuals, inliers and outliers stacked.
-
-    residuals: (N,) pixels, those that are not finite are left out; inliers: (N,) bool. limit: where
-    the axis ends, pixels; what is beyond is counted in the last bar. None for three times the 95 %
-    quantile of the inliers.
-    """
-    finite = np.isfinite(residuals)
-    groups = residuals[finite & inliers], residuals[finite & ~inliers]
-    if limit is None:
-        known = groups[0] if len(groups[0]) else groups[1]
-        limit = 3 * float(np.quantile(known, 0.95)) if len(known) else 1.0
-    bins = np.linspace(0, max(limit, 1e-3), 41)
-    axes.hist(
-        [np.minimum(group, bins[-1]) for group in groups],
-        bins=bins.tolist(),
-        stacked=True,
-        color=["tab:cyan", "tab:pink"],
-        label=[f"{len(groups[0])} inliers", f"{len(groups[1])} outliers"],
-    )
-    axes.set(xlim=(0, bins[-1]), xlabel="symmetric epipolar distance (pixels)", ylabel="matches")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="upper right", fontsize=9)
 
 
 def plot_errors(

@@ -14,14 +14,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 
-from dgc_pose.geometry.pixels import cell_centres
 from dgc_pose.matching.warp import shown_size, shrunk, warp_image
 
 GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
 CONFIDENCE_COLOURS = "viridis"
 RESIDUAL_COLOURS = "cool"  # cyan to magenta: both stand out from a photograph, dark or light
 LINE_COLOURS = "hsv"
-GRID_LINES = 16  # of the map's grid, along the longer side of image 1
 _BAR = (1.1, 0.12)  # width and height of a colour bar, inches
 
 
@@ -124,39 +122,6 @@ def draw_warp(
     weight = np.clip(cv2.resize(matchability.astype(np.float32), warped.shape[1::-1]), 0, 1)
     paled = 255 - (0.15 + 0.85 * weight[..., None]) * (255 - warped.astype(np.float32))
     _show(axes, paled.astype(np.uint8), size2, title)
-
-
-def draw_map(
-    axes: Axes,
-    pixels2: np.ndarray,
-    correspondences: np.ndarray,
-    matchability: np.ndarray,
-    size1: tuple[int, int],
-    title: str = "",
-    *,
-    least: float = 0.5,
-) -> None:
-    """Draw image 2 in grey, and on it an even grid of image 1 as the map carries it there.
-
-    Where the grid is regular the map is smooth; it breaks at depth edges. The colour of a line goes
-    with its x (or y) in image 1.
-
-    pixels2: (H, W, 3) uint8. correspondences: (H', W', 2), for each cell of image 2's grid its
-    point in image 1, pixels. matchability: (H', W') in [0, 1]; cells below `least` are left out.
-    size1: (width, height) of image 1, pixels.
-    """
-    grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY) / 255
-    _show(axes, np.repeat(0.25 + 0.6 * grey[..., None], 3, axis=2), pixels2.shape[1::-1], title)
-    x, y = np.moveaxis(cell_centres(matchability.shape[::-1], pixels2.shape[1::-1]), -1, 0)
-    known = matchability >= least
-    if not known.any():
-        return
-    step = max(size1) / GRID_LINES
-    for axis, colours in enumerate(("autumn", "winter")):
-        levels = np.arange(step / 2, size1[axis], step)
-        values = np.where(known, correspondences[..., axis], np.nan)
-        shades = ScalarMappable(Normalize(0, size1[axis]), colours).to_rgba(levels)
-        axes.contour(x, y, values, levels=levels, colors=list(shades), linewidths=1.1)
 
 
 def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:

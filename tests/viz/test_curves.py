@@ -5,7 +5,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.metrics import Reliability
 from dgc_pose.viz.curves import (
     draw_cumulative,
-    draw_residuals,
     plot_errors,
     plot_pck,
     plot_reliability,
@@ -38,19 +37,6 @@ def test_both_histograms_show_most_of_the_finite_errors():
     assert [axes.get_xlim() for axes in figure.axes] == [(0, 5), (0, 180)]
     assert "rotation" in figure.axes[0].get_xlabel()
     assert "folded translation" in figure.axes[1].get_xlabel()
-
-
-def test_residuals_beyond_the_limit_are_in_the_last_bar():
-    axes = new_figure(4, 3).subplots()
-    residuals = np.array([0.1, 0.1, 0.9, 7.0, np.nan, np.inf])
-    inliers = np.array([True, True, True, False, False, False])
-    draw_residuals(axes, residuals, inliers, limit=1.0)
-    legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert legend == ["3 inliers", "1 outliers"]
-    kept, dropped = ([bar.get_height() for bar in bars] for bars in axes.containers)
-    assert sum(kept) == 3 and kept[4] == 2
-    assert sum(dropped) == dropped[-1] == 1
-    assert axes.get_xlim() == (0, 1)
 
 
 def test_a_panel_a_group_and_a_curve_a_method():
@@ -88,8 +74,7 @@ def test_shares_stand_over_the_mean_confidence_and_counts_below():
     figure.canvas.draw()
 
 
-def test_nothing_can_be_drawn():
+def test_without_a_method_the_diagonal_alone_is_drawn():
     figure = plot_reliability({}, right="within 3 px")
     assert len(figure.axes[0].lines) == 1
-    draw_residuals(figure.axes[1], np.zeros(0), np.zeros(0, bool))
     figure.canvas.draw()

@@ -6,7 +6,6 @@ from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.panels import (
     draw_image,
     draw_lines,
-    draw_map,
     draw_matchability,
     draw_matches,
     draw_warp,
@@ -87,30 +86,6 @@ def test_matchability_is_drawn_over_the_whole_of_image_2(axes):
     assert shown.shape == (30, 40, 3)
     dark, yellow = shown[15, 2], shown[15, 37]
     assert dark.sum() < 1 < yellow[:2].sum()
-
-
-def test_the_grid_of_the_identity_is_even_and_lies_in_image_2(axes):
-    y, x = np.mgrid[:60:5, :80:5] + 2.0
-    identity = np.stack([x, y], -1)
-    matchable = np.ones(x.shape)
-    matchable[:, 8:] = 0  # the right half
-    draw_map(axes, picture(80, 60), identity, matchable, (80, 60))
-    axes.figure.canvas.draw()
-    columns, rows = axes.collections
-    assert columns.levels.tolist() == pytest.approx(np.arange(2.5, 80, 5))
-    assert rows.levels.tolist() == pytest.approx(np.arange(2.5, 60, 5))
-    vertical = np.concatenate([path.vertices for path in columns.get_paths() if len(path)])
-    horizontal = np.concatenate([path.vertices for path in rows.get_paths() if len(path)])
-    # A line of image 1 at x lies at x of image 2, where the map is matchable.
-    assert np.abs((vertical[:, 0] - 2.5 + 2.5) % 5 - 2.5).max() < 0.01
-    assert horizontal[:, 0].max() < 40
-    assert axes.get_xlim() == (-0.5, 79.5) and axes.get_ylim() == (59.5, -0.5)
-
-
-def test_no_matchable_cell_leaves_the_image_alone(axes):
-    places = np.zeros((4, 4, 2))
-    draw_map(axes, picture(8, 6), places, np.zeros((4, 4)), (8, 6))
-    assert len(axes.images) == 1 and not axes.collections
 
 
 def test_colours_of_residuals_go_to_the_95_percent_quantile():
