@@ -8,7 +8,6 @@ import signal
 import socket
 import webbrowser
 from contextlib import suppress
-from dataclasses import dataclass
 
 import click
 
@@ -20,27 +19,22 @@ from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.serve.options import ServeOptions
-from dgc_pose.system.options import check_options, option
 
 HOST = "127.0.0.1"
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where the page is."""
-
-    port: int = option(0, "Port on 127.0.0.1; 0 for any that is free.", min=0, max=65535)
-    browser: bool = option(True, "Open the page in the browser.")
-
-    def __post_init__(self) -> None:
-        check_options(self)
-
-
 @click.command()
 @dataclass_options(MatcherOptions, "matcher", only=("weights", "device", "runtime"))
-@dataclass_options(Address, "address")
+@click.option(
+    "--port",
+    default=0,
+    show_default=True,
+    type=click.IntRange(0, 65535),
+    help="Port on 127.0.0.1; 0 for any that is free.",
+)
+@click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
 @dataclass_options(ServeOptions, "limits")
-def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> int:
+def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOptions) -> int:
     """Show a page on this machine that estimates poses.
 
     Drop two photographs, or take the bundled pair. The page shows the matches, the epipolar lines
@@ -67,10 +61,10 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
     with socket.socket() as bound, scratch_folder() as folder:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            bound.bind((HOST, address.port))
+            bound.bind((HOST, port))
             bound.listen()  # before the address is printed
         except OSError as error:
-            raise InputError(f"port {address.port} of {HOST}: {error.strerror}") from None
+            raise InputError(f"port {port} of {HOST}: {error.strerror}") from None
         port = bound.getsockname()[1]
         hosts = local_hosts(port)
         server = Server(estimator, example, folder, token=token, hosts=hosts, options=limits)
@@ -96,7 +90,7 @@ def serve(matcher: MatcherOptions, address: Address, limits: ServeOptions) -> in
         # On SIGTERM uvicorn ends the server and raises the signal again: end as after Ctrl-C.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         click.echo(f"{url}\nCtrl-C ends the server")
-        if address.browser:
+        if browser:
             webbrowser.open(url)
         with suppress(KeyboardInterrupt):  # as intended
             Web(config).run(sockets=[bound])

@@ -1,9 +1,8 @@
 """For the API reference: fields, properties and arguments as tables, doctest lines as code.
 
 A Griffe extension, loaded by mkdocs.yml. The fields are the section "Attributes" of the docstring;
-fields that are options of the commands have their help text, and classes that are not public the
-comment behind a field or above it. The arguments are what the docstring says as "name: text" or
-"name1, name2: text".
+fields that are options of the commands have their help text. The arguments are what the docstring
+says as "name: text" or "name1, name2: text".
 """
 
 import importlib
@@ -15,8 +14,6 @@ import griffe
 
 from dgc_pose.system.options import option_info
 
-_BEHIND = re.compile(r"\s{2}# (.*)$")
-_ABOVE = re.compile(r"^\s*# ?(.*)$")
 _ENTRY = re.compile(r"^    (?:    )?(\w+): (.*(?:\n {8,}\S.*)*)", re.MULTILINE)
 _SECTION = "\n\nAttributes:\n"
 _DOCTEST = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)  # with what is printed, to an empty line
@@ -31,14 +28,16 @@ class Attributes(griffe.Extension):
             return
         text, _, section = cls.docstring.value.partition(_SECTION)
         described = {name: " ".join(words.split()) for name, words in _ENTRY.findall(section)}
-        known = {of.name: of for of in fields(_class(cls))}
+        module = importlib.import_module(cls.module.path)
+        known = {of.name: of for of in fields(getattr(module, cls.name))}
         lines = []
         for name, attribute in cls.attributes.items():
             if name.startswith("_"):
                 continue
             if name in known:
                 of = known[name]
-                words = _help(of), described.get(name) or _comment(attribute), _default(of)
+                info = option_info(of)
+                words = info and info.help, described.get(name), _default(of)
                 lines.append(f"    {name}: {' '.join(filter(None, words))}")
             elif "property" in attribute.labels and attribute.docstring is not None:
                 lines.append(f"    {name}: {' '.join(attribute.docstring.value.split())}")
@@ -67,37 +66,12 @@ class Attributes(griffe.Extension):
             obj.docstring.value = _DOCTEST.sub(_as_code, obj.docstring.value)
 
 
-def _class(cls: griffe.Class) -> Any:
-    """The class itself."""
-    return getattr(importlib.import_module(cls.module.path), cls.name)
-
-
-def _help(of: Field[Any]) -> str:
-    """The help text of a field that is an option of the commands."""
-    info = option_info(of)
-    return "" if info is None else info.help
-
-
 def _default(of: Field[Any]) -> str:
     if of.default is not MISSING:
         return f"(default `{of.default!r}`)"
     if of.default_factory is not MISSING:
         return f"(default `{of.default_factory.__name__}()`)"
     return ""
-
-
-def _comment(attribute: griffe.Attribute) -> str:
-    """The comment lines above a field, then the comment behind it."""
-    assert attribute.lineno is not None and attribute.endlineno is not None
-    lines = attribute.lines_collection[attribute.filepath]  # type: ignore[index]
-    comment: list[str] = []
-    row = attribute.lineno - 2
-    while row >= 0 and (above := _ABOVE.match(lines[row])):
-        comment.insert(0, above[1])
-        row -= 1
-    if behind := _BEHIND.search(lines[attribute.endlineno - 1]):
-        comment.append(behind[1])
-    return " ".join(comment)
 
 
 def _as_code(lines: re.Match[str]) -> str:

@@ -16,13 +16,8 @@ def on_page_content(content: str, *, page: Any, **_: Any) -> str:
     """The page with the texts in the place of those that are missing, in order."""
     path = Path(page.file.abs_src_path)
     if path.suffix == ".ipynb":
-        for text in texts(json.loads(path.read_text(encoding="utf-8"))):
-            content = content.replace(_NONE, f'alt="{html.escape(text)}"', 1)
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        for output in (output for cell in cells for output in cell.get("outputs", [])):
+            if picture := output.get("metadata", {}).get("image/jpeg"):
+                content = content.replace(_NONE, f'alt="{html.escape(picture["alt"])}"', 1)
     return content
-
-
-def texts(notebook: dict[str, Any]) -> list[str]:
-    """The texts of the figures that the cells of a notebook show."""
-    outputs = [output for cell in notebook["cells"] for output in cell.get("outputs", [])]
-    pictures = [output for output in outputs if "image/jpeg" in output.get("data", {})]
-    return [output["metadata"]["image/jpeg"]["alt"] for output in pictures]

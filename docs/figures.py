@@ -3,9 +3,8 @@
     make figures
 
 A line `<!-- output of: dgc-pose COMMAND -->` stands above each block of such output, in README.md
-and docs/*.md; a block that is out of date is replaced. docs/demo.png is drawn anew, and carries the
-text of its pose, by which tests/test_docs.py sees whether it is the picture of what the tool prints
-today.
+and docs/*.md; a block that is out of date is replaced, as tests/test_docs.py demands. docs/demo.png
+is drawn anew.
 """
 
 import re
@@ -17,7 +16,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -48,7 +46,13 @@ def quoted(text: str) -> Iterator[tuple[str, str]]:
 def renewed(text: str, run: Callable[[str], str]) -> str:
     """A page with each block of output that does not agree replaced by what `run` prints of its
     command."""
-    return _BLOCK.sub(lambda b: b[1] + _newer(b[3], run(b[2])) + b[4], text)
+
+    def renew(block: re.Match[str]) -> str:
+        start, command, old, end = block.groups()
+        new = run(command)
+        return start + (old if agree(old, new) else new) + end  # not for times and last digits
+
+    return _BLOCK.sub(renew, text)
 
 
 def agree(left: str, right: str) -> bool:
@@ -66,33 +70,18 @@ def agree(left: str, right: str) -> bool:
     return True
 
 
-def _newer(old: str, new: str) -> str:
-    """The old output while it agrees, so that times and last digits alone change no file."""
-    return old if agree(old, new) else new
-
-
 def _words(text: str) -> str:
     return re.sub(r" *#", " #", _NUMBER.sub("#", text))
-
-
-def picture_text(path: Path) -> str:
-    """The output that a picture carries."""
-    with Image.open(path) as picture:
-        return str(picture.info["Comment"])
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder, "demo.png")
         outputs = {DEMO: output(f"{DEMO} --plot {drawn}")}
-        text = PngInfo()
-        old = picture_text(PICTURE) if PICTURE.exists() else ""
-        text.add_text("Comment", _newer(old, outputs[DEMO]))
         with Image.open(drawn) as picture:
-            colours = picture.convert("RGB").quantize(
-                PALETTE, Image.Quantize.FASTOCTREE
-            )  # keeps the colours of lines
-        colours.save(PICTURE, optimize=True, pnginfo=text)
+            # FASTOCTREE keeps the colours of lines.
+            colours = picture.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
+        colours.save(PICTURE, optimize=True)
 
     def run(command: str) -> str:
         if command not in outputs:

@@ -5,7 +5,6 @@ import json
 import secrets
 import threading
 from collections.abc import AsyncIterator, Mapping, Sequence
-from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
-from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest, lens_note
+from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest
 from dgc_pose.serve.decoder import preview
 from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.guard import Guard
@@ -81,9 +80,7 @@ class Server:
 
     async def _page(self, request: Request) -> Response:
         text = (_STATIC / _PAGE).read_text(encoding="utf-8")
-        values = {"token": self._token, "version": version(), "lenses": escape(lens_note())}
-        for key, value in values.items():
-            text = text.replace(f"{{{{{key}}}}}", value)
+        text = text.replace("{{token}}", self._token).replace("{{version}}", version())
         return Response(text, media_type="text/html")
 
     async def _file(self, request: Request) -> Response:
@@ -94,15 +91,31 @@ class Server:
 
     async def _image(self, request: Request) -> Response:
         """An image, the body as it is; answers with its identifier, its size and a picture."""
+        options = self.options
+        most, seconds = options.max_megabytes, options.upload_seconds
+        too_large = (
+            f"the file is too large: at most {most:g} MB are taken "
+            "(--max-megabytes of dgc-pose serve)"
+        )
         if self._uploads.locked():
             raise Unavailable("too many images are being sent: try again in a moment")
+        try:
+            async with self._uploads:
+                with anyio.fail_after(seconds):
+                    content = await _body(request, int(most * 1e6), too_large)
+        except TimeoutError:
+            text = f"the file did not arrive within {seconds:g} seconds"
+            raise HTTPException(408, text) from None
         name = request.query_params.get("name", "")
         name = "".join(letter for letter in name if letter.isprintable())[:_MAX_NAME] or "image"
         path = self._store.folder / secrets.token_hex(16)
         try:
-            async with self._uploads:
-                await self._receive(request, path)
+            path.write_bytes(content)
             return JSONResponse(await self._described(path, name))
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            text = f"the server's temporary folder: {error.strerror}"
+            raise HTTPException(507, text) from None
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -159,24 +172,6 @@ class Server:
             gone.set()
             task.cancel()
 
-    async def _receive(self, request: Request, path: Path) -> None:
-        """The body into a new file. Raises HTTPException."""
-        options = self.options
-        too_large = (
-            f"the file is too large: at most {options.max_megabytes:g} MB are taken "
-            "(--max-megabytes of dgc-pose serve)"
-        )
-        try:
-            with anyio.fail_after(options.upload_seconds), path.open("xb") as file:
-                async for part in _body(request, int(options.max_megabytes * 1e6), too_large):
-                    file.write(part)
-        except TimeoutError:
-            seconds = f"{options.upload_seconds:g} seconds"
-            raise HTTPException(408, f"the file did not arrive within {seconds}") from None
-        except OSError as error:
-            text = f"the server's temporary folder: {error.strerror}"
-            raise HTTPException(507, text) from None
-
     async def _described(self, path: Path, name: str) -> dict[str, Any]:
         """The image, once it is decoded and kept, as the page is told of it."""
         most, seconds = int(self.options.max_megapixels * 1e6), self.options.decode_seconds
@@ -189,24 +184,24 @@ async def _refused(request: Request, error: Exception) -> Response:
     return PlainTextResponse(str(error), getattr(error, "status", 400))
 
 
-async def _body(request: Request, most: int, too_large: str) -> AsyncIterator[bytes]:
-    """The parts of a body of at most so many bytes. Raises HTTPException for a larger body, before
-    the first part if the length is announced."""
-    received = 0
+async def _body(request: Request, most: int, too_large: str) -> bytes:
+    """A body of at most so many bytes. Raises HTTPException for a larger one, before it is read if
+    its length is announced."""
+    received = bytearray()
     if int(request.headers.get("content-length", 0)) > most:
         raise HTTPException(413, too_large)
     async for part in request.stream():
-        received += len(part)
-        if received > most:
+        received += part
+        if len(received) > most:
             raise HTTPException(413, too_large)
-        yield part
+    return bytes(received)
 
 
 async def _json(request: Request) -> Mapping[str, Any]:
     """The object that a request holds. Raises InputError for anything else."""
-    body = [part async for part in _body(request, _MAX_JSON, "the request is too long")]
+    body = await _body(request, _MAX_JSON, "the request is too long")
     try:
-        data = json.loads(b"".join(body))
+        data = json.loads(body)
     except (ValueError, RecursionError):
         raise InputError("the request is not JSON") from None
     if not isinstance(data, dict):

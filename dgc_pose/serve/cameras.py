@@ -15,7 +15,7 @@ import numpy as np
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError, is_installed
+from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.image import Image
 
@@ -98,13 +98,6 @@ class CameraRequest:
             except InputError as error:
                 raise InputError(as_named(str(error))) from None
         return renamed(camera1), renamed(camera2)
-
-
-def lens_note() -> str:
-    """What the page says of cameras with lens distortion, if they cannot be used; else nothing."""
-    if is_installed("pycolmap"):
-        return ""
-    return "A camera with lens distortion needs pycolmap, which is not installed: pip install ."
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:

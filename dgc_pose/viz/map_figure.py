@@ -30,7 +30,14 @@ def plot_maps(pictures: Sequence[MapPicture]) -> Figure:
     """A row a pair: source, target, the source warped by the map, and the error, grey if it is not
     finite."""
     colours = ScalarMappable(Normalize(0, ERROR_LIMIT), "magma")
-    figure, rows = panel_rows([_panels(picture) for picture in pictures])
+    panels = []
+    for picture in pictures:
+        images = (picture.image1, picture.image2)
+        aspect1, aspect2 = (image.shape[1] / image.shape[0] for image in images)
+        titles = ("target", "source, warped", "error")
+        others = [Panel(aspect2, title, bar=title == "error") for title in titles]
+        panels.append([Panel(aspect1, picture.title), *others])
+    figure, rows = panel_rows(panels)
     for (source, target, warped, error), picture in zip(rows, pictures, strict=True):
         height, width = picture.image2.shape[:2]
         draw_image(source, picture.image1)
@@ -42,14 +49,3 @@ def plot_maps(pictures: Sequence[MapPicture]) -> Figure:
         draw_image(error, (255 * shades).round().astype(np.uint8))
         draw_colour_bar(error, colours, "px")
     return figure
-
-
-def _panels(picture: MapPicture) -> list[Panel]:
-    images = (picture.image1, picture.image2)
-    aspect1, aspect2 = (image.shape[1] / image.shape[0] for image in images)
-    return [
-        Panel(aspect1, picture.title),
-        Panel(aspect2, "target"),
-        Panel(aspect2, "source, warped"),
-        Panel(aspect2, "error", bar=True),
-    ]

@@ -3,7 +3,6 @@ import base64
 import io
 import json
 import shlex
-import sys
 import tempfile
 import threading
 from pathlib import Path
@@ -21,10 +20,8 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 import dgc_pose
-from dgc_pose.images.image import load_image
 from dgc_pose.serve import app
 from dgc_pose.serve.app import Server
-from dgc_pose.serve.cameras import CameraRequest
 from dgc_pose.serve.guard import TOKEN_HEADER, local_hosts
 from dgc_pose.serve.options import ServeOptions
 
@@ -350,23 +347,6 @@ def test_the_example_is_the_pair_that_was_given(client, pictures):
     result = poses(client, first, second, {"kind": "k", "k1": example["k"][0]})["result"]
     assert result["pose"]["success"] is True
     assert str(Path(pictures[0]).parent) not in json.dumps(result)
-
-
-def test_cameras_without_a_lens_need_no_pycolmap(client, pictures, monkeypatch):
-    lacking = "pycolmap, which is not installed"
-    assert lacking not in client.get(f"/?token={TOKEN}").text
-    monkeypatch.setitem(sys.modules, "pycolmap", None)
-    monkeypatch.delitem(sys.modules, "dgc_pose.system.colmap_library", raising=False)
-    assert client.get(f"/?token={TOKEN}").text.count(lacking) == 2  # for numbers and for files
-    image1, image2 = map(load_image, pictures)
-    for request in (
-        {"kind": "auto"},
-        {"kind": "fov", "fov": 56},
-        {"kind": "k", "k1": dense_scene.K_TEXT, "k2": "PINHOLE,320,240,300,300,160,120"},
-        {"kind": "file", "name": "K.txt", "content": in_base64(K_FILE)},
-    ):
-        camera1, _ = CameraRequest.of(request).resolve(image1, image2)
-        assert camera1.distortion is None
 
 
 # Clients that wait, and others
