@@ -19,11 +19,10 @@ from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest
-from dgc_pose.serve.decoder import preview
 from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.guard import Guard
+from dgc_pose.serve.images import ImageStore, StoredImage, preview
 from dgc_pose.serve.options import ServeOptions
-from dgc_pose.serve.store import ImageStore, StoredImage
 from dgc_pose.serve.worker import Unavailable, Worker
 from dgc_pose.version import version
 

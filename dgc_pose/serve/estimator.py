@@ -15,8 +15,7 @@ from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.pose import match_and_estimate
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
-from dgc_pose.serve.decoder import picture_url, shrunk
-from dgc_pose.serve.store import StoredImage
+from dgc_pose.serve.images import StoredImage, picture_url, shrunk
 from dgc_pose.trace import Trace
 
 SHOWN_MATCHES = 3000  # more would slow the page down

@@ -15,7 +15,7 @@ from dgc_pose import trace_relative_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.serve.cameras import CameraRequest
 from dgc_pose.serve.estimator import _map
-from dgc_pose.serve.store import StoredImage
+from dgc_pose.serve.images import StoredImage
 
 
 @pytest.fixture(scope="module")

@@ -70,19 +70,12 @@ def test_alternatives_and_the_probability_are_shown_if_there_are_any(example):
     assert second == first + ", probability 13 %"
 
 
-@pytest.fixture
-def ambiguous(page):
-    """The page with an answer of two poses."""
+def test_both_poses_of_an_ambiguous_pair_are_shown(page):
     pose = pose_data(ambiguous_pose())
     changes = {"pose": pose, "reason": pose["warnings"][0], "F": None}
     page.evaluate(CHANGED % json.dumps(changes))
     page.click("#example")
     page.wait(DONE)
-    return page
-
-
-def test_both_poses_of_an_ambiguous_pair_are_shown(ambiguous):
-    page = ambiguous
     assert page.text("#verdict") == "Two poses explain these photographs"
     assert "do not show which of them is right" in page.text("#reason")
     tables = "[...document.querySelectorAll('#poses %s')].map((part) => part.innerText)"
@@ -100,13 +93,11 @@ def test_both_poses_of_an_ambiguous_pair_are_shown(ambiguous):
     facts = page.text("#numbers")
     assert "probability" not in facts and "K1" not in facts and "angle" not in facts
     assert page.text("#pointed") == "There is no pose, so there are no epipolar lines."
-
-
-def test_the_next_pose_takes_the_place_of_two(ambiguous):
-    ambiguous.evaluate("window.fetch = asked_of_the_server")
-    ambiguous.click("#estimate")
-    ambiguous.wait("document.querySelector('#verdict').textContent === 'A pose'")
-    assert ambiguous.evaluate("document.querySelectorAll('#poses table').length") == 2
+    # The next pose takes the place of both.
+    page.evaluate("window.fetch = asked_of_the_server")
+    page.click("#estimate")
+    page.wait("document.querySelector('#verdict').textContent === 'A pose'")
+    assert page.evaluate("document.querySelectorAll('#poses table').length") == 2
 
 
 def test_the_pointer_brings_epipolar_lines(example):
@@ -247,28 +238,20 @@ def test_images_that_the_server_has_dropped_are_sent_again(map_page, tmp_path, s
         assert len(page.errors) == 1 and "410" in page.errors.pop()  # which the browser notes
 
 
-def test_no_pose_looks_unlike_a_pose(page, tmp_path):
-    look = (
-        "(() => { const banner = document.querySelector('#banner');"
-        "const style = getComputedStyle(banner);"
-        "return [style.backgroundColor, style.borderLeftStyle,"
-        " banner.querySelector('use').getAttribute('href')]; })()"
-    )
+def test_without_a_pose_nothing_that_a_pose_alone_has_is_shown(page, tmp_path):
     for name, seed in (("one.png", 1), ("two.png", 2)):
         cv2.imwrite(str(tmp_path / name), dense_scene.pictures(seed)[0])
     page.choose("#file1", tmp_path / "one.png", tmp_path / "two.png")
     page.wait(DONE)
     assert page.text("#verdict") == "No pose"
     assert page.text("#reason").endswith(").")  # why, and the status
-    without = page.evaluate(look)
     shown = (
         "[...document.querySelectorAll('#result [data-posed], #result canvas')]"
         ".filter((part) => part.offsetParent).map((part) => part.id)"
     )
-    assert page.evaluate(shown) == ["view"]  # nothing that a pose alone has
+    assert page.evaluate(shown) == ["view"]
     page.click("#example")
     page.wait("document.querySelector('#verdict').textContent === 'A pose'")
-    assert all(a != b for a, b in zip(page.evaluate(look), without, strict=True))
     assert {"view", "scene", "histogram"} <= set(page.evaluate(shown))
 
 

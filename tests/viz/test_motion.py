@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.summary import columns
-from dgc_pose.errors import InputError
 from dgc_pose.viz import motion
 from dgc_pose.viz.motion import WORST, binned_medians, method_styles
 
@@ -61,11 +60,6 @@ def test_matches_of_no_pair_at_all_can_be_drawn(rows) -> None:
     none = [replace(row, epipolar_confident_px=np.inf, epipolar_all_px=np.inf) for row in rows]
     for figure in plot_histograms(none).values():
         figure.canvas.draw()
-
-
-def test_no_rows_are_refused() -> None:
-    with pytest.raises(InputError):
-        columns([])
 
 
 def test_a_method_and_its_unmasked_twin_share_a_colour() -> None:
