@@ -113,11 +113,11 @@ def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) 
     k1, k2 = cameras
     ks = f"K1={k1!r}" if k1 == k2 else f"K1={k1!r},\n    K2={k2!r}"
     return (
-        "from dgc_pose import load_matcher, trace_relative_pose\n\n"
-        f"trace = trace_relative_pose(\n"
+        "from dgc_pose import estimate_relative_pose, load_matcher\n\n"
+        f"pose = estimate_relative_pose(\n"
         f"    {names[0]!r},\n    {names[1]!r},\n    {ks},\n"
         f"    matcher=load_matcher({matcher}),\n)\n"
-        f"print(trace.pose.status, trace.pose.R, trace.pose.t)\n"
+        f"print(pose.status, pose.R, pose.t)\n"
     )
 
 

@@ -10,10 +10,9 @@ import numpy as np
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image
-from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
-from dgc_pose.pose import match_and_estimate
+from dgc_pose.pose import estimate_relative_pose
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.images import StoredImage, picture_url, shrunk
 from dgc_pose.trace import Trace
@@ -50,11 +49,8 @@ class Estimator:
         )
         cameras = request.resolve(image1, image2)
 
-        def matched(matches: Matches) -> None:
-            report(f"estimating the pose from {len(matches)} matches")
-
-        report("matching")
-        trace = match_and_estimate(image1, image2, *cameras, self.matcher, matched=matched)
+        report("matching and estimating the pose")
+        trace = estimate_relative_pose(image1, image2, *cameras, matcher=self.matcher, trace=True)
         report("drawing")
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]

@@ -11,7 +11,7 @@ import pytest
 import serve_parts
 from PIL import Image
 
-from dgc_pose import trace_relative_pose
+from dgc_pose import estimate_relative_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.serve.cameras import CameraRequest
 from dgc_pose.serve.estimator import _map
@@ -76,8 +76,8 @@ def test_the_map_is_sent_at_a_grid(result):
 
 
 def test_a_map_that_covers_nothing_is_no_picture():
-    trace = trace_relative_pose(
-        *dense_scene.pictures(), dense_scene.K, matcher=serve_parts.map_matcher()
+    trace = estimate_relative_pose(
+        *dense_scene.pictures(), dense_scene.K, matcher=serve_parts.map_matcher(), trace=True
     )
     dense_map = trace.correspondence_map
     blank = replace(dense_map, matchability=np.full_like(dense_map.matchability, 0.02))
