@@ -10,7 +10,8 @@ import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice
-from dgc_pose.batch.run import Batch, run_batch
+from dgc_pose.batch.result import Batch
+from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.posed_views import PosedViews

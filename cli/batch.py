@@ -24,8 +24,8 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
+    from dgc_pose.batch.result import Batch
     from dgc_pose.batch.rows import PairRow
-    from dgc_pose.batch.run import Batch
 
 CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
@@ -161,9 +161,9 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
 def _echo_files(batch: Batch) -> None:
     """Print the files of a batch, and what can be done with them."""
     from dgc_pose.batch.pooling import CAMERAS
-    from dgc_pose.batch.store import MATCHES, rows_path
+    from dgc_pose.batch.result import MATCHES, PAIRS
 
-    click.echo(f"{rows_path(batch.folder, batch.plan)}: status, R, t and errors of each pair")
+    click.echo(f"{batch.folder / PAIRS}: status, R, t and errors of each pair")
     click.echo(f"{batch.folder / MATCHES}: the matches, in hloc's layout")
     if batch.plan.uncertain:
         click.echo(f"{batch.folder / CAMERAS}: the cameras, which --K reads")
@@ -192,7 +192,7 @@ def batch(
     SOURCE is a folder of photographs, a list of pairs (two names a line, SuperGlue's lines, or a
     .csv), or a COLMAP database (.db).
 
-    Writes pairs.jsonl (or .parquet), a row for each pair: status, R, t, expected errors, counts;
+    Writes pairs.jsonl, a row for each pair: status, R, t, expected errors, counts;
     matches.h5, the matches in hloc's layout; and summary.json. With --K auto also cameras.csv, the
     cameras that all pairs together tell, which --K reads. A bad image is reported and does
     not stop the batch. A batch that was stopped continues with --resume. Exits with 3 if no pair

@@ -53,7 +53,7 @@ def export_colmap(
     out. The key points have COLMAP's half-pixel offset.
     """
     from dgc_pose.adapters.hloc import write_hloc
-    from dgc_pose.batch.run import read_batch
+    from dgc_pose.batch.result import read_batch
     from dgc_pose.colmap.export import share, write_shared
 
     if database is None and hloc is None:

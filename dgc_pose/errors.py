@@ -33,7 +33,6 @@ EXTRAS = {
         **{name: name for name in ("h5py", "jinja2", "matplotlib", "pycolmap")},
         "mpl_toolkits": "matplotlib",
     },
-    "batch": {"pyarrow": "pyarrow"},
     "fit": {"scipy": "scipy", "sklearn": "scikit-learn"},
     "heic": {"pillow_heif": "pillow-heif"},
     "ray": {"ray": "ray"},

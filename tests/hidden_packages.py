@@ -18,7 +18,7 @@ class Finder(PathFinder):
 
 sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
 """
-EXTRAS = ("torch", "scipy", "sklearn", "ray", "pyarrow", "starlette", "uvicorn", "pillow_heif")
+EXTRAS = ("torch", "scipy", "sklearn", "ray", "starlette", "uvicorn", "pillow_heif")
 
 
 def without(folder: Path, *packages: str) -> dict[str, str]:

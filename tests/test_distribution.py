@@ -108,8 +108,8 @@ def test_the_wheels_metadata_are_those_of_the_package(release: Release) -> None:
     needed = [Requirement(line) for line in metadata.get_all("Requires-Dist")]
     base = {requirement.name for requirement in needed if requirement.marker is None}
     assert {"onnxruntime", "pycolmap", "matplotlib"} <= base
-    assert not base & {"torch", "scipy", "starlette", "uvicorn", "ray", "pyarrow"}
-    extras = {"torch", "serve", "batch", "heic", "ray", "fit", "notebook", "all"}
+    assert not base & {"torch", "scipy", "starlette", "uvicorn", "ray"}
+    extras = {"torch", "serve", "heic", "ray", "fit", "notebook", "all"}
     assert extras <= set(metadata.get_all("Provides-Extra"))
     pythons = {f"Programming Language :: Python :: {number}" for number in PYTHONS}
     assert pythons <= set(metadata.get_all("Classifier"))

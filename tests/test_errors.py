@@ -41,10 +41,9 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
         (
             (
                 *("batch", "{}", *_K, "--pairs", "exhaustive", "--out", "x"),
-                *("--engine", "ray", "--format", "parquet"),
+                *("--engine", "ray"),
             ),
-            "--engine ray needs ray, --format parquet needs pyarrow, which are not installed: "
-            "pip install '.[batch,ray]'",
+            "--engine ray needs ray, which is not installed: pip install '.[ray]'",
         ),
         (
             ("fit-probability", "--data", ".", "--out", "x", "--plan", "{}/plan.json"),

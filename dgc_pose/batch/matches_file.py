@@ -8,6 +8,7 @@ camera, there is a group `again` with what that needs besides: the attributes `e
 `keypoints0`, `keypoints1`, `scores`, and the attribute `map_error_px`.
 """
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -118,6 +119,20 @@ def new_file(path: Path) -> Iterator[Any]:
         path.write_bytes(image)
 
 
+def pack(matches: PairMatches) -> bytes:
+    """The matches of a pair as an HDF5 file of their own."""
+    with h5py.File("pair", "w", driver="core", backing_store=False) as file:
+        write_matches(file.create_group("pair"), matches)
+        file.flush()
+        return bytes(file.id.get_file_image())
+
+
+def unpack(data: bytes, where: str) -> PairMatches:
+    """The matches that were packed. Raises InputError, with `where`, if they are not whole."""
+    with read_as("matches", where), h5py.File(io.BytesIO(data), "r") as file:
+        return _read_group(file, "pair", where)
+
+
 @contextmanager
 def open_matches(path: Path) -> Iterator[Any]:
     """An HDF5 file to read. Raises InputError, with the path, if it is cut short or of another
@@ -135,7 +150,10 @@ def read_matches(file: Any, name: str) -> PairMatches:
 
     Links to other files and places are not followed: they could lead anywhere.
     """
-    where = f"{file.filename}: {name}"
+    return _read_group(file, name, f"{file.filename}: {name}")
+
+
+def _read_group(file: Any, name: str, where: str) -> PairMatches:
     try:
         group = file
         for part in name.split("/"):

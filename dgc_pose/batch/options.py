@@ -8,14 +8,13 @@ from typing import Literal
 from dgc_pose.system.options import check_options, option
 from dgc_pose.system.threads import usable_cpus
 
-RowFormat = Literal["jsonl", "parquet"]
 _GIB = 2**30
 _WORKER_GIB = 0.375
 
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """How a batch is worked through; none of it changes the result, except `format`."""
+    """How a batch is worked through; none of it changes the result."""
 
     workers: int | None = option(
         None,
@@ -37,12 +36,6 @@ class BatchOptions:
         "local: this machine; ray: actors of a Ray cluster (extra ray).",
         metavar="NAME",
         section="advanced",
-    )
-    format: RowFormat = option(
-        "jsonl",
-        "Table of poses: jsonl, or parquet (extra batch).",
-        metavar="NAME",
-        section="output",
     )
     resume: bool = option(False, "Continue the batch in --out, if there is one.")
 

@@ -4,12 +4,11 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from dgc_pose.batch.matches_file import group_name
-from dgc_pose.batch.options import RowFormat
 from dgc_pose.batch.source import PLAN, FileState
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
@@ -95,8 +94,6 @@ def read_plan(out: Path) -> Plan:
     try:
         if data["version"] != _VERSION:
             raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
-        if data["settings"]["format"] not in get_args(RowFormat):
-            raise ValueError("a format of rows that is none")
         cameras, pooled, bad, states = (
             {image["name"]: image[key] for image in data["images"] if image[key] is not None}
             for key in ("camera", "pooled", "bad", "state")

@@ -1,25 +1,23 @@
-"""One row a pair: what a batch says of it, as a JSON line or a row of a Parquet table."""
+"""One row a pair: what a batch says of it, as a line of JSON."""
 
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dgc_pose.errors import InputError, require
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files.inputs import open_regular, read_as
 from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
-from dgc_pose.system.options import check_options, field_types
+from dgc_pose.system.options import check_options
 
 # Statuses of pairs that were not matched: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
-_PER_WRITE = 4096  # rows of a Parquet table held in memory
 
 
 @dataclass(frozen=True)
@@ -99,10 +97,9 @@ def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairR
 
 
 def parse_row(data: Any, where: str) -> PairRow:
-    """A row of JSON; one of an earlier version has no alternatives. Raises InputError, with
-    `where`, if it is none."""
+    """A row of JSON. Raises InputError, with `where`, if it is none."""
     try:
-        row: PairRow = _parsed(PairRow, {"alternatives": [], **data})
+        row: PairRow = _parsed(PairRow, data)
         others = tuple(_parsed(AlternativeRow, other) for other in row.alternatives)
         row = replace(row, alternatives=others)
         for pose in (row, *others):
@@ -123,52 +120,15 @@ def _parsed(kind: Any, data: Any) -> Any:
     return kind(**{name: tuple(v) if isinstance(v, list) else v for name, v in values})
 
 
-def write_jsonl(path: Path, rows: Iterable[PairRow]) -> None:
+def write_rows(path: Path, rows: Iterable[PairRow]) -> None:
     """Rows as JSON Lines, strict JSON."""
-    lines = (json.dumps(asdict(row), allow_nan=False) + "\n" for row in rows)
-    with path.open("w", encoding="utf-8") as stream:
-        for line in lines:
-            with writing(path):
-                stream.write(line)
-
-
-def write_parquet(path: Path, rows: Iterable[PairRow]) -> None:
-    """Rows as a Parquet table. Raises InputError without pyarrow."""
-    arrow, parquet = import_pyarrow()
-    kinds = {
-        str: arrow.string(),
-        bool: arrow.bool_(),
-        int: arrow.int64(),
-        float: arrow.float64(),
-        tuple[float, ...]: arrow.list_(arrow.float64()),
-        tuple[str, ...]: arrow.list_(arrow.string()),
-    }
-
-    def columns(rows: Any) -> list[tuple[str, Any]]:
-        return [(name, kinds[kind]) for name, (kind, _) in field_types(rows).items()]
-
-    kinds[tuple[AlternativeRow, ...]] = arrow.list_(arrow.struct(columns(AlternativeRow)))
-    schema = arrow.schema(columns(PairRow))
-    data = map(asdict, rows)
-    with parquet.ParquetWriter(path, schema) as writer:
-        while some := list(islice(data, _PER_WRITE)):
-            writer.write_table(arrow.Table.from_pylist(some, schema))
+    with writing(path), path.open("w", encoding="utf-8") as stream:
+        stream.writelines(json.dumps(asdict(row), allow_nan=False) + "\n" for row in rows)
 
 
 def read_rows(path: Path) -> Iterator[PairRow]:
-    """The rows of a file that `write_jsonl` or `write_parquet` wrote.
-
-    Raises InputError, with the path, if it is cut short or none of these.
-    """
-    if path.suffix == ".parquet":
-        arrow, parquet = import_pyarrow()
-        try:
-            for batch in parquet.ParquetFile(path).iter_batches():
-                for data in batch.to_pylist():
-                    yield parse_row(data, str(path))
-        except (arrow.ArrowException, OSError) as error:
-            raise InputError(f"{path}: not a whole Parquet file ({error})") from None
-        return
+    """The rows of a file that `write_rows` wrote. Raises InputError, with the path, if it is cut
+    short or none of these."""
     with read_as("a table of poses", path), open_regular(path) as stream:
         for number, line in enumerate(stream, start=1):
             try:
@@ -176,15 +136,6 @@ def read_rows(path: Path) -> Iterator[PairRow]:
             except (ValueError, RecursionError):
                 raise InputError(f"{path}:{number}: not a whole line of JSON") from None
             yield parse_row(data, f"{path}:{number}")
-
-
-def import_pyarrow() -> tuple[Any, Any]:
-    """The modules pyarrow and pyarrow.parquet. Raises InputError without pyarrow."""
-    require({"Parquet": "batch"})
-    import pyarrow
-    import pyarrow.parquet
-
-    return pyarrow, pyarrow.parquet
 
 
 def _numbers(array: np.ndarray) -> tuple[float, ...]:

@@ -72,6 +72,11 @@ def _reverse_cuthill_mckee(pairs: np.ndarray, count: int) -> list[int]:
     return order[::-1]
 
 
+def block_size(pairs: int, workers: int) -> int:
+    """Pairs of a block: fewer in a small batch, so that all workers have something to do."""
+    return min(BLOCK, max(1, pairs // (4 * workers)))
+
+
 def blocks_of(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
     """Runs of at most `size` successive items."""
     return [items[i : i + size] for i in range(0, len(items), size)]

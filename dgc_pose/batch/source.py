@@ -12,7 +12,7 @@ from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.images.folder import search_images
+from dgc_pose.images.folder import left_out_line, search_images
 from dgc_pose.images.image import image_header
 
 PLAN = "plan.json"  # in the folder of a batch
@@ -44,8 +44,7 @@ def open_source(path: Path, root: Path | None = None) -> Source:
     if path.is_dir():
         if root is not None:
             raise InputError(f"--root is for a list or a database, and {path} is a folder")
-        content = search_images(path, _why_results)
-        source = Source(path, content.names, None, {}, content.left_out)
+        source = _of_folder(path)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")
     else:
@@ -67,10 +66,23 @@ def open_source(path: Path, root: Path | None = None) -> Source:
     return source
 
 
-def _why_results(path: Path) -> str | None:
-    """Why this is no photograph and no folder of them, but results; None if it is not."""
-    batch = path.parent / BATCH if path.name == PICTURE else path
-    return f"results, told by their {PLAN}" if os.path.isfile(batch / PLAN) else None
+def _of_folder(root: Path) -> Source:
+    """The photographs below a folder, without the results of `batch` and `reconstruct`."""
+
+    def is_result(name: str) -> bool:
+        path = root / name
+        folders = list(path.parents)[: name.count("/")]
+        if path.name == PICTURE:
+            folders.append(path.with_name(BATCH))
+        return any(os.path.isfile(folder / PLAN) for folder in folders)
+
+    content = search_images(root)
+    results = [name for name in content.names if is_result(name)]
+    names = tuple(name for name in content.names if name not in {*results})
+    left_out = content.left_out
+    if results:
+        left_out += (left_out_line("file", results, f"results, told by their {PLAN}"),)
+    return Source(root, names, None, {}, left_out)
 
 
 def survey(
@@ -78,8 +90,9 @@ def survey(
 ) -> tuple[dict[str, Camera], dict[str, str], dict[str, FileState]]:
     """By image name: cameras with the sizes in the headers; the reasons of images that cannot be
     used; and the states of the files, absent for a file that cannot be asked.
-    Raises InputError if an image has no
-    camera or one for another size, or if one K without a size is given for images of several.
+
+    Raises InputError if an image has no camera or one for another size, or if one K without a size
+    is given for images of several.
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}

@@ -1,8 +1,7 @@
 """What a worker does: it holds a matcher and images, and matches blocks of pairs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -51,17 +50,6 @@ class Match:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """A task: the poses of pairs that are matched, with other cameras than before."""
-
-    indices: tuple[int, ...]  # of the pairs in the batch
-    rows: tuple[PairRow, ...]  # as they are; a pair that cannot be estimated again keeps its own
-    matches: tuple[PairMatches, ...]
-    cameras: Mapping[str, Camera]  # of their images, by name
-    fit_cameras: bool  # whether each pair fits them anew, also those that are told already
-
-
-@dataclass(frozen=True, eq=False)
 class Described:
     """The coarsest features of images."""
 
@@ -71,12 +59,21 @@ class Described:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """The rows and matches of a block, in the task's order."""
+    """The rows and matches of a block of pairs, in the task's order."""
 
     indices: tuple[int, ...]
-    rows: list[PairRow]
-    matches: list[PairMatches]
-    bad: dict[str, str]  # of images that could not be read: the reason by name
+    rows: Sequence[PairRow]
+    matches: Sequence[PairMatches]
+    bad: Mapping[str, str]  # of images that could not be read: the reason by name
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A task: the poses of pairs that are matched, with other cameras than before."""
+
+    block: Matched  # a pair that cannot be estimated again keeps its row
+    cameras: Mapping[str, Camera]  # of their images, by name
+    fit_cameras: bool  # whether each pair fits them anew, also those that are told already
 
 
 Task = Describe | Match | Estimate
@@ -120,7 +117,7 @@ class Worker:
     def _match(self, task: Match) -> Matched:
         bad: dict[str, str] = {}
         rows, matches = zip(*(self._pair(names, bad) for names in task.pairs), strict=True)
-        return Matched(task.indices, list(rows), list(matches), bad)
+        return Matched(task.indices, rows, matches, bad)
 
     def _pair(self, names: tuple[str, str], bad: dict[str, str]) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair; the reasons of bad images are added to `bad`."""
@@ -148,17 +145,11 @@ class Worker:
             if stored.again is None:
                 return row, stored
             names = (row.name1, row.name2)
-            return self._estimated(
-                names,
-                stored,
-                task.cameras,
-                task.fit_cameras or any(task.cameras[n].focal_std > TOLD_STD for n in names),
-            )
+            fit = task.fit_cameras or any(task.cameras[n].focal_std > TOLD_STD for n in names)
+            return _attempt(names, lambda: self._estimated(names, stored, task.cameras, fit))
 
-        pairs = list(zip(task.rows, task.matches, strict=True))
-        done = [_attempt((row.name1, row.name2), partial(again, row, m)) for row, m in pairs]
-        rows, matches = zip(*done, strict=True)
-        return Matched(task.indices, list(rows), list(matches), {})
+        rows, matches = zip(*map(again, task.block.rows, task.block.matches), strict=True)
+        return Matched(task.block.indices, rows, matches, {})
 
     def _estimated(
         self,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.batch.run import Batch
+from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.export import Exported, share, write_shared
 from dgc_pose.colmap.mapping import map_database
 from dgc_pose.colmap.options import ReconstructionOptions

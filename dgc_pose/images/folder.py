@@ -1,7 +1,7 @@
 """The images below a folder, told by their content, and what is left out."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,20 +18,17 @@ class FolderImages:
     left_out: tuple[str, ...]  # a line for each reason: how many, the first of them, and the reason
 
 
-def search_images(
-    folder: str | Path, why_skip: Callable[[Path], str | None] = lambda _: None
-) -> FolderImages:
+def search_images(folder: str | Path) -> FolderImages:
     """The images below a folder, whatever their names end in.
 
-    Links are followed, hidden names are passed over, and no folder is searched twice. why_skip: why
-    a file or folder is left out; None to take it. Raises OSError, with the path, if the folder
-    cannot be read.
+    Links are followed, hidden names are passed over, and no folder is searched twice. Raises
+    OSError, with the path, if the folder cannot be read.
     """
     root = Path(folder)
     names: list[str] = []
     left_out: dict[tuple[str, str], list[str]] = {}
-    for path, failure in _walk(root, why_skip):
-        if isinstance(failure, OSError) and path == root:
+    for path, failure in _walk(root):
+        if failure is not None and path == root:
             raise failure
         name = path.relative_to(root).as_posix()
         why = _why_not(path, name) if failure is None else _system_words(failure)
@@ -40,17 +37,17 @@ def search_images(
         else:
             kind = "folder" if os.path.isdir(path) else "file"
             left_out.setdefault((kind, why), []).append(name)
-    lines = (
-        f"{len(paths)} {kind}{'s' * (len(paths) > 1)} left out (first: {min(paths)}): {why}"
-        for (kind, why), paths in left_out.items()
-    )
+    lines = (left_out_line(kind, paths, why) for (kind, why), paths in left_out.items())
     return FolderImages(tuple(sorted(names)), tuple(lines))
 
 
-def _walk(
-    root: Path, why_skip: Callable[[Path], str | None]
-) -> Iterator[tuple[Path, OSError | str | None]]:
-    """The files below a folder, and the folders that are not searched; why each is left out.
+def left_out_line(kind: str, names: Sequence[str], why: str) -> str:
+    """How many files or folders are left out, the first of them, and the reason."""
+    return f"{len(names)} {kind}{'s' * (len(names) > 1)} left out (first: {min(names)}): {why}"
+
+
+def _walk(root: Path) -> Iterator[tuple[Path, OSError | None]]:
+    """The files below a folder, and the folders that cannot be searched, with the failure.
 
     Links to folders come last, so that a file has the name of the folder that it lies in.
     """
@@ -68,8 +65,8 @@ def _walk(
             yield folder, failure
             continue
         for path in (folder / name for name in entries if not name.startswith(".")):
-            if (why := why_skip(path)) is not None or not os.path.isdir(path):
-                yield path, why
+            if not os.path.isdir(path):
+                yield path, None
             else:
                 (links if path.is_symlink() else folders).append(path)
 
@@ -94,5 +91,5 @@ def _why_not(path: Path, name: str) -> str | None:
     return None
 
 
-def _system_words(failure: OSError | str) -> str:
-    return getattr(failure, "strerror", None) or str(failure)
+def _system_words(failure: OSError) -> str:
+    return failure.strerror or str(failure)

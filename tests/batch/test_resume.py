@@ -1,6 +1,5 @@
 """A batch that is resumed: what must be the same, what is matched again, and what is kept."""
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -12,8 +11,8 @@ import PIL.Image
 import pytest
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
 
+from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.rows import read_rows
-from dgc_pose.batch.run import read_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -117,7 +116,6 @@ def test_a_photograph_that_was_half_copied_is_matched_when_it_is_whole(
     assert batch.summary["bad_images"] == {}
     assert batch.summary["matched_now"] < COUNT * (COUNT - 1) // 2 - begun
     assert_same_result(out, whole)
-    assert not (out / "parts").exists()
     again = run_sift(photos, out, resume=True, start_workers=killed_after(0))
     assert again.summary == batch.summary
 
@@ -130,25 +128,6 @@ def test_a_photograph_that_was_touched_gives_the_same(
     os.utime(photos / LAST, (10**9, 10**9))
     assert run_sift(photos, out, resume=True).summary["matched_now"] == COUNT - 1
     assert_same_result(out, whole)
-
-
-def test_a_batch_that_stored_no_alternatives_is_resumed(
-    photos: Path, whole: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    run_sift(photos, out)
-    rows = [json.loads(line) for line in (out / "pairs.jsonl").read_text().splitlines()]
-    for row in rows:
-        del row["alternatives"]
-    (out / "pairs.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
-    os.utime(photos / LAST, (10**9, 10**9))
-    resumed = run_sift(photos, out, resume=True)
-    assert resumed.summary["matched_now"] == COUNT - 1
-    expected = list(read_rows(whole / "pairs.jsonl"))
-    assert any(row.alternatives for row in expected if row.name2 != LAST)
-    assert resumed.rows == [
-        row if row.name2 == LAST else replace(row, alternatives=()) for row in expected
-    ]
 
 
 def _raising(error: Exception) -> Callable[..., object]:

@@ -1,8 +1,7 @@
-"""Rows of a batch, as JSON and as Parquet."""
+"""Rows of a batch, as JSON."""
 
 import json
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +11,7 @@ from dgc_pose.batch.rows import (
     BAD_INPUT,
     PairRow,
     parse_row,
-    read_rows,
     row_of,
-    write_jsonl,
-    write_parquet,
 )
 from dgc_pose.errors import InputError
 
@@ -36,20 +32,6 @@ def test_an_ambiguous_row_has_all_its_poses() -> None:
 @pytest.mark.parametrize("row", [ROW, AMBIGUOUS], ids=["bad", "ambiguous"])
 def test_a_row_comes_back(row: PairRow) -> None:
     assert parse_row(json.loads(json.dumps(asdict(row))), "rows") == row
-
-
-def test_rows_with_and_without_other_poses_come_back_from_both_formats(tmp_path: Path) -> None:
-    pytest.importorskip("pyarrow")
-    rows = [ROW, AMBIGUOUS, ROW]
-    for path, write in (("r.jsonl", write_jsonl), ("r.parquet", write_parquet)):
-        write(tmp_path / path, rows)
-        assert list(read_rows(tmp_path / path)) == rows
-
-
-def test_a_row_of_a_batch_that_stored_no_other_poses_is_read() -> None:
-    data = asdict(ROW)
-    del data["alternatives"]
-    assert parse_row(data, "rows") == ROW
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,11 @@ import numpy as np
 import pycolmap
 import pytest
 from ambiguous_pose import ambiguous_pose
-from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+from batch_runs import run_sift, view_folder
 from multi_view import K_text, View
 
 from dgc_pose.batch.matches_file import group_name
-from dgc_pose.batch.rows import read_rows
-from dgc_pose.batch.run import read_batch
+from dgc_pose.batch.result import read_batch
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
@@ -78,40 +77,6 @@ def test_matches_lie_in_hlocs_layout(whole: Path) -> None:
         assert matches.inliers.sum() == row.num_inliers
         assert matches.points1.dtype == np.float32
     assert group_name("a/b.jpg", "c.jpg") == "a-b.jpg/c.jpg"
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_killed_three_times_and_resumed_gives_the_same(
-    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path, workers: int
-) -> None:
-    out = tmp_path / "out"
-    for after in (1, 2, 0):
-        with pytest.raises(Killed):
-            run_sift(photos[0], out, start_workers=killed_after(after), resume=out.exists())
-    # What kills may leave: a part cut short, and one that was being written.
-    parts = sorted((out / "parts").iterdir())
-    assert len(parts) == 3
-    parts[0].write_bytes(parts[0].read_bytes()[:100])
-    (out / "parts" / "000000099.h5.part").write_bytes(b"x")
-    with pytest.raises(InputError, match="not finished"):
-        read_batch(out)
-    run_sift(photos[0], out, resume=True, workers=workers)
-    assert_same_result(whole, out)
-
-
-def test_parquet_holds_the_same_rows(
-    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
-) -> None:
-    pytest.importorskip("pyarrow")
-    from dgc_pose.batch.rows import write_parquet
-
-    rows = list(read_rows(whole / "pairs.jsonl"))
-    write_parquet(tmp_path / "pairs.parquet", rows)
-    assert list(read_rows(tmp_path / "pairs.parquet")) == rows
-    data = (tmp_path / "pairs.parquet").read_bytes()
-    (tmp_path / "pairs.parquet").write_bytes(data[:-10])
-    with pytest.raises(InputError, match="not a whole Parquet file"):
-        list(read_rows(tmp_path / "pairs.parquet"))
 
 
 def test_an_ambiguous_pair_is_counted_and_has_no_geometry(

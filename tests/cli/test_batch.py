@@ -14,7 +14,7 @@ from batch_runs import run_sift, view_folder
 from command_line import assert_refused, run
 from multi_view import SIZE, K, K_text
 
-from dgc_pose.batch.run import read_batch
+from dgc_pose.batch.result import read_batch
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.matching.sift import SiftMatcher
 

@@ -10,7 +10,7 @@ from batch_runs import view_folder
 from command_line import run
 from multi_view import K_text
 
-from dgc_pose.batch.run import read_batch
+from dgc_pose.batch.result import read_batch
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 LATIN_1 = os.fsdecode("h\xfctte".encode("latin-1"))  # no UTF-8

@@ -15,7 +15,7 @@ from batch_runs import run_sift, view_folder
 from command_line import assert_refused, run
 from multi_view import K, K_text, View
 
-from dgc_pose.batch.run import Batch, read_batch
+from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.options import (
     MapperName,

@@ -17,10 +17,10 @@ import torch
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.batch.matches_file import Again, PairMatches
-from dgc_pose.batch.plan import Plan, write_plan
+from dgc_pose.batch.plan import Plan, read_plan, write_plan
+from dgc_pose.batch.result import read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import BAD_INPUT, AlternativeRow, PairRow
-from dgc_pose.batch.run import read_batch
-from dgc_pose.batch.store import PartStore, read_part
+from dgc_pose.batch.store import MATCHED, PairStore
 from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
@@ -271,20 +271,15 @@ def _make_photos(folder: Path) -> None:
 
 def make_batch(folder: Path) -> None:
     """A finished batch: a pose of two images, and a pair with a bad image."""
-    store = _store(folder)
-    store.assemble()
-    store.close()
-    summary = {"images": 3, "bad_images": store.bad, "cameras": [], "pairs": 2, "poses": 1}
-    summary |= {"by_status": {"ok": 1, "bad_input": 1}, "matched_now": 2, "seconds": 0.5}
+    plan, store = make_unfinished_batch(folder)
+    write_pairs(folder, store)
+    store.remove()
+    summary = summary_of(plan, store.rows, store.bad, []) | {"matched_now": 2, "seconds": 0.5}
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
-def _make_parts(folder: Path) -> None:
-    _store(folder)
-
-
-def _store(folder: Path) -> PartStore:
-    """The parts of a batch that has matched all and is not assembled."""
+def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
+    """The pairs of a batch that has matched all and has no result."""
     names = ("a.png", "b.png", "c.png")
     K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
     cameras = {
@@ -292,18 +287,18 @@ def _store(folder: Path) -> PartStore:
         "b.png": Camera(K, (10, 8), Distortion("OPENCV", (0.1, 0.0, 0.0, 0.0))),
     }
     states = {name: (100, 10**18) for name in names}
-    settings = {"format": "jsonl", "runtime": "auto"}
+    settings = {"runtime": "auto"}
     indices = np.array([[0, 1], [1, 2]])
     plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
     write_plan(folder, plan)
-    store = PartStore(folder, plan)
+    store = PairStore(folder, MATCHED, plan)
     values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
     values |= {"alternatives": (AlternativeRow(values["R"], (0, 0, 1), 7, 0.25),)}
     values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
     good = PairRow(*names[:2], "ok", True, "a pose", **values)
     rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]
     store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {"c.png": "too small"}))
-    return store
+    return plan, store
 
 
 def _matches(count: int) -> PairMatches:
@@ -313,9 +308,9 @@ def _matches(count: int) -> PairMatches:
     return PairMatches(points, points + 1, scores, every, again)
 
 
-def _read_part(folder: Path, path: Path) -> None:
-    if path.parent != folder:
-        read_part(path, matches=True)
+def _read_store(folder: Path, path: Path) -> None:
+    if path.stem == MATCHED:
+        list(PairStore(folder, MATCHED, read_plan(folder)).blocks())
 
 
 def _make_collection(folder: Path) -> None:
@@ -387,7 +382,7 @@ READERS: dict[str, tuple[Make, Read]] = {
     "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
     "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
-    "batch parts": (_make_parts, _read_part),
+    "unfinished batches": (make_unfinished_batch, _read_store),
     "collections": (_make_collection, _read_collection),
     "requests": (_make_requests, _read_request),
 }
