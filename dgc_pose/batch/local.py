@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import cv2
@@ -73,21 +73,16 @@ def in_spans(
             yield outcome
 
 
-_jobs: list[Job] = []  # of this process, once it has been started
+_workers: list[Callable[[], Worker]] = []  # of this process, once it has been started
 
 
 def _start(job: Job) -> None:
-    _jobs.append(job)
+    """The worker is loaded by the first task, so that what this raises is the error of a task."""
+    _workers.append(cache(partial(core_worker, job)))
 
 
 def _do(task: Task) -> Outcome:
-    return _worker().do(task)
-
-
-@cache
-def _worker() -> Worker:
-    """Loaded by the first task, so that what this raises is the error of a task."""
-    return core_worker(_jobs[0])
+    return _workers[0]().do(task)
 
 
 def core_worker(job: Job) -> Worker:

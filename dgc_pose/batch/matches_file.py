@@ -130,7 +130,7 @@ def pack(matches: PairMatches) -> bytes:
 def unpack(data: bytes, where: str) -> PairMatches:
     """The matches that were packed. Raises InputError, with `where`, if they are not whole."""
     with read_as("matches", where), h5py.File(io.BytesIO(data), "r") as file:
-        return _read_group(file, "pair", where)
+        return read_matches(file, "pair", where)
 
 
 @contextmanager
@@ -144,16 +144,13 @@ def open_matches(path: Path) -> Iterator[Any]:
         yield file
 
 
-def read_matches(file: Any, name: str) -> PairMatches:
-    """The matches of the group `name` of an open file. Raises InputError, with the path, if there
-    are none, or if they are not whole.
+def read_matches(file: Any, name: str, where: str | None = None) -> PairMatches:
+    """The matches of the group `name` of an open file. Raises InputError, with the path or `where`,
+    if there are none, or if they are not whole.
 
     Links to other files and places are not followed: they could lead anywhere.
     """
-    return _read_group(file, name, f"{file.filename}: {name}")
-
-
-def _read_group(file: Any, name: str, where: str) -> PairMatches:
+    where = where or f"{file.filename}: {name}"
     try:
         group = file
         for part in name.split("/"):

@@ -131,34 +131,34 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     cameras of photographs that have not changed.
     """
     where = out / PLAN
-    _require_same(where, "the folder", str(before.root), str(now.root))
-    _require_same(where, "the option", before.settings, json.loads(json.dumps(now.settings)))
     for name in sorted({*before.names} ^ {*now.names}):
         verb = "had" if name in before.names else "lacked"
         raise InputError(f"{where}: that batch {verb} {name}: --resume needs the same photographs")
-    if len(now.pairs):
-        pairs = ([plan.pair(i) for i in range(len(plan.pairs))] for plan in (before, now))
-        _require_same(where, "the pair", *(dict(enumerate(listed, start=1)) for listed in pairs))
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
-    for name in unchanged:
-        cameras = (_calibration(plan.cameras.get(name)) for plan in (before, now))
-        _require_same(where, f"of {name} the", *cameras)
+    old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
+    for what in {**old, **new}:
+        if old.get(what) != new.get(what):
+            had, has = (shortened(json.dumps(facts.get(what))) for facts in (old, new))
+            raise InputError(
+                f"{where}: that batch had {what} {had}, not {has}: --resume needs the same"
+            )
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
 
 
-def _calibration(camera: Camera | None) -> dict[str, Any] | None:
-    """The numbers of a camera, without what was said of them."""
-    return None if camera is None else {**camera_data(camera), "warnings": None}
+def _facts(plan: Plan, names: Iterable[str], *, pairs: bool) -> dict[str, Any]:
+    """What must be the same to go on with a batch, by what an error calls it.
 
-
-def _require_same(where: Path, what: str, old: Any, new: Any) -> None:
-    """Raise InputError for values that differ, of dictionaries for the first key that does."""
-    if isinstance(old, Mapping) and isinstance(new, Mapping):
-        for key in {**old, **new}:
-            _require_same(where, f"{what} {key}", old.get(key), new.get(key))
-    elif old != new:
-        old, new = (shortened(json.dumps(value)) for value in (old, new))
-        raise InputError(
-            f"{where}: that batch had {what} {old}, not {new}: --resume needs the same"
-        )
+    names: of the images whose cameras count; pairs: whether the pairs do.
+    """
+    facts: dict[str, Any] = {"the folder": str(plan.root)}
+    for name, value in json.loads(json.dumps(plan.settings)).items():
+        inner = value if isinstance(value, dict) else {"": value}
+        facts |= {f"the option {name} {key}".rstrip(): inner[key] for key in inner}
+    if pairs:
+        facts |= {f"the pair {i + 1}": list(plan.pair(i)) for i in range(len(plan.pairs))}
+    for name in names:
+        camera = plan.cameras.get(name)
+        data = {} if camera is None else camera_data(camera)
+        facts |= {f"of {name} the {key}": data[key] for key in data if key != "warnings"}
+    return facts

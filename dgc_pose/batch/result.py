@@ -26,12 +26,6 @@ from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import replaced, require_room
 
 PAIRS, MATCHES, SUMMARY = "pairs.jsonl", "matches.h5", "summary.json"
-_SUMMARY: Mapping[str, type | tuple[type, ...]] = {  # what is read again
-    **dict.fromkeys(("images", "pairs", "poses", "matched_now"), int),
-    **dict.fromkeys(("bad_images", "by_status"), dict),
-    "cameras": list,
-    "seconds": (int, float),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +47,10 @@ class Batch:
         """Whether a pair did not fail, and its photographs are as in this plan."""
         return row.status != FAILED and plan.same_files((row.name1, row.name2), self.plan.states)
 
+    def holds_for(self, plan: Plan) -> bool:
+        """Whether all pairs still hold."""
+        return all(self.still_holds(row, plan) for row in self.rows)
+
 
 def is_finished(out: Path) -> bool:
     """Whether the folder has a result; not whether it is whole."""
@@ -71,9 +69,7 @@ def read_batch(out: Path) -> Batch:
             f"{out / PAIRS}: {len(rows)} rows, and the plan has {len(plan.pairs)} pairs"
         )
     summary = read_json(out / SUMMARY, "the summary of a batch")
-    if not isinstance(summary, dict) or not all(
-        isinstance(summary.get(name), kind) for name, kind in _SUMMARY.items()
-    ):
+    if not isinstance(summary, dict) or not isinstance(summary.get("bad_images"), dict):
         raise InputError(f"{out / SUMMARY}: not the summary of a batch")
     return Batch(out, plan, rows, summary)
 

@@ -64,35 +64,32 @@ class PairRow:
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
 
+# Fields that a row has of a pose as they are, and those that are None where they are not finite.
+_COPIED = ("status", "success", "reason", "probability", "num_matches", "num_inliers", "warnings")
+_FINITE = (
+    *("rotation_error_90_deg", "translation_error_90_deg"),
+    *("inlier_ratio", "median_triangulation_angle_deg"),
+)
+
+
 def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairRow:
     """The row of an estimated pose."""
-    camera1, camera2 = pose.camera1, pose.camera2
+    values = {name: getattr(pose, name) for name in _COPIED}
+    values |= {name: finite_or_none(getattr(pose, name)) for name in _FINITE}
+    for number, camera in enumerate((pose.camera1, pose.camera2), start=1):
+        if camera is not None:
+            values |= {f"focal{number}": camera.focal, f"focal_std{number}": camera.focal_std}
+    others = (
+        AlternativeRow(_numbers(other.R), _numbers(other.t), other.num_inliers, other.probability)
+        for other in pose.alternatives
+    )
     return PairRow(
         *names,
-        status=pose.status,
-        success=pose.success,
-        reason=pose.reason,
-        probability=pose.probability,
         R=None if pose.R is None else _numbers(pose.R),
         t=None if pose.t is None else _numbers(pose.t),
-        rotation_error_90_deg=finite_or_none(pose.rotation_error_90_deg),
-        translation_error_90_deg=finite_or_none(pose.translation_error_90_deg),
-        num_matches=pose.num_matches,
-        num_inliers=pose.num_inliers,
-        inlier_ratio=finite_or_none(pose.inlier_ratio),
-        median_triangulation_angle_deg=finite_or_none(pose.median_triangulation_angle_deg),
         error_px=error_px,
-        focal1=None if camera1 is None else camera1.focal,
-        focal2=None if camera2 is None else camera2.focal,
-        focal_std1=None if camera1 is None else camera1.focal_std,
-        focal_std2=None if camera2 is None else camera2.focal_std,
-        alternatives=tuple(
-            AlternativeRow(
-                _numbers(other.R), _numbers(other.t), other.num_inliers, other.probability
-            )
-            for other in pose.alternatives
-        ),
-        warnings=pose.warnings,
+        alternatives=tuple(others),
+        **values,
     )
 
 

@@ -23,7 +23,7 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.schedule import BLOCK, block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import ESTIMATED, MATCHED, PairStore
-from dgc_pose.batch.work import FEATURE_BYTES, Describe, Described, Estimate, Job, Match, Matched
+from dgc_pose.batch.work import FEATURE_BYTES, Describe, Estimate, Job, Match, Matched
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError, require
@@ -93,11 +93,9 @@ def run_batch(
         if before is not None:
             plan = continued(before, plan, out)
             result = read_batch(out) if is_finished(out) else None
-            if (
-                result is not None
-                and len(PairStore(out, MATCHED, plan)) == 0
-                and all(result.still_holds(row, plan) for row in result.rows)
-            ):
+            store = PairStore(out, MATCHED, plan)
+            if result is not None and result.holds_for(plan) and not len(store):
+                store.remove()  # what a kill left of it
                 return result
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, options.worker_bytes)
         # What a matcher cannot load is an error before anything is written.
@@ -179,9 +177,12 @@ def _with_similar(plan: Plan, number: int, run: RunTasks, progress: Progress) ->
     features: dict[str, np.ndarray] = {}
     bad = dict(plan.bad)
     for outcome in run([Describe(tuple(names)) for names in blocks_of(plan.names, 4)]):
-        assert isinstance(outcome, Described)
-        bad.update(outcome.bad)
-        features.update(outcome.features)
+        assert isinstance(outcome, dict)
+        for name, described in outcome.items():
+            if isinstance(described, str):
+                bad[name] = described
+            else:
+                features[name] = described
         progress("images", len(features) + len(bad), len(plan.names))
     usable = [i for i, name in enumerate(plan.names) if name in features]
     scores = similarities([features[plan.names[i]] for i in usable])

@@ -50,14 +50,6 @@ class Match:
 
 
 @dataclass(frozen=True, eq=False)
-class Described:
-    """The coarsest features of images."""
-
-    features: dict[str, np.ndarray]  # (cells, C) float16 by name; absent for a bad image
-    bad: dict[str, str]  # the reason by name
-
-
-@dataclass(frozen=True, eq=False)
 class Matched:
     """The rows and matches of a block of pairs, in the task's order."""
 
@@ -77,6 +69,7 @@ class Estimate:
 
 
 Task = Describe | Match | Estimate
+Described = dict[str, np.ndarray | str]  # (cells, C) float16 by image, or why it is bad
 Outcome = Described | Matched
 
 
@@ -100,19 +93,14 @@ class Worker:
     def do(self, task: Task) -> Outcome:
         """The outcome of a task. A bad image makes its pairs bad, and stops nothing."""
         if isinstance(task, Describe):
-            return self._describe(task)
+            return {name: self._describe(name) for name in task.names}
         return self._match(task) if isinstance(task, Match) else self._estimate(task)
 
-    def _describe(self, task: Describe) -> Described:
-        features: dict[str, np.ndarray] = {}
-        bad = {}
-        for name in task.names:
-            image = self._image(name)
-            if isinstance(image, str):
-                bad[name] = image
-            else:
-                features[name] = self.matcher.coarse_features(image).astype(np.float16)
-        return Described(features, bad)
+    def _describe(self, name: str) -> np.ndarray | str:
+        image = self._image(name)
+        if isinstance(image, str):
+            return image
+        return self.matcher.coarse_features(image).astype(np.float16)
 
     def _match(self, task: Match) -> Matched:
         bad: dict[str, str] = {}
