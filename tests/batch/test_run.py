@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -67,7 +66,6 @@ def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole: Path) -> None:
     assert all(BROKEN in row.reason for row in bad)
     assert list(batch.summary["bad_images"]) == [BROKEN]
     assert batch.summary["bad_pairs"] == COUNT - 1
-    assert not (whole / "parts").exists()
 
 
 def test_matches_lie_in_hlocs_layout(whole: Path) -> None:
@@ -133,30 +131,18 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
 
 
 def test_unusable_input(photos: tuple[Path, list[View]], whole: Path, tmp_path: Path) -> None:
-    folder, views = photos
-    empty, single, mixed = (tmp_path / name for name in ("empty", "single", "mixed"))
-    for path in (empty, single, mixed):
-        path.mkdir()
-    for path in (single, mixed):
-        cv2.imwrite(str(path / "a.png"), views[0].pixels)
-    cv2.imwrite(str(mixed / "b.png"), views[0].pixels[:150])
     database = tmp_path / "no.db"
     database.write_bytes(b"SQLite format 3\0" + b"\0" * 200)
     for source, out, reason in (
-        (empty, "out", "no image there"),
-        (single, "out", "a single image there"),
-        (mixed, "out", "images of several sizes"),
         (tmp_path / "none", "out", "no such folder"),
         (database, "out", "not a COLMAP database"),
-        (folder, str(whole), "holds a batch already"),
-        (folder, str(tmp_path), "no folder of `dgc-pose batch`"),
+        (photos[0], str(whole), "holds a batch already"),
+        (photos[0], str(tmp_path), "no folder of `dgc-pose batch`"),
     ):
         with pytest.raises(InputError, match=reason):
             run_sift(source, tmp_path / out)
-    with pytest.raises(InputError, match="that batch had the option pairs"):
-        run_sift(folder, whole, pairs="sequential:1", resume=True)
     with pytest.raises(InputError, match="auto needs the features of a network"):
-        run_sift(folder, tmp_path / "out", pairs="auto:2")
+        run_sift(photos[0], tmp_path / "out", pairs="auto:2")
     assert not (tmp_path / "out").exists()
 
 
@@ -167,9 +153,6 @@ def test_a_result_cut_short_is_named(
     out.mkdir()
     for name in ("plan.json", "summary.json", "pairs.jsonl", "matches.h5"):
         (out / name).write_bytes((whole / name).read_bytes())
-    (out / "matches.h5").write_bytes((whole / "matches.h5").read_bytes()[:5000])
-    with pytest.raises(InputError, match="truncated file"):
-        list(read_batch(out).matches())
     lines = (out / "pairs.jsonl").read_text().splitlines(keepends=True)
     (out / "pairs.jsonl").write_text("".join(lines[:-1]))
     with pytest.raises(InputError, match="5 rows, and the plan has 6 pairs"):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dgc_pose.batch.pair_choice import PairChoice
-from dgc_pose.batch.schedule import blocks_of, loads, tile_order
+from dgc_pose.batch.schedule import loads, tile_order
 
 
 def _shuffled(pairs: list[tuple[int, int]], count: int) -> np.ndarray:
@@ -35,8 +35,3 @@ def test_exhaustive_pairs_are_worked_through_in_tiles() -> None:
     pairs = _shuffled(PairChoice("exhaustive").pairs(40), 40)
     assert loads(pairs[tile_order(pairs, 40, 10)], 10) <= 200
     assert loads(np.array(PairChoice("exhaustive").pairs(40)), 10) > 600
-
-
-def test_blocks() -> None:
-    assert blocks_of([5, 6, 7], 2) == [[5, 6], [7]]
-    assert blocks_of([], 2) == []

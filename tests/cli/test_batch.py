@@ -2,8 +2,6 @@
 nothing written."""
 
 import shlex
-import sqlite3
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -12,34 +10,12 @@ import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
 from command_line import assert_refused, run
-from multi_view import SIZE, K, K_text
+from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.matching.sift import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
-
-# Tables of COLMAP 3.8, before rigs and frames; version 3800.
-_OLD_TABLES = """
-CREATE TABLE cameras (camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, model INTEGER NOT NULL,
-    width INTEGER NOT NULL, height INTEGER NOT NULL, params BLOB,
-    prior_focal_length INTEGER NOT NULL);
-CREATE TABLE images (image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE,
-    camera_id INTEGER NOT NULL, prior_qw REAL, prior_qx REAL, prior_qy REAL, prior_qz REAL,
-    prior_tx REAL, prior_ty REAL, prior_tz REAL);
-CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
-    cols INTEGER NOT NULL, data BLOB);
-CREATE TABLE descriptors (image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
-    cols INTEGER NOT NULL, data BLOB);
-CREATE TABLE matches (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
-    cols INTEGER NOT NULL, data BLOB);
-CREATE TABLE two_view_geometries (pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL,
-    cols INTEGER NOT NULL, data BLOB, config INTEGER NOT NULL, F BLOB, E BLOB, H BLOB, qvec BLOB,
-    tvec BLOB);
-PRAGMA user_version = 3800;
-"""
-_PINHOLE = 1  # COLMAP's number of the model
 
 
 @pytest.fixture(scope="module")
@@ -119,42 +95,10 @@ def test_a_K_for_another_size(photos: Path, tmp_path: Path) -> None:
     assert not out.exists()
 
 
-def _old_database(path: Path, names: Sequence[str]) -> None:
-    """A database of COLMAP 3.8, in which the first two images are matched."""
-    with sqlite3.connect(path) as database:
-        database.executescript(_OLD_TABLES)
-        parameters = np.array([K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5]).tobytes()
-        camera = (1, _PINHOLE, *SIZE, parameters, 1)
-        database.execute("INSERT INTO cameras VALUES (?, ?, ?, ?, ?, ?)", camera)
-        for number, name in enumerate(names, start=1):
-            row = (number, name, 1, *[None] * 7)
-            database.execute("INSERT INTO images VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
-        pair = 2147483647 * 1 + 2  # COLMAP's number of the images 1 and 2
-        matches = np.zeros((1, 2), np.uint32).tobytes()
-        database.execute("INSERT INTO matches VALUES (?, 1, 2, ?)", (pair, matches))
-    database.close()
-
-
-def test_a_database_of_an_older_version_is_read_and_stays_as_it_is(
-    photos: Path, tmp_path: Path
-) -> None:
-    path, out = tmp_path / "old.db", tmp_path / "out"
-    _old_database(path, ["view0.png", "view1.png", "view2.png"])
-    before = path.read_bytes()
-    found = read_database(path)
-    assert found.names == ("view0.png", "view1.png", "view2.png")
-    np.testing.assert_allclose(found.cameras["view0.png"].K, K)
-    done = run("batch", path, "--root", photos, "--out", out, *SIFT)
-    assert done.exit_code == 0, done.output
-    assert [(row.name1, row.name2) for row in read_batch(out).rows] == [("view0.png", "view1.png")]
-    assert path.read_bytes() == before
-    assert sorted(tmp_path.iterdir()) == [path, out]
-
-
 def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Path) -> None:
-    """Also one whose images are matched already; `--overwrite` replaces it, of any version."""
+    """`--overwrite` replaces it."""
     path = tmp_path / "old.db"
-    _old_database(path, ["view0.png", "other.png"])
+    path.write_text("of the user")
     before = path.read_bytes()
     arguments = ["export-colmap", finished, "--database", path, "--sharing", "cells"]
     assert_refused(run(*arguments), f"{path} is there already", "--overwrite")
@@ -168,7 +112,7 @@ def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Pa
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("length", [0, 100, 5000, -1])
+@pytest.mark.parametrize("length", [0, 5000])
 def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
     path, out = copied / "matches.h5", tmp_path / "out"
     path.write_bytes(path.read_bytes()[:length])
@@ -235,12 +179,3 @@ def test_a_batch_ends_with_a_table_and_its_files(
     words = shlex.split(files[2].removeprefix(command))
     words[-1] = str(tmp_path / words[-1])
     assert run(*words).exit_code == 0 and (tmp_path / "database.db").is_file()
-
-
-def test_a_wrong_root_leaves_nothing_that_blocks_the_next_run(photos: Path, tmp_path: Path) -> None:
-    listed, out = tmp_path / "list.txt", tmp_path / "out"
-    listed.write_text("view0.png view1.png\n")
-    options = ["--out", out, "--K", K_text(), *SIFT]
-    assert_refused(run("batch", listed, *options), "--root: none of the 2 images", str(tmp_path))
-    assert not out.exists()
-    assert run("batch", listed, "--root", photos, *options).exit_code == 0

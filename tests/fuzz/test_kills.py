@@ -10,8 +10,6 @@ from pathlib import Path
 
 import dtu_layout
 import pytest
-from batch_runs import view_folder
-from multi_view import K_text
 
 LIMIT_S = 300.0  # for what takes seconds on an idle machine
 QUICK = ("--workers", "2", "--runs", "2", "--iterations", "100", "--resume")
@@ -23,28 +21,17 @@ def _dtu(folder: Path) -> Sequence[str]:
     return ("bench-dtu", "--root", str(folder), *words, *QUICK)
 
 
-def _views(folder: Path) -> Sequence[str]:
-    view_folder(folder)
-    return ("reconstruct", str(folder), "--K", K_text(), "--weights", "sift", *QUICK)
-
-
 def _rows(out: Path) -> int:
     path = out / "results.csv"
     return path.read_bytes().count(b"\n") - 1 if path.exists() else 0
-
-
-def _pairs(out: Path) -> int:
-    path = out / "batch/matched.jsonl"
-    return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
 @pytest.mark.parametrize(
     ("make", "done", "most", "results"),
     [
         (_dtu, _rows, 20, ("results.csv", "pairs.csv", "run.json")),
-        (_views, _pairs, 6, ("batch/pairs.jsonl", "batch/plan.json")),
     ],
-    ids=["bench-dtu", "reconstruct"],
+    ids=["bench-dtu"],
 )
 def test_kills_leave_no_trace(
     tmp_path: Path,
