@@ -1,5 +1,7 @@
 """Batches: results, bad images, resuming after a kill, and unusable input."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +118,8 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
             open_database.write_image(pycolmap.Image(name=name, camera_id=number))
         for pair in ((1, 2), (2, 3)):
             open_database.write_matches(*pair, np.zeros((1, 2), np.uint32))
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA user_version = 3800")  # of COLMAP 3.8: an opening changes it
     before = database.read_bytes()
     by_source = {
         path.suffix: run_sift(path, tmp_path / path.suffix, pairs=None, K=K, root=photos[0]).rows
