@@ -26,7 +26,7 @@ from dgc_pose.batch.store import ESTIMATED, MATCHED, PairStore
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Estimate, Job, Match, Matched
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError, require
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.files.json_files import write_json
@@ -70,7 +70,6 @@ def run_batch(
     """
     start = time.perf_counter()
     begin = start_workers or _ENGINES[options.engine]
-    require({"--engine ray": "ray"} if options.engine == "ray" else {})
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     if choice is None and source.pairs is None:

@@ -84,11 +84,3 @@ def test_scores_are_those_of_a_plain_loop() -> None:
     np.testing.assert_array_equal(scores, scores.T)
     for i, j in ((0, 1), (0, 2), (3, 2)):
         assert abs(scores[i, j] - _score(features[i], features[j])) < 1e-6
-
-
-def test_more_shared_cells_score_more() -> None:
-    rng = np.random.default_rng(1)
-    scene = _cells(rng, 60)
-    features = [scene[:30], scene[10:40], scene[25:55]]
-    scores = similarities(features)
-    assert scores[0, 1] > scores[0, 2]

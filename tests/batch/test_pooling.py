@@ -1,7 +1,6 @@
 """Focal lengths of many pairs as one number: against Gaussian arithmetic, and drawn errors."""
 
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -85,18 +84,6 @@ def test_scatter_widens() -> None:
     weight = 1 / (1 + 4 / 2.385**2)
     assert abs(value) < 1e-4
     assert std == pytest.approx(0.02 / (8 * weight) ** 0.5, rel=0.01)
-
-
-def test_the_deviation_holds_where_images_err() -> None:
-    """Errors of a pair: those of its two images, added."""
-    rng = np.random.default_rng(0)
-    count, ratios = 8, []
-    for _ in range(200):
-        of_image = rng.normal(0, 0.01 / 2**0.5, count)
-        told = [_told(float(of_image[i] + of_image[j]), 0.01) for i, j in combinations(range(8), 2)]
-        value, std = _pooled(told, count)
-        ratios.append(value / std)
-    assert 0.85 < np.std(ratios) < 1.2
 
 
 def _camera(identity: str | None) -> Camera:

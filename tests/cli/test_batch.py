@@ -114,28 +114,12 @@ def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Pa
 
 @pytest.mark.parametrize("length", [0, 5000])
 def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
-    path, out = copied / "matches.h5", tmp_path / "out"
+    path = copied / "matches.h5"
     path.write_bytes(path.read_bytes()[:length])
     database, hloc = tmp_path / "x.db", tmp_path / "hloc"
     for target in (["--database", database], ["--hloc", hloc]):
         assert_refused(run("export-colmap", copied, *target), str(path))
     assert not database.exists() and not hloc.exists()
-    # The batch of a reconstruction that is to be resumed.
-    out.mkdir()
-    copied.rename(out / "batch")
-    photos = read_batch(out / "batch").plan.root
-    options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
-    done = run("reconstruct", photos, *options)
-    assert done.exit_code == 2, done.output
-    assert "matches.h5" in done.stderr.splitlines()[-1]
-    assert [path.name for path in out.iterdir()] == ["batch"]
-
-
-def test_a_batch_of_another_precision_is_not_resumed(photos: Path, finished: Path) -> None:
-    options = ["--out", finished, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--resume"]
-    assert_refused(
-        run("batch", photos, *options, "--half-precision"), "had the option half_precision false"
-    )
 
 
 def test_failed_pairs_are_told(
