@@ -11,11 +11,11 @@ from dgc_pose.batch.pooling import TOLD_STD, cameras_told
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
 from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.pose import pose_of_matches, pose_of_pair
+from dgc_pose.pose import pose_of_pair
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
@@ -121,10 +121,10 @@ class Worker:
                 # As it will be when the pose is estimated again.
                 result = self.matcher.match(image1, image2)
                 return self._estimated(names, pair_matches(result, again=True), self.job.cameras)
-            pose, result = pose_of_pair(
-                self.matcher, image1, image2, camera1, camera2, self.job.estimation
-            )
-            return _posed(names, pair_matches(result, again=False), pose, result.matches.error_px)
+            search = self.matcher.search(image1, image2)
+            pose = pose_of_pair(search, camera1, camera2, self.job.estimation)
+            stored = pair_matches(search.last, again=False)
+            return _posed(names, stored, pose, search.last.matches.error_px)
 
         return _attempt(names, posed)
 
@@ -148,7 +148,7 @@ class Worker:
     ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair, by the pose of the matches as they are stored."""
         matches, map_matches = stored.estimable()
-        pose = pose_of_matches(
+        pose = estimate_pose(
             matches,
             cameras[names[0]],
             cameras[names[1]],

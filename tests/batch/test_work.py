@@ -14,7 +14,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions, load_matcher
-from dgc_pose.pose import trace_relative_pose
+from dgc_pose.pose import estimate_relative_pose
 
 COUNT = 3
 NAMES = tuple(f"view{i}.png" for i in range(COUNT))
@@ -50,7 +50,9 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
     assert len(first.matches) < len(matched.matches[0].scores)
     for k, names in enumerate(PAIRS):
         paths = (tmp_path / name for name in names)
-        alone = trace_relative_pose(*paths, Camera(K, SIZE), matcher=matcher, options=ESTIMATION)
+        alone = estimate_relative_pose(
+            *paths, Camera(K, SIZE), matcher=matcher, options=ESTIMATION, trace=True
+        )
         assert matched.rows[k] == row_of(names, alone.pose, alone.matches.error_px)
         for stored in (matched.matches[k], again.matches[k]):
             expected = alone.matches.points1.astype(np.float32)
