@@ -1,7 +1,5 @@
 """What methods are told of the cameras of a list: its K, a wrong K, or none."""
 
-import hashlib
-import json
 import math
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -49,15 +47,6 @@ class CameraTrial:
         min=-10,
         max=10,
     )
-    k_noise: float = option(
-        0.0,
-        "Multiply the focal lengths of each camera of each pair by a factor drawn at random, whose "
-        "logarithm has this standard deviation.",
-        flag="--K-noise",
-        metavar="STD",
-        min=0,
-        max=1,
-    )
     k_std: float = option(
         0.0,
         "Tell the methods that the focal lengths have this relative standard deviation.",
@@ -94,18 +83,15 @@ class CameraTrial:
             return pair_cameras(self.k, self.k, pair.image1, pair.image2)
         # Nearly equal K are of one camera, and wrong by the same factor.
         shared = np.allclose(truth.camera1.K, truth.camera2.K, rtol=_ONE_CAMERA)
-        words = hashlib.sha256(json.dumps(dict(truth.ids)).encode()).digest()
-        noise = np.exp(self.k_noise * np.random.default_rng([*words]).standard_normal(2))
-        factors = self.k_scale * (noise[[0, 0]] if shared else noise)
+        identity = "list" if shared and self.k_std else None
         return (
-            self._told("K1", truth.camera1, pair.image1, factors[0], shared),
-            self._told("K2", truth.camera2, pair.image2, factors[1], shared),
+            self._told("K1", truth.camera1, pair.image1, identity),
+            self._told("K2", truth.camera2, pair.image2, identity),
         )
 
-    def _told(self, name: str, camera: Camera, image: Image, factor: float, shared: bool) -> Camera:
-        K = camera.with_focal(factor * camera.focal).K.copy()
+    def _told(self, name: str, camera: Camera, image: Image, identity: str | None) -> Camera:
+        K = camera.with_focal(self.k_scale * camera.focal).K.copy()
         K[0, 2] += self.k_shift * image.size[0]
-        identity = "list" if shared and self.k_std else None
         told = replace(camera, K=K, focal_std=self.k_std, identity=identity)
         return checked_camera(told, image.size, name)
 

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Generic
 
 import numpy as np
 
-from dgc_pose.benchmarks.lenses import Lens
-from dgc_pose.benchmarks.scores import MapScore, PairScore, PlaneScore, Score
+from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import check_size
-from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError
@@ -45,11 +43,6 @@ class Truth:
     R: np.ndarray | None  # (3, 3); None for images of two scenes
     t: np.ndarray | None  # (3,), any length; None as well for a camera that only rotated
     seed: tuple[int, ...] = ()  # added to the seed of the estimator; (): one seed for all pairs
-
-    def turned(self, turn: np.ndarray, camera2: Camera) -> Truth:
-        """The truth with another camera 2, in the same place and rotated by `turn` (3, 3)."""
-        assert self.R is not None and self.t is not None
-        return replace(self, camera2=camera2, R=turn @ self.R, t=turn @ self.t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,19 +126,14 @@ class RenderedPosedPairs(PairSet[MapScore]):
     """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
     the photographs that training holds back: what defaults are chosen on."""
 
-    def __init__(self, photos: Path, count: int, seed: int, lens: Lens | None = None) -> None:
-        """lens: that the views are seen through, from the same places.
-
-        Raises ImageError if the folder holds no photographs.
-        """
+    def __init__(self, photos: Path, count: int, seed: int) -> None:
+        """Raises ImageError if the folder holds no photographs."""
         from dgc_pose.training.synthesis.photos import load_held_back
 
-        seen = "rendered" if lens is None else f"rendered by {lens.model}"
-        names = [f"{seen} {seed} {k}" for k in range(count)]
+        names = [f"rendered {seed} {k}" for k in range(count)]
         super().__init__(MapScore, [{"image1": f"{n} 1", "image2": f"{n} 2"} for n in names])
         self._textures = load_held_back(photos).textures
         self._seed = seed
-        self._lens = lens
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         import torch
@@ -158,71 +146,48 @@ class RenderedPosedPairs(PairSet[MapScore]):
             rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
         )
         for number, ids in enumerate(self.ids):
-            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids, self._lens)
+            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids)
             if number >= first:
                 yield pair
 
 
-class PlanePairs(PairSet[PlaneScore]):
+class PlanePairs:
     """Seeded views of planes with a relief, whose homographies have two poses; see
     `synthesis.render.plane_pairs`. The heights of the reliefs come in turn."""
 
-    def __init__(self, photos: Path, count: int, seed: int) -> None:
+    def __init__(self, photos: Path, seed: int) -> None:
         """Raises ImageError if training holds back no photographs of the folder."""
         from dgc_pose.training.synthesis.photos import load_held_back
-        from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS
 
-        reliefs = [RELIEFS[k % len(RELIEFS)] for k in range(count)]
-        names = [f"plane {seed} {k}, relief {100 * h:g} %" for k, h in enumerate(reliefs)]
-        super().__init__(
-            PlaneScore,
-            [
-                {"image1": f"{name}, 1", "image2": f"{name}, 2", "relief": relief}
-                for name, relief in zip(names, reliefs, strict=True)
-            ],
-        )
         self._textures = load_held_back(photos, _PLANE_PHOTO).textures
         self._seed = seed
-
-    def read(self, first: int = 0) -> Iterator[PosedPair]:
-        return (self.pair(number) for number in range(first, len(self.ids)))
 
     def pair(self, number: int) -> PosedPair:
         """A pair by its number, whatever the others are."""
         from dgc_pose.training.synthesis.draw import seeded
-        from dgc_pose.training.synthesis.render.plane_pairs import render_plane_pair
+        from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS, render_plane_pair
 
-        ids = self.ids[number]
         generator = seeded("planes", self._seed, number)
-        relief = float(ids["relief"])
-        views = render_plane_pair(self._textures, PLANE_SIZE, generator, relief)
-        return _posed(views, ids)
+        relief = RELIEFS[number % len(RELIEFS)]
+        return _posed(render_plane_pair(self._textures, PLANE_SIZE, generator, relief), {})
 
 
 def rendered_pair(
-    textures: TextureBank,
-    side: int,
-    generator: torch.Generator,
-    scenes: SceneOptions,
-    ids: Ids,
-    lens: Lens | None = None,
+    textures: TextureBank, side: int, generator: torch.Generator, scenes: SceneOptions, ids: Ids
 ) -> PosedPair:
     """Two views of a rendered scene, `side` pixels square."""
     from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
-    seen_by, distortion = (None, None) if lens is None else (lens.before, lens.distortion)
-    return _posed(render_pairs(textures, 1, side, generator, scenes, seen_by), ids, distortion)
+    return _posed(render_pairs(textures, 1, side, generator, scenes), ids)
 
 
-def _posed(views: RenderedPairs, ids: Ids, distortion: Distortion | None = None) -> PosedPair:
+def _posed(views: RenderedPairs, ids: Ids) -> PosedPair:
     """The first pair of a batch."""
     from dgc_pose.training.synthesis.render.scene_pair import as_arrays
 
     pair = as_arrays(views)
     image1, image2 = Image(pair.image1), Image(pair.image2)
-    camera1, camera2 = (
-        Camera(K, image.size, distortion) for K, image in ((pair.K1, image1), (pair.K2, image2))
-    )
+    camera1, camera2 = Camera(pair.K1, image1.size), Camera(pair.K2, image2.size)
     return PosedPair(Truth(ids, camera1, camera2, pair.R, pair.t), image1, image2)
 
 

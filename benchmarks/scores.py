@@ -110,16 +110,6 @@ class MapScore(PairScore):
 
 
 @dataclass(frozen=True)
-class PlaneScore(MapScore):
-    """A row of bench-pairs on rendered planes."""
-
-    relief: float  # its height, in widths of the plane that view 1 sees
-    probability: float  # that R and t are both within 10 degrees
-
-    tables = {RESULTS: (*MapScore.tables[RESULTS], "relief", "probability")}
-
-
-@dataclass(frozen=True)
 class DtuScore(MapScore):
     """A row of bench-dtu.
 

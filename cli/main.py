@@ -51,7 +51,6 @@ SECTIONS = {
         "bench-hpatches": "Score maps on pairs with homographies.",
         "bench-synthetic": "Score maps on synthetic pairs.",
         "bench-dtu": "Repeat the paper's pose experiment on DTU.",
-        "bench-verdicts": "Measure how far success can be trusted.",
         "bench-reconstruct": "Score reconstructions on known cameras.",
         "bench-speed": "Show where the time of a pair goes.",
         "dtu-pairs": "Make a pair list from DTU's calibration.",

@@ -117,7 +117,7 @@ def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedP
 
 
 def _planes(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
-    pairs = PlanePairs(folders[0], entry.pairs, entry.seed)
+    pairs = PlanePairs(folders[0], entry.seed)
     return [partial(pairs.pair, k) for k in range(entry.pairs)]
 
 

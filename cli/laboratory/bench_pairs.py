@@ -1,7 +1,7 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -10,18 +10,14 @@ import click
 
 from dgc_pose.benchmarks.camera_summary import CAMERA_COLUMNS, CAMERA_HEADING, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.changed_pairs import ChangedPairs, ImageChange
-from dgc_pose.benchmarks.lenses import LENSES
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
-from dgc_pose.benchmarks.plane_summary import PLANE_COLUMNS, PLANE_HEADING, summarise_planes
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     PairSet,
-    PlanePairs,
     RenderedPosedPairs,
     require_images,
 )
-from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore, PlaneScore
+from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore
 from dgc_pose.benchmarks.summary import (
     MethodSummary,
     by_method,
@@ -39,7 +35,7 @@ from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoi
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import finite_data, json_text
+from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import replaced, save_text, staged, write_text
 from dgc_pose.files.tables import table
 from dgc_pose.matchers import MatcherOptions
@@ -65,23 +61,10 @@ class PairBenchOptions:
         min=1,
         max=10**6,
     )
-    planes: int | None = option(
-        None,
-        "Instead of LIST: N pairs of rendered planes whose homographies have two poses, textured "
-        "with --photos, with reliefs of 0 to 20 % in turn.",
-        metavar="N",
-        min=1,
-        max=10**6,
-    )
     photos: Path | None = option(
         None, "Folder of photographs, as for training; those that training holds back are used."
     )
-    scene_seed: int = option(7, "Seed of the rendered scenes or planes.", min=0, max=MAX_SEED)
-    lens: str | None = option(
-        None,
-        "The rendered pairs seen through a lens of this model of COLMAP's, from the same places.",
-        metavar="MODEL",
-    )
+    scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
     out: str | None = option(
         None,
         "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
@@ -92,43 +75,26 @@ class PairBenchOptions:
         None, "Write the summary as JSON.", flag="--json", metavar="PATH", type=OutputFile()
     )
 
-    def pair_set(self, pair_list: str | None, change: ImageChange, *, trial: bool) -> PairSet[Any]:
+    def pair_set(self, pair_list: str | None, *, trial: bool) -> PairSet[Any]:
         """The data set. trial: whether some method is told other cameras than the list's.
 
         Raises InputError or ImageError if it cannot be made.
         """
-        changed = change != ImageChange()
-        if self.lens is not None and self.rendered is None:
-            raise InputError("--lens is of rendered pairs: it needs --rendered")
-        counts = [count for count in (self.rendered, self.planes) if count is not None]
-        if pair_list is not None and not counts and self.photos is None:
+        if pair_list is not None and self.rendered is None and self.photos is None:
             pairs = read_pairs(pair_list, self.root)[:: self.every][: self.limit]
             require_images(pairs)
-            kind = CameraScore if trial else PairScore
-            return ChangedPairs(pairs, change, kind) if changed else ListedPairs(pairs, kind)
-        if changed:
-            raise InputError("--roll, --roll-at-random, --shrink and --crop need a LIST of pairs")
+            return ListedPairs(pairs, CameraScore if trial else PairScore)
         if trial:
-            raise InputError(
-                "--K, --K-scale, --K-shift, --K-noise and --K-std need a LIST of pairs"
-            )
-        if pair_list is not None or len(counts) != 1 or self.photos is None:
-            raise InputError(
-                "give a LIST of pairs, or --rendered or --planes with --photos, one of them"
-            )
-        require({"--rendered" if self.planes is None else "--planes": "torch"})
-        if self.planes is not None:
-            return PlanePairs(self.photos, self.planes, self.scene_seed)
-        lens = None if self.lens is None else LENSES.get(self.lens)
-        if self.lens is not None and lens is None:
-            raise InputError(f"--lens must be one of {', '.join(LENSES)}, not {self.lens!r}")
-        return RenderedPosedPairs(self.photos, counts[0], self.scene_seed, lens)
+            raise InputError("--K, --K-scale, --K-shift and --K-std need a LIST of pairs")
+        if pair_list is not None or self.rendered is None or self.photos is None:
+            raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
+        require({"--rendered": "torch"})
+        return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed)
 
 
 @click.command()
 @click.argument("pair_list", metavar="[LIST]", required=False)
 @dataclass_options(PairBenchOptions, "options")
-@dataclass_options(ImageChange, "change")
 @dataclass_options(CameraTrial, "cameras")
 @click.option(
     "--methods",
@@ -145,7 +111,6 @@ class PairBenchOptions:
 def bench_pairs(
     pair_list: str | None,
     options: PairBenchOptions,
-    change: ImageChange,
     cameras: CameraTrial,
     methods: str,
     run: RunChoice,
@@ -161,13 +126,12 @@ def bench_pairs(
     With --K and its like the K of LIST are withheld or changed, for all methods or, by NAME:K=auto,
     NAME:K=auto:shared or NAME:K_scale=0.8, for one of several that share their matches. Errors are
     of the true cameras as before; a second table has the focal lengths and what the poses say.
-    With --planes a second table tells by relief how many poses are claimed and how many are wrong.
     """
     if options.out is not None:
         import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
     chosen = parse_methods(split_names(methods), matcher, estimation, cameras=cameras)
     trial = any(method.cameras.reports for method in chosen)
-    pairs = options.pair_set(pair_list, change, trial=trial)
+    pairs = options.pair_set(pair_list, trial=trial)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
         passes = load_passes(chosen, device=run.device, runtime=run.runtime)
@@ -177,16 +141,7 @@ def bench_pairs(
         if issubclass(pairs.kind, MapScore):
             summarised = summarise_epipolar
         summaries = [summarised(rows) for rows in results.values()]
-        of_planes = issubclass(pairs.kind, PlaneScore)
-        planes = [
-            row
-            for rows in results.values()
-            for row in (summarise_planes(rows) if of_planes else ())
-        ]
-        figures = summary_data(summaries)
-        if planes:
-            figures["planes"] = [finite_data(asdict(row)) for row in planes]
-        data = json_text(figures)
+        data = json_text(summary_data(summaries))
         if options.json_path is not None:
             save_text(stage(options.json_path), data)
     if options.out is not None:
@@ -203,5 +158,3 @@ def bench_pairs(
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
     if trial:
         click.echo(f"\n{CAMERA_HEADING}\n{table(CAMERA_COLUMNS, summaries)}")
-    if planes:
-        click.echo(f"\n{PLANE_HEADING}\n{table(PLANE_COLUMNS, planes)}")

@@ -34,7 +34,6 @@ _BASES: dict[str, Sequence[str]] = {
     "bench-hpatches": ("--root", "dir"),
     "bench-synthetic": ("--photos", "dir", "--pairs", "1"),
     "bench-dtu": ("--root", "dir", "--out", "new", "--methods", "sift"),
-    "bench-verdicts": ("--photos", "dir", "--pairs", "1"),
     "bench-speed": ("one.png", "two.png", "x"),
     "dtu-pairs": ("dir", "new.txt", "--scan", "1"),
     "train": ("--photos", "photos", "--out", "new", "--steps", "1", "--validation-pairs", "1"),
