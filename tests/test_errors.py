@@ -23,7 +23,6 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
     ("words", "told"),
     [
         (("train", "--photos", ".", "--out", "run", "--steps", "1"), f"train needs {_TORCH}"),
-        (("bench-speed",), f"bench-speed needs {_TORCH}"),
         (("bench-synthetic", "--photos", "."), f"bench-synthetic needs {_TORCH}"),
         (("bench-hpatches", "--root", "."), f"bench-hpatches needs {_TORCH}"),
         (("bench-pairs", "--rendered", "1", "--photos", "."), f"--rendered needs {_TORCH}"),

@@ -1,149 +1,76 @@
 """`dgc-pose bench-speed`: where the time of a pair goes."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import partial
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from statistics import median
+from typing import get_args
 
 import click
-import cv2
 
+from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.options import split_names
-from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.options import Effort
-from dgc_pose.files.json_files import finite_data, json_text
-from dgc_pose.files.outputs import save_text, scratch_folder, staged
-from dgc_pose.files.tables import table
+from dgc_pose.files.tables import aligned
 from dgc_pose.images.image import load_image
-from dgc_pose.matchers import MatcherOptions, refined
-from dgc_pose.matching import DEFAULT_WEIGHTS, load_dense_matcher
-from dgc_pose.network.config import INPUT_SIZE, preset
-from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
-from dgc_pose.runtime.onnx_engine import OnnxEngine
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
-if TYPE_CHECKING:
-    from dgc_pose.benchmarks.speed import Setup
-    from dgc_pose.network.correspondence_net import CorrespondenceNet
+SIFT = "sift"  # through the same estimator
+TOTAL = "in all"
+_WHAT = ("weights", "device", "runtime", "half_precision")  # of `MatcherOptions`
 
 
 @dataclass(frozen=True)
 class SpeedOptions:
     """What is timed."""
 
-    weights: str = option(DEFAULT_WEIGHTS, "Name or path.")
-    forward: str = option(
-        "dgcm", "Comma-separated presets whose forward passes, with random weights, are timed too."
-    )
-    repetitions: int = option(7, "Their median counts.", min=1, max=10**6)
-    threads: int | None = option(
-        None, "Threads of torch and OpenCV; default: their own choice.", min=1, max=1024
-    )
-    device: str = option("cpu", DEVICE_HELP, metavar="NAME")
-    runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
-    half_precision: bool = option(False, "The network's convolutions in bfloat16, by torch.")
-    json_path: str | None = option(
-        None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
-    )
+    k: str = option("auto", "Camera of both images, as for estimate.", flag="--K", metavar="K|FILE")
+    repeat: int = option(7, "Times that each is measured, in turn.", min=1, max=10**6)
 
 
 @click.command()
-@click.argument("image1", required=False, type=click.Path(path_type=Path))
-@click.argument("image2", required=False, type=click.Path(path_type=Path))
-@click.argument("k", metavar="[K]", required=False)
-@dataclass_options(SpeedOptions, "options")
-def bench_speed(
-    image1: Path | None, image2: Path | None, k: str | None, options: SpeedOptions
-) -> None:
-    """Time the pipeline stage by stage, and the network's ways to run.
+@click.argument("image1", metavar="IMG1", type=click.Path(path_type=Path))
+@click.argument("image2", metavar="IMG2", type=click.Path(path_type=Path))
+@dataclass_options(SpeedOptions, "speed")
+@dataclass_options(MatcherOptions, "matcher", only=_WHAT)
+def bench_speed(image1: Path, image2: Path, speed: SpeedOptions, matcher: MatcherOptions) -> None:
+    """Time a pair step by step, by each effort, and SIFT through the same estimator.
 
-    Without images it takes the bundled pair, enlarged to 1600x1200.
+    Prints medians in milliseconds; "load" is the reading of the images.
     """
-    import torch
-
-    from dgc_pose.benchmarks.speed import Setup, bundled_setup, user_setup
-    from dgc_pose.network.weights import build_network, load_network
-
-    with staged(options.json_path) as stage, scratch_folder() as folder:
-        if options.threads is not None:
-            torch.set_num_threads(options.threads)
-            cv2.setNumThreads(options.threads)
-        configs = {f"{name}, random": preset(name) for name in split_names(options.forward)}
-        device = device_type(options.device)
-        wanted = MatcherOptions(options.weights, device, options.runtime, options.half_precision)
-        if not wanted.kind.network:
-            what = "the stages are those of a network that refines its matches"
-            raise InputError(f"--weights {options.weights}: {what}")
-        dense = load_dense_matcher(
-            options.weights,
-            device=device,
-            runtime=options.runtime,
-            half_precision=options.half_precision,
-        )
-        pair = bundled_setup(folder) if image1 is None else user_setup(image1, image2, k)
-        nets = {dense.name: load_network(options.weights)}
-        for name, config in configs.items():
-            torch.manual_seed(0)
-            nets[name] = build_network(config).eval().requires_grad_(False)
-        nets = {name: net.to(device) for name, net in nets.items()}
-        setup = Setup(*pair, dense, refined(dense, wanted), device)
-        data = _measure(setup, nets, options.repetitions)
-        if options.json_path is not None:
-            save_text(stage(options.json_path), json_text(finite_data(data)))
+    rows = [("effort", "step", "ms")]
+    for effort, steps in medians(image1, image2, speed, matcher):
+        rows += [(effort, name, f"{1000 * seconds:.1f}") for name, seconds in steps.items()]
+    click.echo(aligned(rows))
 
 
-def _measure(
-    setup: Setup, nets: Mapping[str, CorrespondenceNet], repetitions: int
-) -> dict[str, object]:
-    """Measure, print, and return what is written as JSON."""
-    import torch
+def medians(
+    path1: Path, path2: Path, speed: SpeedOptions, matcher: MatcherOptions
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Seconds by step and in all, of each effort and of SIFT.
 
-    from dgc_pose.benchmarks.speed import (
-        FORWARD_COLUMNS,
-        SIFT,
-        TOTAL,
-        matrix_rate,
-        stages,
-        stages_text,
-        time_forwards,
-    )
-    from dgc_pose.runtime.torch_engine import network_input
+    Raises ImageError, InputError or WeightsError for what cannot be used.
+    """
+    images = load_image(path1), load_image(path2)
+    pair_cameras(speed.k, speed.k, *images, ("--K", "--K"))  # refused before a matcher is loaded
+    from dgc_pose.pose import match_and_estimate  # heavy
 
-    images = [load_image(path) for path in (setup.path1, setup.path2)]
-    facts = {
-        "weights": setup.dense.name,
-        "device": setup.device,
-        "runtime": "onnx" if isinstance(setup.dense.engine, OnnxEngine) else "torch",
-        "size": "x".join(map(str, images[0].size)),
-        "repetitions": repetitions,
-        "torch_threads": torch.get_num_threads(),
-        "opencv_threads": cv2.getNumThreads(),
-        "torch": torch.__version__,
-    }
-    click.echo(", ".join(f"{name} {value}" for name, value in facts.items()))
-    rate = partial(matrix_rate, setup.device)
-    timed = stages(setup, repetitions, rate)
-    click.echo("\n" + stages_text(timed) + "\n")
-    size, device = (INPUT_SIZE, INPUT_SIZE), torch.device(setup.device)
-    inputs = [network_input(image.pixels, size, device) for image in images]
-    forwards = [
-        forward
-        for name, net in nets.items()
-        for forward in time_forwards(name, net, inputs, repetitions, rate)
-    ]
-    click.echo(table(FORWARD_COLUMNS, forwards) + "\n")
-    totals = {stage.part: stage.seconds for stage in timed if stage.name == TOTAL}
-    ratios = {effort: totals[effort] / totals[SIFT] for effort in get_args(Effort)}
-    for effort, ratio in ratios.items():
-        click.echo(f"effort {effort} over sift, in all: {ratio:.2f}")
-    return {
-        **facts,
-        "stages": [asdict(stage) for stage in timed],
-        "over_sift": ratios,
-        "forwards": [asdict(forward) for forward in forwards],
-    }
+    loaded, sift = matcher.load(), replace(matcher, weights=SIFT).load()
+    ways = {effort: (loaded, EstimationOptions(effort=effort)) for effort in get_args(Effort)}
+    ways[SIFT] = sift, EstimationOptions()
+    timed: dict[str, list[dict[str, float]]] = {name: [] for name in ways}
+    for repetition in range(1 + speed.repeat):
+        for name, (used, options) in ways.items():
+            start = time.perf_counter()
+            image1, image2 = load_image(path1), load_image(path2)
+            cameras = pair_cameras(speed.k, speed.k, image1, image2, ("--K", "--K"))
+            seconds = time.perf_counter() - start
+            trace = match_and_estimate(image1, image2, *cameras, used, options, seconds)
+            if repetition:  # the first pass pays for what is set up once
+                timed[name].append(trace.pose.seconds)
+    for name, measured in timed.items():
+        steps = {step: median(row[step] for row in measured) for step in measured[0]}
+        yield name, steps | {TOTAL: median(sum(row.values()) for row in measured)}

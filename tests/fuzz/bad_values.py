@@ -34,7 +34,7 @@ _BASES: dict[str, Sequence[str]] = {
     "bench-hpatches": ("--root", "dir"),
     "bench-synthetic": ("--photos", "dir", "--pairs", "1"),
     "bench-dtu": ("--root", "dir", "--out", "new", "--methods", "sift"),
-    "bench-speed": ("one.png", "two.png", "x"),
+    "bench-speed": ("one.png", "two.png", "--repeat", "1"),
     "dtu-pairs": ("dir", "new.txt", "--scan", "1"),
     "train": ("--photos", "photos", "--out", "new", "--steps", "1", "--validation-pairs", "1"),
     "batch": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
