@@ -103,25 +103,9 @@ def write_mvsnet_training(
         write_image(root / f"Rectified/scan{number}{suffix}" / file, scan.images[position])
 
 
-def write_neus(
-    root: Path, scan: Scan, *, number: int = 65, extension: str = "png", light: str = "3"
-) -> None:
-    """`scanN/{image,cameras.npz}`."""
-    folder = root / f"scan{number}"
-    matrices = {}
-    for position, view in scan.views.items():
-        world_mat = np.eye(4)
-        world_mat[:3] = _projection(view)
-        matrices[f"world_mat_{position - 1}"] = world_mat
-        matrices[f"scale_mat_{position - 1}"] = np.diag([200.0, 200.0, 200.0, 1.0])
-        write_image(folder / "image" / f"{position - 1:06d}.{extension}", scan.images[position])
-    np.savez(folder / "cameras.npz", **matrices)
-
-
 WRITERS: Mapping[str, Callable[..., None]] = {
     "raw": write_raw,
     "mvsnet": write_mvsnet,
-    "neus": write_neus,
 }
 
 

@@ -9,14 +9,13 @@ from dgc_pose.benchmarks.dtu import layouts
 from dgc_pose.benchmarks.dtu.scene import LIGHTS, DtuScene, SceneReader, read_scene
 from dgc_pose.errors import InputError
 
-Layout = Literal["raw", "mvsnet", "neus"]
+Layout = Literal["raw", "mvsnet"]
 Find = Callable[[Path, str], SceneReader | None]
 
 # How each layout is found, and what is expected of it.
 _LAYOUTS: dict[Layout, tuple[Find, str]] = {
     "raw": (layouts.find_raw, layouts.RAW),
     "mvsnet": (layouts.find_mvsnet, layouts.MVSNET),
-    "neus": (layouts.find_neus, layouts.NEUS),
 }
 
 
@@ -50,7 +49,7 @@ def open_dataset(
 ) -> Dataset:
     """Find scenes and their views; without `scenes`, their numbers, all that are there.
 
-    light: 0 to 6, or "max"; test sets of MVSNet and NeuS hold one light alone. Raises InputError,
+    light: 0 to 6, or "max"; test sets of MVSNet hold one light alone. Raises InputError,
     with the path and what was expected, if the layout or one of `scenes` is missing or a
     calibration is malformed; ImageError for a file that is no image; OSError.
     """

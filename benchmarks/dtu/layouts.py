@@ -6,33 +6,22 @@
   `Rectified/scanN` with such images and `Rectified/scanN_train` with their half-size crops, names
   from 1 and cameras from 0; of both, the full size is taken. Test: `scanN/{images,cams}`, both from
   0, one light, K in pixels of the images.
-- As prepared for IDR and NeuS: `scanN/{image/000000.png, cameras.npz}`, one light. `world_mat_i`
-  (4x4) of `cameras.npz` is the projection, world (mm) to pixel, of image i, from 0.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from dgc_pose.benchmarks.dtu.calibration import DtuView, decompose, read_cam, read_projection
+from dgc_pose.benchmarks.dtu.calibration import DtuView, read_cam, read_projection
 from dgc_pose.benchmarks.dtu.scene import SceneReader, light_suffix, numbered_folders
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
-from dgc_pose.files.arrays import read_arrays
 
 # What is expected of each layout.
 RAW = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
 MVSNET = "Cameras/00000000_cam.txt and Rectified/scan1, or scan1/cams/00000000_cam.txt"
-NEUS = "scan24/cameras.npz and scan24/image/000000.png"
 _KINDS = {"Rectified": "rect", "Cleaned": "clean"}  # folder: how its images' names begin
 FULL_SIZE, HALF_SIZE = (1600, 1200), (800, 600)  # width, height, pixels
 CROP_SIZE = (640, 512)
 CROP_CORNER = (80, 44)  # x, y in the half-size image of the crop's top-left pixel: its middle part
-_FOLDER = r"(?:dtu_)?scan(\d+)"
-_KEYS = [f"world_mat_{number}" for number in range(64)]  # by position - 1
-_CALIBRATIONS = ("cameras.npz", "cameras_sphere.npz")  # IDR's name, NeuS's
 
 
 @dataclass(frozen=True)
@@ -113,52 +102,3 @@ def find_mvsnet(root: Path, light: str) -> MvsnetReader | None:
     """A reader, or None if `root` is of another layout."""
     reader = MvsnetReader(root, light)
     return reader if (root / "Cameras").is_dir() or reader.test_scenes() else None
-
-
-@dataclass(frozen=True)
-class NeusReader(SceneReader):
-    folders: Mapping[int, Path]  # by scene
-    _matrices: dict[Path, Mapping[str, np.ndarray]] = field(default_factory=dict)
-
-    def numbers(self) -> list[int]:
-        return sorted(self.folders)
-
-    def image_stem(self, scene: int, position: int) -> Path:
-        return self._folder(scene) / "image" / f"{position - 1:06d}"
-
-    def view(self, scene: int, position: int) -> DtuView | str:
-        folder, key = self._folder(scene), _KEYS[position - 1]
-        path = _calibration(folder)
-        if path is None:
-            return f"{folder / _CALIBRATIONS[0]}: {key}"
-        if path not in self._matrices:
-            self._matrices[path] = _read(path)
-        world_mat = self._matrices[path].get(key)
-        if world_mat is None:
-            return f"{path}: {key}"
-        if world_mat.shape != (4, 4) or world_mat.dtype.kind not in "fiu":
-            raise InputError(f"{path}: {key}: expected 4x4 numbers, found shape {world_mat.shape}")
-        return decompose(world_mat[:3].astype(np.float64), f"{path}: {key}")
-
-    def _folder(self, scene: int) -> Path:
-        return self.folders.get(scene, self.root / f"scan{scene}")
-
-
-def find_neus(root: Path, light: str) -> NeusReader | None:
-    """A reader, or None if `root` is of another layout. There is no choice of light."""
-    folders = {
-        n: folder for n, folder in numbered_folders(root, _FOLDER).items() if _calibration(folder)
-    }
-    return NeusReader(root, folders) if folders else None
-
-
-def _calibration(folder: Path) -> Path | None:
-    return next((folder / name for name in _CALIBRATIONS if (folder / name).is_file()), None)
-
-
-def _read(path: Path) -> Mapping[str, np.ndarray]:
-    """The projections of a file by their names."""
-    try:
-        return read_arrays(path, _KEYS)
-    except InputError as error:
-        raise InputError(f"{path}: expected an .npz with world_mat_0 and so on") from error

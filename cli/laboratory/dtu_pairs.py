@@ -39,7 +39,7 @@ def dtu_pairs(
 ) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
-    ROOT holds DTU as its authors ship it, or as prepared for MVSNet or NeuS. OUT.txt is a list in
+    ROOT holds DTU as its authors ship it, or as prepared for MVSNet. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
     dataset = folder.open(root, [scan])

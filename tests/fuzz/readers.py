@@ -368,7 +368,6 @@ READERS: dict[str, tuple[Make, Read]] = {
     "batch lists": (_make_batch_lists, lambda _, path: read_pair_list(path)),
     "DTU raw": (_make_layout("raw"), _read_layout),
     "DTU MVSNet": (_make_layout("mvsnet"), _read_layout),
-    "DTU NeuS": (_make_layout("neus"), _read_layout),
     "homographies": (_make_homographies, _read_homographies),
     "weights": (_make_weights, lambda _, path: load_network(path)),
     "checkpoints": (_make_checkpoints, lambda _, path: load_checkpoint(path)),
