@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, Generic
 
 from dgc_pose.benchmarks.methods import (
@@ -26,7 +26,7 @@ from dgc_pose.benchmarks.methods import (
 )
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import Score
-from dgc_pose.benchmarks.scoring import MatchedPair, Scored, map_errors, pair_seed, score
+from dgc_pose.benchmarks.scoring import MatchedPair, map_errors, pair_seed, score
 from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -49,7 +49,7 @@ def score_pairs(
     """
     parsed = parse_methods(methods)
     evaluation = Evaluation(pairs, parsed, load_passes(parsed, device=device))
-    return by_method(scored.score for records in evaluation.run() for scored in records)
+    return by_method(chain.from_iterable(evaluation.run()))
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Evaluation(Generic[Score]):
     def __post_init__(self) -> None:
         check_options(self)
 
-    def run(self, first: int = 0) -> Iterator[list[Scored[Score]]]:
+    def run(self, first: int = 0) -> Iterator[list[Score]]:
         """For each pair from number `first` on, in order, a record a method.
 
         The same whatever `first` and `workers`: batches begin at the same pairs, and the seed of a
@@ -75,7 +75,7 @@ class Evaluation(Generic[Score]):
         """
         number = first - first % self.batch
         pairs = self.pairs.read(number)
-        waiting: deque[list[Future[Scored[Score]]]] = deque()
+        waiting: deque[list[Future[Score]]] = deque()
         pools = nullcontext(_at_once) if self.workers == 1 else process_pools([self.workers])
         with pools as submit:
             while posed := list(islice(pairs, self.batch)):

@@ -9,7 +9,7 @@ import numpy as np
 from dgc_pose.estimation import RelativePose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
-RESULTS, TIMINGS = "results.csv", "timings.csv"
+RESULTS, TIMINGS, MATCHES = "results.csv", "timings.csv", "matches.csv"
 Key = tuple[Any, ...]  # a method, and what tells the pair apart
 
 
@@ -114,7 +114,7 @@ class DtuScore(MapScore):
     """A row of bench-dtu.
 
     The times have a table of their own: without them results.csv is the same to the byte for any
-    number of workers and after any number of kills.
+    number of workers and after any number of kills. So do the matches that the report draws.
     """
 
     scene: int
@@ -123,6 +123,7 @@ class DtuScore(MapScore):
     protocol: str
     true_baseline_mm: float
     overlap: float  # share of space at the object that both views see, 0 to 1
+    sample: str  # of the matches, for the report; see `sample_text`
 
     identity = ("method", "scene", "view1", "view2")
     headings = {"estimate_seconds": "pose_seconds"}
@@ -135,6 +136,7 @@ class DtuScore(MapScore):
             *_EPIPOLAR,
         ),
         TIMINGS: (*identity, *SECONDS),
+        MATCHES: (*identity, "sample"),
     }
 
 

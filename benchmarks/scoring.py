@@ -8,7 +8,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
 from dgc_pose.benchmarks.posed_pairs import Truth
-from dgc_pose.benchmarks.samples import MatchSample, draw_sample
+from dgc_pose.benchmarks.samples import draw_sample, sample_text
 from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -34,15 +34,7 @@ class MatchedPair(Generic[Score]):
     match_seconds: float
 
 
-@dataclass(frozen=True)
-class Scored(Generic[Score]):
-    """A record, and what the report draws of it."""
-
-    score: Score
-    sample: MatchSample
-
-
-def score(pair: MatchedPair[Score]) -> Scored[Score]:
+def score(pair: MatchedPair[Score]) -> Score:
     """Estimate the pose of a pair and compare it with the true one."""
     truth, matches, options = pair.truth, pair.matches, pair.options
     start = time.process_time()
@@ -75,9 +67,9 @@ def score(pair: MatchedPair[Score]) -> Scored[Score]:
         "epipolar_confident_mean_px": confident[1],
         "match_seconds": pair.match_seconds,
         "estimate_seconds": seconds,
+        "sample": sample_text(draw_sample(matches, pose.inliers, options.seed)),
     }
-    sample = draw_sample(matches, pose.inliers, options.seed)
-    return Scored(make_score(pair.kind, values), sample)
+    return make_score(pair.kind, values)
 
 
 def _pose(pair: MatchedPair[Score]) -> RelativePose:

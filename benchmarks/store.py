@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import csv
 import json
+from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Generic, TextIO, get_type_hints
 
 from dgc_pose.benchmarks.posed_pairs import PairSet
-from dgc_pose.benchmarks.samples import write_sample
 from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
-from dgc_pose.benchmarks.scoring import Scored
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.files.json_files import read_json
@@ -46,7 +45,6 @@ class RunStore(Generic[Score]):
         *,
         resume: bool = False,
         overwrite: bool = False,
-        samples: bool = False,
     ) -> None:
         """
         Args:
@@ -60,7 +58,6 @@ class RunStore(Generic[Score]):
         self.scores: list[Score] = []
         self.done = 0  # pairs
         self._kind = kind
-        self._samples = samples
         self._stack = ExitStack()
         self._tables: dict[str, TextIO] = {}
         if out is None:
@@ -70,7 +67,7 @@ class RunStore(Generic[Score]):
                 (out / name).unlink(missing_ok=True)
         _begin(out, settings, resume)
         tables = [_read_rows(out / name, kind, keys) for name in kind.tables]
-        rows = [kind(**{**parts[0], **parts[-1]}) for parts in zip(*tables, strict=False)]
+        rows = [kind(**dict(ChainMap(*parts))) for parts in zip(*tables, strict=False)]
         methods = len(keys[0]) if keys else 1
         self.done = len(rows) // methods
         self.scores = rows[: self.done * methods]
@@ -85,13 +82,9 @@ class RunStore(Generic[Score]):
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def add(self, scored: Sequence[Scored[Score]]) -> None:
+    def add(self, scores: Sequence[Score]) -> None:
         """Put the next pair on disk: a row a method. Its rows in results.csv come last, so that a
         pair that has them has everything."""
-        scores = [result.score for result in scored]
-        if self.out is not None and self._samples:
-            for result in scored:
-                write_sample(self.out, result.score.key, result.sample)
         for name in reversed(self._tables):
             self._write(name, self._tables[name], scores)
         self.scores += scores

@@ -11,7 +11,7 @@ import numpy as np
 from dgc_pose.benchmarks.dtu.calibration import relative_pose
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.benchmarks.samples import MatchSample, write_sample
+from dgc_pose.benchmarks.samples import MatchSample, sample_text
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
@@ -65,8 +65,7 @@ def finished_run(
     for number, (entry, method) in enumerate(product(entries, methods)):
         key = (method, entry.scene, entry.view1, entry.view2)
         samples[key] = _sample(entry.pair, rng)
-        write_sample(out, key, samples[key])
-        rows.append(_row(entry, method, rng, success=number % 7 != 3))
+        rows.append(_row(entry, method, rng, samples[key], success=number % 7 != 3))
     return FinishedRun(out, entries, rows, samples)
 
 
@@ -99,7 +98,9 @@ def _sample(pair: Pair, rng: np.random.Generator) -> MatchSample:
     return MatchSample(points1.round(2), points2.round(2), inliers)
 
 
-def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) -> DtuScore:
+def _row(
+    entry: Entry, method: str, rng: np.random.Generator, sample: MatchSample, *, success: bool
+) -> DtuScore:
     rotation, translation = np.round(rng.gamma(1.5, 6, 2), 4) if success else (np.inf, np.inf)
     return DtuScore(
         method=method,
@@ -126,4 +127,5 @@ def _row(entry: Entry, method: str, rng: np.random.Generator, *, success: bool) 
         epipolar_confident_mean_px=2.0,
         match_seconds=0.2,
         estimate_seconds=round(rng.random(), 4),
+        sample=sample_text(sample),
     )

@@ -1,32 +1,39 @@
-"""The report of a finished DTU run: its figures, and report.html with the pairs and their matches.
-
-Its data are JSON, which has no infinity: null stands for it, and for a figure that a method lacks.
-"""
+"""The report of a finished DTU run: its figures, and report.html with its pairs."""
 
 import base64
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import jinja2
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, ViewKey
-from dgc_pose.benchmarks.posed_pairs import Truth
-from dgc_pose.benchmarks.samples import read_sample
-from dgc_pose.benchmarks.scores import DtuScore
+from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs
+from dgc_pose.benchmarks.posed_pairs import PosedPair
+from dgc_pose.benchmarks.samples import MatchSample, read_sample
+from dgc_pose.benchmarks.scores import MATCHES, DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
-from dgc_pose.files.json_files import finite_data
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.images.image import Image
-from dgc_pose.metrics.epipolar import true_fundamental
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
 PAGE = "report.html"
-WORST = 10  # pairs of each method that have pictures first
-PICTURED = 300  # pairs with pictures in the page: more make a file that opens slowly
+WORST = 10  # pairs of each method that have a picture
+HEADINGS = {  # of the table of pairs
+    "pair": "scan{0.scene} {0.view1}-{0.view2}",
+    "rotation°": "{0.true_rotation_deg:.1f}",
+    "mm": "{0.true_baseline_mm:.0f}",
+    "overlap": "{0.overlap:.2f}",
+    "R err°": "{0.rotation_error_deg:.2f}",
+    "t err°": "{0.translation_error_deg:.2f}",
+    "t folded°": "{0.translation_folded_deg:.2f}",
+    "D_e all": "{0.epipolar_all_px:.2f}",
+    "D_e conf": "{0.epipolar_confident_px:.2f}",
+    "matches": "{0.num_matches}",
+    "inliers": "{0.num_inliers}",
+    "pose s": "{0.estimate_seconds:.3f}",
+    "status": "{0.status}",
+}
 _TEMPLATES = Path(__file__).parent / "templates"
 _CAPTIONS = {
     "rotation.svg": "Rotation error: share of pairs not above it",
@@ -34,22 +41,11 @@ _CAPTIONS = {
     "epipolar.svg": "Median symmetric epipolar distance of a pair: share of pairs not above it",
     "motion.png": "Errors against the true rotation and the baseline, with medians",
 }
+_CAPTION = "{0.status}: R off {0.rotation_error_deg:.2f}°, t off {0.translation_error_deg:.2f}°"
 _MIME = {"svg": "image/svg+xml", "png": "image/png", "jpg": "image/jpeg"}
-_THUMBNAIL = 240  # longest side, pixels
-_JPEG_QUALITY = 70
-_DIGITS = 10  # of an entry of F: a point in the largest image needs fewer
-_RESULT = {  # key in the page's data: field of the record
-    "success": "success",
-    "status": "status",
-    "matches": "num_matches",
-    "inliers": "num_inliers",
-    "R": "rotation_error_deg",
-    "t": "translation_error_deg",
-    "folded": "translation_folded_deg",
-    "all": "epipolar_all_px",
-    "confident": "epipolar_confident_px",
-    "seconds": "estimate_seconds",
-}
+_HEIGHT = 240  # pixels of a picture
+_GREEN, _RED = (46, 158, 91), (210, 67, 47)
+_JPEG_QUALITY = 80
 
 
 def write_report(
@@ -59,21 +55,21 @@ def write_report(
     *,
     facts: Mapping[str, str],
     table: str,
-    pictured: int = PICTURED,
 ) -> list[Path]:
     """Write the figures of a finished run and its page into `out`; each appears whole.
 
     rows: records of all methods, those of a method in the order of the pairs. facts: what was run,
-    by name. table: the summary, as text. pictured: how many pairs the page shows with images and
-    matches, at most. Returns the files written. Raises InputError without rows or for a malformed
-    sample, ImageError for an image that cannot be read.
+    by name. table: the summary, as text. Returns the files written. Raises InputError without rows
+    or for a malformed sample, ImageError for an image that cannot be read.
     """
     methods, errors = by_method(rows), columns(rows)
     histograms = plot_histograms(errors, pairs.protocol)
     figures = {f"{name}.{kind}": histograms[name] for name in histograms for kind in ("png", "svg")}
     figures["motion.png"] = plot_against_motion(errors)
-    chosen = pictured_pairs(methods, pictured)
-    data = page_data(out, pairs, methods, chosen)
+    shown = [
+        {"name": name, "rows": of_method, "worst": _worst(out, pairs, of_method)}
+        for name, of_method in methods.items()
+    ]
     paths = {name: out / name for name in (*figures, PAGE)}
     with staged(*map(str, paths.values())) as stage:
         files = {name: stage(str(path)) for name, path in paths.items()}
@@ -85,103 +81,52 @@ def write_report(
             undefined=jinja2.StrictUndefined,
         )
         page = environment.get_template(PAGE).render(
-            title="Relative camera pose on DTU",
             facts=facts,
             table=table,
+            headings=HEADINGS,
             plots=[
-                {
-                    "source": _data_uri(name[-3:], files[name].read_bytes()),
-                    "caption": caption,
-                }
+                {"source": _data_uri(name[-3:], files[name].read_bytes()), "caption": caption}
                 for name, caption in _CAPTIONS.items()
             ],
-            data=data,
-            pictured=len(chosen),
+            methods=shown,
         )
         save_text(files[PAGE], page)
     return [*paths.values()]
 
 
-def pictured_pairs(methods: Mapping[str, Sequence[DtuScore]], count: int) -> frozenset[ViewKey]:
-    """The pairs that the page has pictures of, at most `count`: the worst of each method, then from
-    the start of the list."""
-    worst = [sorted(rows, key=_rank)[:WORST] for rows in methods.values()]
-    by_rank = [rows[rank] for rank in range(max(map(len, worst))) for rows in worst]
-    in_order = [*by_rank, *next(iter(methods.values()))]
-    keys = [(row.scene, row.view1, row.view2) for row in in_order]
-    return frozenset(list(dict.fromkeys(keys))[:count])
+def _worst(out: Path, pairs: DtuPairs, rows: Sequence[DtuScore]) -> list[dict[str, str]]:
+    """Pictures of the pairs of a method with the largest errors, infinite without a pose."""
+    numbered = sorted(
+        enumerate(rows),
+        key=lambda one: -max(one[1].rotation_error_deg, one[1].translation_folded_deg),
+    )
+    pictures = []
+    for number, row in numbered[:WORST]:
+        picture = draw_pair(pairs.pair(number), read_sample(row.sample, out / MATCHES))
+        quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+        encoded = cv2.imencode(".jpg", picture[..., ::-1], quality)[1]
+        caption = f"{HEADINGS['pair']}, {_CAPTION}".format(row)
+        pictures.append({"source": _data_uri("jpg", encoded.tobytes()), "caption": caption})
+    return pictures
 
 
-def page_data(
-    out: Path,
-    pairs: DtuPairs,
-    rows: Mapping[str, Sequence[DtuScore]],
-    pictured: Collection[ViewKey],
-) -> dict[str, Any]:
-    """All that the page shows: the rows of each method, in the order of the pairs, and images,
-    matches and F of those pairs that are `pictured`. Raises what reading samples and images does.
-    """
-    images: dict[str, dict[str, Any]] = {}  # by name, each once
-    entries = []
-    for number, row in enumerate(next(iter(rows.values()))):
-        entry = {
-            "name": f"scan{row.scene} {row.view1}-{row.view2}",
-            "rotation": row.true_rotation_deg,
-            "baseline": row.true_baseline_mm,
-            "overlap": row.overlap,
-            "F": None,
-        }
-        if row.key[1:] in pictured:
-            posed = pairs.pair(number)
-            for image in (posed.image1, posed.image2):
-                if image.name not in images:
-                    images[image.name] = _thumbnail(image)
-            names = list(images)
-            entry |= {
-                "image1": names.index(posed.image1.name),
-                "image2": names.index(posed.image2.name),
-                "F": _fundamental(posed.truth),
-            }
-        entries.append(entry)
-    results = [[_result(out, row, pictured) for row in of_method] for of_method in rows.values()]
-    images_data = list(images.values())
-    return {"methods": list(rows), "pairs": entries, "images": images_data, "results": results}
-
-
-def _rank(row: DtuScore) -> tuple[object, ...]:
-    """The larger of rotation and folded translation error first, infinite without a pose."""
-    return -max(row.rotation_error_deg, row.translation_folded_deg), row.key
+def draw_pair(pair: PosedPair, sample: MatchSample) -> np.ndarray:
+    """Both images (H, W, 3) side by side at one height, and a line for each match."""
+    halves, ends = [], []
+    left = 0
+    for image, points in ((pair.image1, sample.points1), (pair.image2, sample.points2)):
+        scale = _HEIGHT / image.size[1]
+        size = (max(1, round(scale * image.size[0])), _HEIGHT)
+        halves.append(cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA))
+        ends.append(np.rint((points + 0.5) * scale - 0.5).astype(int) + (left, 0))
+        left += size[0]
+    picture = np.hstack(halves)
+    for end1, end2, inlier in zip(*ends, sample.inliers, strict=True):
+        colour = _GREEN if inlier else _RED
+        cv2.line(picture, end1.tolist(), end2.tolist(), colour, 1, cv2.LINE_AA)
+    return picture
 
 
 def _data_uri(kind: str, content: bytes) -> str:
     """A file within a page; kind: its name's ending."""
     return f"data:{_MIME[kind]};base64,{base64.b64encode(content).decode('ascii')}"
-
-
-def _result(out: Path, row: DtuScore, pictured: Collection[ViewKey]) -> dict[str, Any]:
-    result: dict[str, Any] = finite_data({k: getattr(row, name) for k, name in _RESULT.items()})
-    if row.key[1:] in pictured:
-        # x1, y1, x2, y2 in tenths of a pixel and 1 for an inlier or 0, match after match
-        sample = read_sample(out, row.key)
-        tenths = np.rint(np.column_stack([sample.points1, sample.points2]) * 10)
-        flat = np.column_stack([tenths, sample.inliers]).ravel()
-        result["sample"] = flat.astype(int).tolist()
-    return result
-
-
-def _thumbnail(image: Image) -> dict[str, Any]:
-    share = min(1.0, _THUMBNAIL / max(image.size))
-    size = tuple(max(1, round(share * side)) for side in image.size)
-    small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
-    bgr = cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
-    _, encoded = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    width, height = image.size
-    source = _data_uri("jpg", encoded.tobytes())
-    return {"width": width, "height": height, "source": source}
-
-
-def _fundamental(truth: Truth) -> list[float]:
-    """F row by row, of length 1."""
-    assert truth.R is not None and truth.t is not None
-    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
-    return [float(f"{value:.{_DIGITS}g}") for value in (F / np.linalg.norm(F)).ravel()]

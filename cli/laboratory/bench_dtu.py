@@ -117,7 +117,7 @@ def bench_dtu(
     evaluation = run.evaluation(pairs, chosen, passes)
     click.echo("\n".join(_opening(dataset, experiment.pairs, len(views))))
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
-    store = open_store(evaluation, experiment.out, run, settings, samples=True)
+    store = open_store(evaluation, experiment.out, run, settings)
     write_pair_csv(out / "pairs.csv", views)
     scores = work(evaluation, store)
     caches_by_name = {options.weights: matching.caches for options, matching in passes.items()}

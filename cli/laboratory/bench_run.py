@@ -57,8 +57,6 @@ def open_store(
     out: str | None,
     run: RunChoice,
     settings: Mapping[str, Any] | None = None,
-    *,
-    samples: bool = False,
 ) -> RunStore[Score]:
     """The store of an evaluation; its records depend on `settings` besides."""
     if out is None and run.resume:
@@ -70,7 +68,6 @@ def open_store(
         {**(settings or {}), **evaluation.settings(device_type(run.device))},
         resume=run.resume,
         overwrite=overwrites(),
-        samples=samples,
     )
 
 
@@ -82,6 +79,6 @@ def work(evaluation: Evaluation[Score], store: RunStore[Score]) -> list[Score]:
         click.echo(f"{first} of {total} pairs are done already")
     rows = evaluation.run(first)
     with store:
-        for scored in tqdm(rows, total=total, initial=first, unit="pair", disable=None):
-            store.add(scored)
+        for scores in tqdm(rows, total=total, initial=first, unit="pair", disable=None):
+            store.add(scores)
     return store.scores

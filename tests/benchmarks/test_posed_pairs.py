@@ -47,8 +47,8 @@ def run(pairs, matchers, options):
         Method(name, MatcherOptions(name, refinement=unrefined), options) for name in matchers
     ]
     passes = {one.matching_pass: MatchingPass(matchers[one.name]) for one in methods}
-    for scored in Evaluation(ListedPairs(pairs), methods, passes).run():
-        yield from (result.score for result in scored)
+    for scores in Evaluation(ListedPairs(pairs), methods, passes).run():
+        yield from scores
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from evaluation_pairs import METHODS, evaluation, posed_pairs
 
-from dgc_pose.benchmarks.samples import read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.store import RunStore, keys_of
 from dgc_pose.errors import InputError
@@ -22,6 +21,7 @@ COLUMNS = {
         "epipolar_all_mean_px epipolar_confident_mean_px"
     ).split(),
     "timings.csv": "method scene view1 view2 match_seconds pose_seconds".split(),
+    "matches.csv": "method scene view1 view2 sample".split(),
 }
 
 
@@ -33,11 +33,11 @@ def rows(tmp_path_factory):
 
 @pytest.fixture
 def open_store(rows, tmp_path):
-    keys = [[result.score.key for result in scored] for scored in rows]
+    keys = [[score.key for score in scores] for scores in rows]
 
     def make(resume: bool = False, settings=SETTINGS) -> RunStore[DtuScore]:
         out = tmp_path / "run"
-        return RunStore(out, DtuScore, keys, settings, resume=resume, samples=True)
+        return RunStore(out, DtuScore, keys, settings, resume=resume)
 
     return make
 
@@ -53,35 +53,33 @@ def finished(rows, open_store, tmp_path):
 
 def test_the_files_hold_the_rows(rows, finished) -> None:
     folder, _ = finished
-    flat = [result for scored in rows for result in scored]
-    assert list(COLUMNS) == ["results.csv", "timings.csv"]
+    flat = [score for scores in rows for score in scores]
+    assert list(COLUMNS) == list(DtuScore.tables)
     for name, columns in COLUMNS.items():
         with (folder / name).open(newline="") as stream:
             table = list(csv.DictReader(stream))
         assert [list(line) for line in table] == [columns] * len(flat)
-        for line, result in zip(table, flat, strict=True):
-            values = asdict(result.score) | {"pose_seconds": result.score.estimate_seconds}
+        for line, score in zip(table, flat, strict=True):
+            values = asdict(score) | {"pose_seconds": score.estimate_seconds}
             assert line == {name: str(values[name]) for name in columns}
-    sample = read_sample(folder, flat[0].score.key)
-    assert np.allclose(sample.points1, flat[0].sample.points1, atol=0.01)
 
 
 def test_the_keys_are_known_before_the_work(rows, tmp_path) -> None:
     keys = keys_of(posed_pairs(tmp_path, PAIRS), [method.name for method in METHODS])
-    assert keys == [[result.score.key for result in scored] for scored in rows]
+    assert keys == [[score.key for score in scores] for scores in rows]
 
 
 def test_records_are_kept_without_a_folder(rows) -> None:
-    keys = [[result.score.key for result in scored] for scored in rows]
+    keys = [[score.key for score in scores] for scores in rows]
     with RunStore(None, DtuScore, keys, SETTINGS) as store:
         store.add(rows[0])
-    assert store.done == 1 and store.scores == [result.score for result in rows[0]]
+    assert store.done == 1 and store.scores == rows[0]
 
 
 def test_any_cut_is_mended(rows, finished, open_store) -> None:
     """Cut anywhere, in either table, and resumed from the first pair that the cut leaves undone."""
     folder, whole = finished
-    flat = [asdict(result.score) for scored in rows for result in scored]
+    flat = [asdict(score) for scores in rows for score in scores]
     np.testing.assert_equal([asdict(row) for row in open_store(resume=True).scores], flat)
     timings = (folder / "timings.csv").read_bytes()
     for cut in range(0, len(whole), 97):

@@ -91,7 +91,7 @@ def test_a_summary_is_of_one_method(results):
 
 def test_the_summary_is_that_of_the_records(tmp_path) -> None:
     rows = evaluation(posed_pairs(tmp_path, 3)).run()
-    results = [result.score for scored in rows for result in scored]
+    results = [score for scores in rows for score in scores]
     results[0] = replace(
         results[0],
         success=False,

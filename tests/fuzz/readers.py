@@ -28,7 +28,7 @@ from dgc_pose.benchmarks.homographies import find_homography_pairs, read_lists
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
-from dgc_pose.benchmarks.samples import draw_sample, read_sample, write_sample
+from dgc_pose.benchmarks.samples import MatchSample, read_sample, sample_text
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.benchmarks.stored_matches import FileMatcher
@@ -39,6 +39,7 @@ from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.files.inputs import read_text
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
@@ -244,8 +245,8 @@ def _make_run(folder: Path) -> None:
 
 def _make_sample(folder: Path) -> None:
     points = np.random.default_rng(0).uniform(0, 30, (20, 2))
-    matches = Matches(points, points, np.ones(20), error_px=1.0)
-    write_sample(folder, ("sift", 1, 2, 3), draw_sample(matches, np.ones(20, bool), 0))
+    text = sample_text(MatchSample(points, points, np.ones(20, bool)))
+    (folder / "sample.txt").write_text(text)
 
 
 def _make_warps(folder: Path) -> None:
@@ -376,7 +377,7 @@ READERS: dict[str, tuple[Make, Read]] = {
         _make_run,
         lambda folder, _: RunStore(folder, PairScore, _KEYS, {"batch": 1}, resume=True),
     ),
-    "samples": (_make_sample, lambda folder, _: read_sample(folder, ("sift", 1, 2, 3))),
+    "samples": (_make_sample, lambda _, path: read_sample(read_text(path), path)),
     "warp lists": (_make_warps, lambda _, path: read_warps(path)),
     "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
     "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
