@@ -1,10 +1,8 @@
 """What methods are told of the cameras of a list: its K, a wrong K, or none."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
-
-import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.cameras.calibration import pair_cameras
@@ -17,7 +15,6 @@ from dgc_pose.system.options import check_options, option
 
 WithheldCameras = Literal["auto", "auto:shared", "auto:two"]
 ToldCameras = Literal["list", WithheldCameras]
-_ONE_CAMERA = 0.01  # relative difference of all numbers of K
 # How a warning or a refusal begins that says that a K may be wrong.
 _DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
 
@@ -39,26 +36,10 @@ class CameraTrial:
     k_scale: float = option(
         1.0, "Multiply the focal lengths of K.", flag="--K-scale", metavar="F", above=0, max=1000
     )
-    k_shift: float = option(
-        0.0,
-        "Move the principal point to the right by this share of the image's width.",
-        flag="--K-shift",
-        metavar="S",
-        min=-10,
-        max=10,
-    )
-    k_std: float = option(
-        0.0,
-        "Tell the methods that the focal lengths have this relative standard deviation.",
-        flag="--K-std",
-        metavar="STD",
-        min=0,
-        max=1,
-    )
 
     def __post_init__(self) -> None:
         check_options(self)
-        if self.withholds and replace(self, k=None) != CameraTrial():
+        if self.withholds and self.k_scale != 1:
             raise InputError(f"K is {self.k}: it cannot be changed as well")
 
     @property
@@ -81,19 +62,13 @@ class CameraTrial:
             return truth.camera1, truth.camera2
         if self.withholds:
             return pair_cameras(self.k, self.k, pair.image1, pair.image2)
-        # Nearly equal K are of one camera, and wrong by the same factor.
-        shared = np.allclose(truth.camera1.K, truth.camera2.K, rtol=_ONE_CAMERA)
-        identity = "list" if shared and self.k_std else None
         return (
-            self._told("K1", truth.camera1, pair.image1, identity),
-            self._told("K2", truth.camera2, pair.image2, identity),
+            self._scaled("K1", truth.camera1, pair.image1),
+            self._scaled("K2", truth.camera2, pair.image2),
         )
 
-    def _told(self, name: str, camera: Camera, image: Image, identity: str | None) -> Camera:
-        K = camera.with_focal(self.k_scale * camera.focal).K.copy()
-        K[0, 2] += self.k_shift * image.size[0]
-        told = replace(camera, K=K, focal_std=self.k_std, identity=identity)
-        return checked_camera(told, image.size, name)
+    def _scaled(self, name: str, camera: Camera, image: Image) -> Camera:
+        return checked_camera(camera.with_focal(self.k_scale * camera.focal), image.size, name)
 
 
 def suggested_focal(pose: RelativePose) -> tuple[float, float]:

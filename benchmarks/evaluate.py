@@ -29,7 +29,6 @@ from dgc_pose.benchmarks.scores import Score
 from dgc_pose.benchmarks.scoring import MatchedPair, map_errors, pair_seed, score
 from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
@@ -121,7 +120,7 @@ class Evaluation(Generic[Score]):
         for method in self.methods:
             mapped = results[method.matching_pass]
             whole = partial(self._selected, selected, method, pair, mapped)
-            cameras, options = _told(method, pair), _seeded(method, pair)
+            cameras, options = method.cameras.cameras(pair), _seeded(method, pair)
             final, seconds = self._final(method, pair, cameras, options, whole)
             yield MatchedPair(
                 kind=self.pairs.kind,
@@ -156,14 +155,14 @@ class Evaluation(Generic[Score]):
         self,
         method: Method,
         pair: PosedPair,
-        cameras: tuple[Camera, Camera] | str,
+        cameras: tuple[Camera, Camera],
         options: EstimationOptions,
         whole: Callable[[], tuple[MatchResult, float]],
     ) -> tuple[MatchResult, float]:
         """The matches that the pose is of at last, and the seconds until they were there, also
         those of poses before. whole: all the matches, and their seconds."""
         refiner = self.passes[method.matching_pass].refiner(method)
-        if refiner is None or isinstance(cameras, str):
+        if refiner is None:
             return whole()
         start = end = time.perf_counter()
         elsewhere = 0.0
@@ -192,14 +191,6 @@ class _Result:
     matched: MatchResult
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels, NaN without a map
     seconds: float  # the mean over the batch
-
-
-def _told(method: Method, pair: PosedPair) -> tuple[Camera, Camera] | str:
-    """The cameras that a method gets, or why it would be refused them."""
-    try:
-        return method.cameras.cameras(pair)
-    except InputError as error:
-        return str(error)
 
 
 def _seeded(method: Method, pair: PosedPair) -> EstimationOptions:

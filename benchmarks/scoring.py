@@ -26,7 +26,7 @@ class MatchedPair(Generic[Score]):
     kind: type[Score]
     method: str
     truth: Truth
-    cameras: tuple[Camera, Camera] | str  # that the estimation gets, or why it gets none
+    cameras: tuple[Camera, Camera]  # that the estimation gets
     matches: Matches
     map_matches: Matches | None  # see `estimate_pose`
     everywhere_px: tuple[float, float]  # median and mean D_e over all pixels
@@ -38,7 +38,7 @@ def score(pair: MatchedPair[Score]) -> Score:
     """Estimate the pose of a pair and compare it with the true one."""
     truth, matches, options = pair.truth, pair.matches, pair.options
     start = time.process_time()
-    pose = _pose(pair)
+    pose = pose_of_matches(matches, *pair.cameras, options, map_matches=pair.map_matches)
     seconds = time.process_time() - start
     rotation, translation = pose_errors(pose, truth.R, truth.t)
     confident = epipolar_errors(truth, matches.points1, matches.points2)
@@ -72,20 +72,11 @@ def score(pair: MatchedPair[Score]) -> Score:
     return make_score(pair.kind, values)
 
 
-def _pose(pair: MatchedPair[Score]) -> RelativePose:
-    if isinstance(pair.cameras, str):
-        none = np.zeros(len(pair.matches), dtype=bool)
-        return RelativePose("no_model", pair.cameras, none, 0, warnings=(pair.cameras,))
-    return pose_of_matches(pair.matches, *pair.cameras, pair.options, map_matches=pair.map_matches)
-
-
 def _focal_lengths(pose: RelativePose, truth: Truth) -> dict[str, float]:
     """Of both cameras the error of ln f and its expected deviation, NaN without a pose."""
     values = {}
-    of_pose = (pose.camera1, pose.camera2)
-    for n, (camera, true) in enumerate(
-        zip(of_pose, (truth.camera1, truth.camera2), strict=True), start=1
-    ):
+    cameras = (1, pose.camera1, truth.camera1), (2, pose.camera2, truth.camera2)
+    for n, camera, true in cameras:
         error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
         values[f"focal{n}_error"] = error
         values[f"focal{n}_std"] = np.nan if camera is None else camera.focal_std

@@ -85,7 +85,7 @@ class PairBenchOptions:
             require_images(pairs)
             return ListedPairs(pairs, CameraScore if trial else PairScore)
         if trial:
-            raise InputError("--K, --K-scale, --K-shift and --K-std need a LIST of pairs")
+            raise InputError("--K and --K-scale need a LIST of pairs")
         if pair_list is not None or self.rendered is None or self.photos is None:
             raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
         require({"--rendered": "torch"})

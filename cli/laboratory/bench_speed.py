@@ -1,7 +1,7 @@
 """`dgc-pose bench-speed`: where the time of a pair goes."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -61,7 +61,7 @@ def medians(
     loaded, sift = matcher.load(), replace(matcher, weights=SIFT).load()
     ways = {effort: (loaded, EstimationOptions(effort=effort)) for effort in get_args(Effort)}
     ways[SIFT] = sift, EstimationOptions()
-    timed: dict[str, list[dict[str, float]]] = {name: [] for name in ways}
+    timed: dict[str, list[Mapping[str, float]]] = {name: [] for name in ways}
     for repetition in range(1 + speed.repeat):
         for name, (used, options) in ways.items():
             start = time.perf_counter()
