@@ -8,20 +8,23 @@ import numpy as np
 from dgc_pose.benchmarks.scores import CameraScore
 from dgc_pose.benchmarks.summary import MethodSummary, columns, summarise
 from dgc_pose.estimation.probability import RIGHT_DEG
-from dgc_pose.files.tables import decimals
+from dgc_pose.files.tables import aligned, decimals
 from dgc_pose.metrics import Reliability
 
 TOLD_STD = 0.05  # of ln f: the matches tell a focal length whose deviation is below
-CAMERA_HEADING = (
+_HEADING = (
     "poses claimed, and wrong ones among them (over 10 degrees in R or t); doubted: the pose says "
     "that a K may be wrong;\n"
     "told: doubted, or no pose; p off: calibration error of the probability, points; in 90 %: "
     "share of right poses whose\n"
     "error is within the expected one; f: focal lengths of claimed poses, median error and share "
     "within two deviations,\n"
-    "of all and of those with a deviation below 5 %; all in percent"
+    "of all and of those with a deviation below 5 %; shares and errors in percent"
 )
-_FIGURES = {  # field and decimals
+_COLUMNS = {  # field and decimals
+    "claimed": ("claimed", 0),
+    "wrong": ("wrong", 0),
+    "doubted": ("doubted", 0),
     "told": ("told_percent", 1),
     "p off": ("probability_error_percent", 1),
     "R in 90 %": ("rotation_within_percent", 0),
@@ -31,13 +34,6 @@ _FIGURES = {  # field and decimals
     "std < 5 %": ("sure_percent", 0),
     "their f error": ("sure_median_focal_error_percent", 2),
     "their in 2 std": ("sure_focal_within_percent", 0),
-}
-CAMERA_COLUMNS = {
-    "method": "{0.method}",
-    "claimed": "{0.claimed}",
-    "wrong": "{0.wrong} ({0.texts[wrong]})",
-    "doubted": "{0.doubted} ({0.texts[doubted]})",
-    **{name: f"{{0.texts[{name}]}}" for name in _FIGURES},
 }
 
 
@@ -61,16 +57,14 @@ class CameraSummary(MethodSummary):
     sure_median_focal_error_percent: float
     sure_focal_within_percent: float
 
-    @property
-    def texts(self) -> dict[str, str]:
-        """The shares and medians of `CAMERA_COLUMNS`."""
-        return {
-            "wrong": decimals(_percent(self.wrong, self.claimed), 1),
-            "doubted": decimals(_percent(self.doubted, self.pairs), 1),
-            **{
-                name: decimals(getattr(self, of), digits) for name, (of, digits) in _FIGURES.items()
-            },
-        }
+
+def camera_table(summaries: Sequence[CameraSummary]) -> str:
+    """What the summaries have besides those of known cameras, as a table below its heading."""
+    rows = [
+        [one.method, *(decimals(getattr(one, name), digits) for name, digits in _COLUMNS.values())]
+        for one in summaries
+    ]
+    return f"{_HEADING}\n{aligned([['method', *_COLUMNS], *rows])}"
 
 
 def summarise_cameras(scores: Sequence[CameraScore]) -> CameraSummary:
@@ -109,12 +103,8 @@ def summarise_cameras(scores: Sequence[CameraScore]) -> CameraSummary:
     )
 
 
-def _percent(count: int, total: int) -> float:
-    return 100 * count / total if total else np.nan
-
-
 def _share(true: np.ndarray) -> float:
-    return _percent(int(true.sum()), len(true))
+    return 100 * int(true.sum()) / len(true) if len(true) else np.nan
 
 
 def _median_percent(log_errors: np.ndarray) -> float:

@@ -4,8 +4,7 @@ The truth comes from the calibration, so that a list serves every layout and lig
 
 - CSV with the columns scene, view1 and view2, and others that are ignored;
 - SuperGlue's, see `cameras/pair_list.py`: scene and view come from the names of the images, in
-  any of the layouts (`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`);
-- `id1 id2 scan q(4) t(3)`, views from 1, after comment lines that begin with `--`.
+  any of the layouts (`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`).
 """
 
 import csv
@@ -29,7 +28,6 @@ from dgc_pose.files.outputs import replaced, writing
 
 PAIRS = 3000  # of the paper
 COLUMNS = ("scene", "view1", "view2")
-_POSE_FIELDS = 10  # of `id1 id2 scan q(4) t(3)`
 _SCENE = r"(?:dtu_)?scan(\d+)(?:_train)?"
 _FROM_ONE = r"(?:rect|clean)_(\d{3})_\w+\.\w+"
 _FROM_ZERO = r"(?:\d{2})?(\d{6})\.\w+"
@@ -113,7 +111,7 @@ def _parse(path: Path) -> Iterator[tuple[int, Ids]]:
     lines = [
         (number, line.strip())
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith(("--", "#"))
+        if line.strip() and not line.lstrip().startswith("#")
     ]
     header = [name.strip() for name in lines[0][1].split(",")] if lines else []
     if len(header) > 1:
@@ -123,12 +121,10 @@ def _parse(path: Path) -> Iterator[tuple[int, Ids]]:
         words, where = line.split(), f"{path}:{number}"
         if len(words) == FIELDS:
             yield number, _from_names(words[0], words[1], where)
-        elif len(words) == _POSE_FIELDS:
-            yield number, _integers([words[2].removeprefix("scan"), *words[:2]], where)
         else:
             raise InputError(
-                f"{where}: expected a CSV with {','.join(COLUMNS)}, a line of {FIELDS} fields in "
-                f"SuperGlue's format, or id1 id2 scan q t in {_POSE_FIELDS}, found {len(words)}"
+                f"{where}: expected a CSV with {','.join(COLUMNS)} or a line of {FIELDS} fields, as "
+                f"SuperGlue's, found {len(words)}"
             )
 
 
@@ -143,7 +139,13 @@ def _parse_csv(
         words, where = [word.strip() for word in line.split(",")], f"{path}:{number}"
         if len(words) != len(header):
             raise InputError(f"{where}: expected {len(header)} columns, found {len(words)}")
-        yield number, _integers([words[column] for column in columns], where)
+        try:
+            scene, view1, view2 = (int(words[column]) for column in columns)
+        except ValueError:
+            raise InputError(
+                f"{where}: expected whole numbers of scene and views, found {line}"
+            ) from None
+        yield number, (scene, view1, view2)
 
 
 def _from_names(name1: str, name2: str, where: str) -> Ids:
@@ -162,12 +164,3 @@ def _from_name(name: str, where: str) -> tuple[int, int]:
         if scenes and (match := re.fullmatch(pattern, file)):
             return int(scenes[-1]), int(match[1]) + start
     raise InputError(f"{where}: expected the name of a DTU image, found {name}")
-
-
-def _integers(words: Sequence[str], where: str) -> Ids:
-    try:
-        scene, view1, view2 = map(int, words)
-    except ValueError:
-        expected = "expected whole numbers of scene and views"
-        raise InputError(f"{where}: {expected}, found {' '.join(words)}") from None
-    return scene, view1, view2

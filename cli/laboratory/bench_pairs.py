@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from dgc_pose.benchmarks.camera_summary import CAMERA_COLUMNS, CAMERA_HEADING, summarise_cameras
+from dgc_pose.benchmarks.camera_summary import camera_table, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.methods import load_passes, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
@@ -19,7 +19,6 @@ from dgc_pose.benchmarks.posed_pairs import (
 )
 from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore
 from dgc_pose.benchmarks.summary import (
-    MethodSummary,
     by_method,
     columns,
     heading,
@@ -37,7 +36,6 @@ from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import replaced, save_text, staged, write_text
-from dgc_pose.files.tables import table
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import MAX_SEED, option
@@ -137,7 +135,7 @@ def bench_pairs(
         passes = load_passes(chosen, device=run.device, runtime=run.runtime)
         evaluation = run.evaluation(pairs, chosen, passes)
         results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
-        summarised: Callable[..., MethodSummary] = summarise_cameras if trial else summarise
+        summarised: Callable[..., Any] = summarise_cameras if trial else summarise
         if issubclass(pairs.kind, MapScore):
             summarised = summarise_epipolar
         summaries = [summarised(rows) for rows in results.values()]
@@ -157,4 +155,4 @@ def bench_pairs(
             save_figure(plot_errors(rotation, translation), file)
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
     if trial:
-        click.echo(f"\n{CAMERA_HEADING}\n{table(CAMERA_COLUMNS, summaries)}")
+        click.echo(f"\n{camera_table(summaries)}")

@@ -172,7 +172,6 @@ def _make_layout(layout: str) -> Make:
     def make(folder: Path) -> None:
         dtu_layout.WRITERS[layout](folder, dtu_layout.grey_scan([-10.0, 0.0, 12.0]))
         (folder / "pairs.csv").write_text("scene,view1,view2\n65,1,2\n65,1,3\n")
-        (folder / "poses.txt").write_text("-- id1 id2 scan q t\n1 2 65 1 0 0 0 1 0 0\n")
         names = "scan65/rect_001_3_r5000.png scan65/rect_002_3_r5000.png"
         numbers = " ".join(["300 0 80 0 300 60 0 0 1"] * 2 + ["1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1"])
         (folder / "glue.txt").write_text(f"{names} 0 0 {numbers}\n")
