@@ -123,8 +123,8 @@ def _parse(path: Path) -> Iterator[tuple[int, Ids]]:
             yield number, _from_names(words[0], words[1], where)
         else:
             raise InputError(
-                f"{where}: expected a CSV with {','.join(COLUMNS)} or a line of {FIELDS} fields, as "
-                f"SuperGlue's, found {len(words)}"
+                f"{where}: expected a CSV with {','.join(COLUMNS)}, or {FIELDS} fields as in "
+                f"SuperGlue's lists, found {len(words)}"
             )
 
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
-
-from dgc_pose.cameras.colmap_camera import Distortion
 
 
 @dataclass(frozen=True)
@@ -48,56 +44,11 @@ class Cameras:
         centre = self.K[:, :2, 2][..., None]
         return points[:, :2] / points[:, 2:] * focal + centre
 
-    def stretch(self, rays: Tensor) -> Tensor | float:
-        """Of a pixel by the lens, at rays (B, 3, n) with z = 1: (B * n,), the side of what it sees
-        over that without a lens."""
-        return 1.0
-
     def shifted(self, x: float, y: float) -> Cameras:
         """The cameras whose pixel (0, 0) is this one's (x, y): for samples within a pixel."""
         offset = torch.zeros_like(self.K)
         offset[:, 0, 2], offset[:, 1, 2] = x, y
         return replace(self, K=self.K - offset)
-
-
-@dataclass(frozen=True)
-class LensCameras(Cameras):
-    """Cameras with a lens. All pixels must be undistorted by it."""
-
-    lens: Distortion
-
-    def rays(self, pixels: Tensor) -> Tensor:
-        rays = super().rays(pixels)
-        return _changed(rays, self.lens.undo)
-
-    def project(self, points: Tensor) -> Tensor:
-        """Pixels (B, 2, n) of points (B, 3, n); NaN where the model has none, behind the camera or
-        where the distorted radius does not grow any more."""
-
-        def distorted(points: np.ndarray) -> np.ndarray:
-            seen = self.lens.apply(points)
-            again = self.lens.undo(seen)
-            near = np.abs(again - points).max(1) < 1e-4 * (1 + np.abs(points).max(1))
-            return np.where(near[:, None], seen, np.nan)
-
-        ahead = torch.where(points[:, 2:] > 0, points, torch.nan)
-        return super().project(_changed(ahead / ahead[:, 2:], distorted))
-
-    def stretch(self, rays: Tensor) -> Tensor | float:
-        ideal = rays[:, :2].mT.reshape(-1, 2).double().cpu().numpy()
-        seen = self.lens.apply(ideal)
-        step = 1e-4
-        by_x, by_y = ((self.lens.apply(ideal + step * axis) - seen) / step for axis in np.eye(2))
-        area = np.abs(by_x[:, 0] * by_y[:, 1] - by_x[:, 1] * by_y[:, 0])
-        oblique = np.linalg.norm(np.column_stack([ideal, np.ones(len(ideal))]), axis=1)
-        return torch.from_numpy(1 / np.sqrt(area * oblique)).to(rays)
-
-
-def _changed(rays: Tensor, change: Callable[[np.ndarray], np.ndarray]) -> Tensor:
-    """Rays (B, 3, n) with z = 1 whose x and y, (B * n, 2) float64, are changed."""
-    points = change(rays[:, :2].mT.reshape(-1, 2).double().cpu().numpy())
-    changed = torch.from_numpy(points).to(rays).reshape(len(rays), -1, 2).mT
-    return torch.cat((changed, torch.ones_like(rays[:, 2:])), dim=1)
 
 
 def relative_pose(first: Cameras, second: Cameras) -> Tensor:

@@ -105,7 +105,6 @@ def shade(
     texels_per_unit = (a * e - b * d).abs().sqrt()
     depth = hits.depth.reshape(-1).nan_to_num(posinf=1.0)
     footprint = texels_per_unit * depth / focal / cosine.clamp(min=0.05).sqrt()
-    footprint = footprint * cameras.stretch(hits.rays)
     colour = bank.sample(photo, a * u + b * v + c, d * u + e * v + f, footprint)
     colour = colour * _brightness(scene, hits, options)
     colour = colour.masked_fill(hits.depth.reshape(-1).isinf(), 0.0)

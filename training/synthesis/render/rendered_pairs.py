@@ -52,11 +52,8 @@ def render_pairs(
     size: int,
     generator: torch.Generator,
     options: SceneOptions,
-    seen_by: Callable[[Cameras], Cameras] | None = None,
 ) -> RenderedPairs:
     """Two views, `size` pixels square, of each of `batch` random scenes with textures of `bank`.
-
-    seen_by: to other cameras at the same places, which the views are rendered for.
 
     All random numbers come from `generator`: the scenes do not depend on the bank's device. All
     values are float32.
@@ -69,8 +66,6 @@ def render_pairs(
         return Views(scene, first, second)
 
     views = overlapping(draw_views, options)
-    if seen_by is not None:
-        views = views._replace(first=seen_by(views.first), second=seen_by(views.second))
     light2 = views.scene.light + options.light_change * draw.normal(batch, 3)
     return render_views(views, bank, options, light2)
 
