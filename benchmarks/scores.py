@@ -4,11 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeVar
 
-import numpy as np
-
-from dgc_pose.estimation import RelativePose
-from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-
 RESULTS, TIMINGS, MATCHES = "results.csv", "timings.csv", "matches.csv"
 Key = tuple[Any, ...]  # a method, and what tells the pair apart
 
@@ -54,7 +49,6 @@ _EPIPOLAR = (
     *("epipolar_all_px", "epipolar_confident_px"),
     *("epipolar_all_mean_px", "epipolar_confident_mean_px"),
 )
-
 
 _CAMERA = (
     *("rotation_90_deg", "translation_90_deg", "probability"),
@@ -147,20 +141,3 @@ def make_score(kind: type[Score], values: Mapping[str, Any]) -> Score:
         numbers = {name: float(v) for name, v in chosen.items() if isinstance(v, float)}
         chosen |= {name: round(number, kind.decimals) for name, number in numbers.items()}
     return kind(**chosen)
-
-
-def pose_errors(
-    pose: RelativePose, R: np.ndarray | None, t: np.ndarray | None
-) -> tuple[float, float]:
-    """Errors of rotation and translation in degrees against the true R (3, 3) and t (3,).
-
-    NaN if there is no true value, infinite if the pose has none. A pose counts only as a whole,
-    unless the camera only rotated, so that there is no true t.
-    """
-    if R is None:
-        return np.nan, np.nan
-    if t is None:
-        return np.inf if pose.R is None else rotation_error_deg(pose.R, R), np.nan
-    if not pose.success or pose.R is None or pose.t is None:
-        return np.inf, np.inf
-    return rotation_error_deg(pose.R, R), translation_error_deg(pose.t, t)

@@ -9,12 +9,12 @@ import numpy as np
 from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import draw_sample, sample_text
-from dgc_pose.benchmarks.scores import Score, make_score, pose_errors
+from dgc_pose.benchmarks.scores import Score, make_score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
-from dgc_pose.metrics import folded, rotation_error_deg
+from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
 from dgc_pose.pose import pose_of_matches
 
@@ -40,13 +40,17 @@ def score(pair: MatchedPair[Score]) -> Score:
     start = time.process_time()
     pose = pose_of_matches(matches, *pair.cameras, options, map_matches=pair.map_matches)
     seconds = time.process_time() - start
-    rotation, translation = pose_errors(pose, truth.R, truth.t)
+    assert truth.R is not None and truth.t is not None
+    rotation = translation = np.inf
+    if pose.success and pose.R is not None and pose.t is not None:  # it counts only as a whole
+        rotation = rotation_error_deg(pose.R, truth.R)
+        translation = translation_error_deg(pose.t, truth.t)
     confident = epipolar_errors(truth, matches.points1, matches.points2)
     values = {
         **truth.ids,
         "method": pair.method,
-        "true_rotation_deg": _rotation(truth),
-        "true_baseline_mm": np.nan if truth.t is None else float(np.linalg.norm(truth.t)),
+        "true_rotation_deg": rotation_error_deg(truth.R, np.eye(3)),
+        "true_baseline_mm": float(np.linalg.norm(truth.t)),
         "status": pose.status,
         "success": pose.success,
         "num_matches": pose.num_matches,
@@ -91,9 +95,8 @@ def map_errors(truth: Truth, dense: CorrespondenceMap | None) -> tuple[float, fl
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:
-    """Median and mean D_e of matches (..., 2), NaN without a true translation."""
-    if truth.R is None or truth.t is None:
-        return np.nan, np.nan
+    """Median and mean D_e of matches (..., 2)."""
+    assert truth.R is not None and truth.t is not None
     F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
     ideal1, ideal2 = ideal_pixels(points1, truth.camera1), ideal_pixels(points2, truth.camera2)
     return median_and_mean(ideal1, ideal2, F)
@@ -102,10 +105,6 @@ def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> t
 def pair_seed(seed: int, *words: int) -> int:
     """A seed for each pair, the same whatever is estimated before it and in which process."""
     return int(np.random.SeedSequence([seed, *words]).generate_state(1)[0])
-
-
-def _rotation(truth: Truth) -> float:
-    return np.nan if truth.R is None else rotation_error_deg(truth.R, np.eye(3))
 
 
 def _number(value: float | None) -> float:
