@@ -2,7 +2,7 @@
 
 import io
 import zipfile
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,8 @@ def read_array(path: str | Path) -> np.ndarray:
         return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
-def read_arrays(path: str | Path, names: Collection[str] | None = None) -> Mapping[str, np.ndarray]:
-    """The arrays of an .npz by name; with `names`, those of them that it has.
+def read_arrays(path: str | Path) -> Mapping[str, np.ndarray]:
+    """The arrays of an .npz by name.
 
     Raises InputError, with the path, if it is damaged, holds Python objects, or is larger than
     `ARRAY_BYTES` unpacked; OSError if it cannot be read.
@@ -58,7 +58,6 @@ def read_arrays(path: str | Path, names: Collection[str] | None = None) -> Mappi
             name: info
             for info in archive.infolist()
             if (name := info.filename.removesuffix(".npy")) != info.filename
-            and (names is None or name in names)
         }
         if sum(info.file_size for info in members.values()) > ARRAY_BYTES:
             raise InputError(f"{path} is too large: at most {ARRAY_BYTES} bytes of arrays are read")
