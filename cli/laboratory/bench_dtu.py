@@ -144,7 +144,7 @@ def bench_dtu(
         f"{protocol} protocol: {DESCRIPTIONS[protocol]}\n{heading(estimation)}\n"
         "D_e: median symmetric epipolar distance of a pair in pixels of the protocol's images, its "
         "median\nover pairs, over all pixels and over the pose's matches; pose s: estimating\n"
-        f"{table}\n{out / 'report.html'}: the plots, and every pair with its matches"
+        f"{table}\n{out / 'report.html'}: the plots, the pairs, and pictures of the worst"
     )
 
 
