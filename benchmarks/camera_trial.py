@@ -74,10 +74,8 @@ class CameraTrial:
 def suggested_focal(pose: RelativePose) -> tuple[float, float]:
     """The focal length that the matches suggest over that of K, and the deviation of its logarithm;
     NaN if the pose does not say."""
-    evidence = pose.evidence
-    if evidence is None or evidence.focal_ratio is None or evidence.focal_ratio_std is None:
-        return math.nan, math.nan
-    return evidence.focal_ratio, evidence.focal_ratio_std
+    check = None if pose.evidence is None else pose.evidence.focal_check
+    return (math.nan, math.nan) if check is None else (check.factor, check.std)
 
 
 def doubts_camera(pose: RelativePose) -> bool:

@@ -1,13 +1,12 @@
 """Methods by specification: what matches, and with which options.
 
-A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=features:align=false`. NAME is that
+A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=features:finest=120`. NAME is that
 of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of
 NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
 `MatchingOptions`, `RefinementOptions` or `EstimationOptions`, or of the options within them, and is
 set in each of them that has it; `refine` is the source of refinement, or none, and `refine_pose` is
 `EstimationOptions.refine`. `K`, `K_scale` and the like are the fields of `CameraTrial`, as in
-`dgcm-lite0:K=auto:shared`. Methods that differ in selection, refinement or estimation alone share
-one matching pass.
+`dgcm-lite0:K=auto:shared`. Methods of the same matching and refinement share a search.
 """
 
 import re
@@ -16,14 +15,13 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.images.image import Image
-from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions, refined
-from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
-from dgc_pose.matching.texture import textured
+from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions
+from dgc_pose.matching import Matcher
 from dgc_pose.network.stored import shipped
-from dgc_pose.refinement import RefinementOptions, Refiner
+from dgc_pose.refinement import RefinementOptions
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
@@ -51,47 +49,8 @@ class Method:
     everywhere: bool = False  # whether every pixel counts, whatever the matchability
     cameras: CameraTrial = field(default_factory=CameraTrial)
 
-    @property
-    def matching_pass(self) -> MatcherOptions:
-        """What the dense map depends on: methods that agree in it share a matching pass."""
-        wanted = self.matcher.matching
-        matching = MatchingOptions(
-            cycle_px=None if wanted.cycle_px is None else 1.0,
-            search_below=wanted.search_below,
-            finest=wanted.finest,
-        )
-        return replace(self.matcher, matching=matching, refinement=_UNREFINED)
 
-
-@dataclass(frozen=True)
-class MatchingPass:
-    """A matcher that is loaded, without refinement."""
-
-    matcher: Matcher
-    caches: MatcherCaches | None = None  # what is kept of images, if anything is
-
-    def selected(
-        self, method: Method, image1: Image, image2: Image, result: MatchResult
-    ) -> MatchResult:
-        """The matcher's result for two images, with the matches of the method, refined."""
-        if result.correspondence_map is not None:
-            selected = select_matches(result.correspondence_map, method.matcher.matching)
-            if not method.everywhere:
-                selected = textured(selected, image1, image2)
-            result = replace(result, matches=selected)
-        elif method.everywhere:
-            raise InputError(f"{method.name}: {self.matcher.name} gives points and no map")
-        refiner = self.refiner(method)
-        return result if refiner is None else refiner.refine(image1, image2, result)
-
-    def refiner(self, method: Method) -> Refiner | None:
-        """What refines the matches of a method; None if nothing does."""
-        if method.matcher.refinement.source == "none":
-            return None
-        return refined(self.matcher, method.matcher, self.caches)
-
-
-Passes = Mapping[MatcherOptions, MatchingPass]  # by `Method.matching_pass`
+Matchers = Mapping[MatcherOptions, Matcher]  # by `Method.matcher`
 
 
 def parse_methods(
@@ -132,14 +91,14 @@ def parse_methods(
     return methods
 
 
-def load_passes(
+def load_matchers(
     methods: Sequence[Method],
     *,
     device: str,
     runtime: RuntimeName = "auto",
-    stored: Mapping[str, Matcher] | None = None,
+    stored: Mapping[str, FileMatcher] | None = None,
     keep_features: bool = False,
-) -> Passes:
+) -> Matchers:
     """Load what the methods match with, each network once.
 
     stored: matchers of stored matches by name. keep_features: whether what is computed of an image
@@ -149,18 +108,18 @@ def load_passes(
     """
     caches: dict[str, MatcherCaches] = {}
     engines: dict[str, Engine | None] = {}
-    passes: dict[MatcherOptions, MatchingPass] = {}
-    for options in dict.fromkeys(method.matching_pass for method in methods):
+    matchers: dict[MatcherOptions, Matcher] = {}
+    for options in dict.fromkeys(method.matcher for method in methods):
         name = options.weights
         if stored and name in stored:
-            passes[options] = MatchingPass(stored[name])
+            matchers[options] = stored[name].selecting(options.matching)
             continue
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
         loaded_options = replace(options, device=device, runtime=runtime)
         matcher = loaded_options.load(kept, engines.get(name))
         engines[name] = matcher.engine
-        passes[options] = MatchingPass(matcher, kept)
-    return passes
+        matchers[options] = matcher
+    return matchers
 
 
 def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
@@ -187,10 +146,10 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     for key in settings:
         if key not in used:
             raise InputError(f"{text}: no option {key}")
-    if not network and refinement.source in ("auto", "features"):
+    if not network and refinement.source != "none":
         raise InputError(f"{text}: refine={refinement.source} needs the features of a network")
     if everywhere:
-        matching = replace(matching, matchability=0.0, cycle_px=None, min_share=0.0)
+        matching = replace(matching, matchability=0.0, cycle_px=None)
         refinement = _UNREFINED
     matcher = replace(matcher, matching=matching, refinement=refinement)
     return Method(text, matcher, estimation, everywhere, cameras)

@@ -11,12 +11,11 @@ from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import draw_sample, sample_text
 from dgc_pose.benchmarks.scores import Score, make_score
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
-from dgc_pose.pose import pose_of_matches
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def score(pair: MatchedPair[Score]) -> Score:
     """Estimate the pose of a pair and compare it with the true one."""
     truth, matches, options = pair.truth, pair.matches, pair.options
     start = time.process_time()
-    pose = pose_of_matches(matches, *pair.cameras, options, map_matches=pair.map_matches)
+    pose = estimate_pose(matches, *pair.cameras, options, map_matches=pair.map_matches)
     seconds = time.process_time() - start
     assert truth.R is not None and truth.t is not None
     rotation = translation = np.inf

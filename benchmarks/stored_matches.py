@@ -14,6 +14,8 @@ W x H. Formats:
   true if the matches are independent detections.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -52,6 +54,10 @@ class FileMatcher(Matcher):
         self.stem = stem
         self.options = options or MatchingOptions()
         self.name = name or self.folder.name
+
+    def selecting(self, options: MatchingOptions) -> FileMatcher:
+        """The same files with other options of selection."""
+        return FileMatcher(self.folder, self.stem, self.name, options)
 
     def require(self, names: Iterable[tuple[str, str]]) -> None:
         """Raise InputError, with the path, unless there is one file for each pair of image names;

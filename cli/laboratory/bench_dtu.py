@@ -11,7 +11,7 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import DESCRIPTIONS, DtuPairs, Protocol, 
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_csv
 from dgc_pose.benchmarks.dtu.report_page import write_report
 from dgc_pose.benchmarks.dtu.view_pairs import listed_pair
-from dgc_pose.benchmarks.methods import EVERYWHERE, load_passes, parse_methods
+from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.benchmarks.summary import (
@@ -111,21 +111,15 @@ def bench_dtu(
     }
     for stored_matches in files.values():
         stored_matches.require(stems)
-    passes = load_passes(
+    matchers = load_matchers(
         chosen, device=run.device, runtime=run.runtime, stored=files, keep_features=True
     )
-    evaluation = run.evaluation(pairs, chosen, passes)
+    evaluation = run.evaluation(pairs, chosen, matchers)
     click.echo("\n".join(_opening(dataset, experiment.pairs, len(views))))
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
     store = open_store(evaluation, experiment.out, run, settings)
     write_pair_csv(out / "pairs.csv", views)
     scores = work(evaluation, store)
-    caches_by_name = {options.weights: matching.caches for options, matching in passes.items()}
-    for name, caches in caches_by_name.items():
-        if caches is not None and caches.features.asked:
-            made, asked = caches.features.made, caches.features.asked
-            saved = 100 * (1 - made / asked)
-            click.echo(f"{name}: {made} encoder passes instead of {asked}, {saved:.0f} % saved")
     summaries = [summarise_epipolar(rows) for rows in by_method(scores).values()]
     facts = {
         "protocol": f"{protocol}: {DESCRIPTIONS[protocol]}",

@@ -10,7 +10,7 @@ import click
 
 from dgc_pose.benchmarks.camera_summary import camera_table, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.methods import load_passes, parse_methods
+from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     PairSet,
@@ -132,8 +132,8 @@ def bench_pairs(
     pairs = options.pair_set(pair_list, trial=trial)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
-        passes = load_passes(chosen, device=run.device, runtime=run.runtime)
-        evaluation = run.evaluation(pairs, chosen, passes)
+        matchers = load_matchers(chosen, device=run.device, runtime=run.runtime)
+        evaluation = run.evaluation(pairs, chosen, matchers)
         results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
         summarised: Callable[..., Any] = summarise_cameras if trial else summarise
         if issubclass(pairs.kind, MapScore):

@@ -1,4 +1,4 @@
-"""What the pose benchmarks share: --workers, --batch and --resume, and the run."""
+"""What the pose benchmarks share: --workers and --resume, and the run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import Method, Passes
+from dgc_pose.benchmarks.methods import Matchers, Method
 from dgc_pose.benchmarks.posed_pairs import PairSet
 from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
@@ -18,7 +18,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.system.options import option
 
-GPU_BATCH = 16
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, "summary.json", "errors.png", "report.html")
 # The options of all methods that a specification leaves open.
 METHOD_FIELDS = ("matching", "refinement")  # of `MatcherOptions`
@@ -34,22 +33,15 @@ class RunChoice:
         min=1,
         max=1024,
     )
-    batch: int | None = option(
-        None,
-        f"Pairs that a network matches together; default: {GPU_BATCH} on a GPU, 1 on a CPU.",
-        min=1,
-        max=4096,
-    )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
 
     def evaluation(
-        self, pairs: PairSet[Score], methods: Sequence[Method], passes: Passes
+        self, pairs: PairSet[Score], methods: Sequence[Method], matchers: Matchers
     ) -> Evaluation[Score]:
-        """Without --batch that of the device."""
-        batch = self.batch or (GPU_BATCH if device_type(self.device) == "cuda" else 1)
-        return Evaluation(pairs, methods, passes, self.workers, batch)
+        """The evaluation of methods on a data set."""
+        return Evaluation(pairs, methods, matchers, self.workers)
 
 
 def open_store(

@@ -161,7 +161,7 @@ class PairSearch:
 
     def whole(self) -> MatchResult:
         """Match with all that the matcher has."""
-        self.result = self._unrefined
+        self.result = self.unrefined
         return self.result
 
     def squeezed(self) -> MatchResult | None:
@@ -173,7 +173,8 @@ class PairSearch:
         return None
 
     @cached_property
-    def _unrefined(self) -> MatchResult:
+    def unrefined(self) -> MatchResult:
+        """The matches of the whole as the matcher makes them, before any refinement."""
         result = self.matcher._match(self.image1, self.image2)
         return replace(result, matches=self._textured(result.matches))
 

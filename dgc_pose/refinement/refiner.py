@@ -126,7 +126,7 @@ class RefinedSearch(PairSearch):
 
     @cached_property
     def _whole(self) -> MatchResult:
-        return self._refined(self._unrefined) or self._unrefined
+        return self._refined(self.unrefined) or self.unrefined
 
     @property
     def _searched_map(self) -> CorrespondenceMap | None:
