@@ -26,7 +26,6 @@ from dgc_pose.training.synthesis.photometric import random_photometric
 from dgc_pose.training.synthesis.photos import Photos, load_held_back
 from dgc_pose.training.synthesis.random_pairs import make_pairs
 from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
-from dgc_pose.training.synthesis.warp_lists import WarpRow, list_pairs, read_warps
 from dgc_pose.training.synthesis.warps import FAR
 
 _WARPS = {name: WARPS[f"paper-{name}"] for name in ("affine", "affine-tps", "homography")}
@@ -36,7 +35,6 @@ SYNTHETIC = (
     "paper, Table 1, affine and affine + thin-plate-spline pairs of its own photographs: "
     "DGC+M-Net aff+tps AEPE 0.82 to 0.96, Jaccard 0.85; DGC-Net AEPE 0.54 to 0.69"
 )
-_PUBLISHED = {"published": SYNTHETIC}
 
 # The paper's views are the middle 9/16 of a photograph's width and height, mirrored beyond its
 # edges. Ours have any position.
@@ -63,7 +61,8 @@ def synthetic_set(
     names = list(dict.fromkeys(names))
     cases = (synthetic_cases(photos, name, pairs, seed, changed=changed) for name in names)
     facts = {"photographs": len(photos.pixels), "seed": seed, "changed": changed}
-    return MapSet(chain.from_iterable(cases), pairs * len(names), {**facts, **_PUBLISHED})
+    facts |= {"published": SYNTHETIC}
+    return MapSet(chain.from_iterable(cases), pairs * len(names), facts)
 
 
 def synthetic_cases(
@@ -87,25 +86,6 @@ def synthetic_cases(
         names = [f"{name} {done + k}" + ", past its horizon" * h for k, h in enumerate(horizons)]
         yield MapCase(name, tuple(names), chosen)
         done += len(names)
-
-
-def listed_set(path: str | Path, root: str | Path) -> MapSet:
-    """All pairs of an authors' list, of photographs below `root`, batch by batch and by kind.
-
-    Raises InputError if the list is malformed; its batches raise ImageError if a photograph cannot
-    be read.
-    """
-    rows = read_warps(path)
-    return MapSet(_listed_cases(rows, root), len(rows), {"list": str(path), **_PUBLISHED})
-
-
-def _listed_cases(rows: Sequence[WarpRow], root: str | Path) -> Iterator[MapCase]:
-    for kind in dict.fromkeys(row.kind for row in rows):
-        numbered = [(n, row) for n, row in enumerate(rows, start=1) if row.kind == kind]
-        for start in range(0, len(numbered), _BATCH):
-            part = numbered[start : start + _BATCH]
-            names = tuple(f"{row.file}, row {n}" for n, row in part)
-            yield MapCase(kind, names, list_pairs([row for _, row in part], root))
 
 
 def _warped(

@@ -24,15 +24,8 @@ class SyntheticOptions:
     """Which pairs are made."""
 
     photos: str = option(
-        help="Folder of photographs, as for training: only those that training holds back are "
-        "used. With --list, the folder that its names are relative to.",
+        help="Folder of photographs, as for training: only those that training holds back are used.",
         metavar="DIR",
-    )
-    warp_list: str | None = option(
-        None,
-        "The pairs of one of the DGC-Net authors' lists instead of the sets, all of them.",
-        flag="--list",
-        metavar="CSV",
     )
     sets: str | None = option(None, "Comma-separated sets; default: all of them.")
     pairs: int = option(100, "Pairs of each set.", metavar="N", min=1, max=10**6)
@@ -53,19 +46,15 @@ def bench_synthetic(made: SyntheticOptions, bench: MapBenchOptions) -> None:
     Sets: affine, affine-tps (half of each) and homography by the paper's ranges, and scenes,
     ray-cast in 3D, whose cameras differ by 5 to 30 degrees.
     """
-    from dgc_pose.benchmarks.synthetic import SETS, SYNTHETIC, listed_set, synthetic_set
+    from dgc_pose.benchmarks.synthetic import SETS, SYNTHETIC, synthetic_set
 
-    if made.warp_list is not None:
-        data = listed_set(made.warp_list, made.photos)
-        about = f"{data.total} pairs of {made.warp_list}"
-    else:
-        names = SETS if made.sets is None else split_names(made.sets)
-        data = synthetic_set(made.photos, names, made.pairs, made.seed, changed=made.changed)
-        light = "light as it is, no occluders"
-        if made.changed:
-            light = "with changes of light and occluders"
-        photographs = data.facts["photographs"]
-        about = f"{photographs} photographs that training holds back, seed {made.seed}, {light}"
+    names = SETS if made.sets is None else split_names(made.sets)
+    data = synthetic_set(made.photos, names, made.pairs, made.seed, changed=made.changed)
+    light = (
+        "with changes of light and occluders" if made.changed else "light as it is, no occluders"
+    )
+    photographs = data.facts["photographs"]
+    about = f"{photographs} photographs that training holds back, seed {made.seed}, {light}"
 
     def report(scores: Scores) -> Iterator[str]:
         yield f"{about}\n{HEADING}"

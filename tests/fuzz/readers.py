@@ -48,7 +48,6 @@ from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.training.synthesis.photos import load_photos
 from dgc_pose.training.synthesis.posed_depth import read_rgbd
-from dgc_pose.training.synthesis.warp_lists import read_warps
 
 Make = Callable[[Path], object]  # writes good files into a folder
 Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
@@ -246,13 +245,6 @@ def _make_sample(folder: Path) -> None:
     points = np.random.default_rng(0).uniform(0, 30, (20, 2))
     text = sample_text(MatchSample(points, points, np.ones(20, bool)))
     (folder / "sample.txt").write_text(text)
-
-
-def _make_warps(folder: Path) -> None:
-    names = ",".join(["fname", "aff/tps/homo", *(f"t{k}" for k in range(1, 19))])
-    bent = ",".join(["1", "0", "0", "0", "1", "0", *["0"] * 12])
-    plane = ",".join(["1", "0", "5", "0", "1", "5", "0", "0", "1", *["0"] * 9])
-    (folder / "warps.csv").write_text(f"{names}\na.jpg,0,{bent}\na.jpg,1,{bent}\na.jpg,2,{plane}\n")
 
 
 def _make_rgbd(folder: Path) -> None:

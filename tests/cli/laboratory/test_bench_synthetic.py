@@ -63,28 +63,6 @@ def test_scenes_and_changes_of_light_with_all_files(folder):
     assert sorted(os.listdir("run")) == names
 
 
-def test_the_authors_lists_instead_of_the_sets(folder):
-    cv2.imwrite("wall.png", np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8))
-    zeros = ",0" * 12
-    homography = "1,0,-16,0,1,0,0,0,1" + ",0" * 9  # the target lies 16 pixels to the left
-    (folder / "test.csv").write_text(
-        "fname,aff/tps/homo," + ",".join(f"t{n}" for n in range(1, 19)) + "\n"
-        f"wall.png,2,{homography}\nwall.png,0,1,0,0,0,1,0{zeros}\nwall.png,2,{homography}\n"
-    )
-    words = ("--photos", ".", "--list", "test.csv", "--methods", "still", "--json", "s.json")
-    result = run("bench-synthetic", *words)
-    assert result.exit_code == 0, result.output
-    assert result.stdout.startswith("3 pairs of test.csv")
-    data = json.loads((folder / "s.json").read_text())
-    figures = {group["group"]: group for group in data["methods"][0]["groups"]}
-    counts = {name: own["pairs"] for name, own in figures.items()}
-    assert counts == {"homography": 2, "affine": 1}
-    assert figures["homography"]["aepe"] == pytest.approx(16, abs=0.01)
-    assert figures["affine"]["aepe"] == pytest.approx(0, abs=0.01)
-    pairs = [pair["pair"] for pair in data["methods"][0]["pairs"]]
-    assert pairs == ["wall.png, row 1", "wall.png, row 3", "wall.png, row 2"]
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
