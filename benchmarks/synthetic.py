@@ -61,8 +61,8 @@ def synthetic_set(
     names = list(dict.fromkeys(names))
     cases = (synthetic_cases(photos, name, pairs, seed, changed=changed) for name in names)
     facts = {"photographs": len(photos.pixels), "seed": seed, "changed": changed}
-    facts |= {"published": SYNTHETIC}
-    return MapSet(chain.from_iterable(cases), pairs * len(names), facts)
+    all_facts = {**facts, "published": SYNTHETIC}
+    return MapSet(chain.from_iterable(cases), pairs * len(names), all_facts)
 
 
 def synthetic_cases(

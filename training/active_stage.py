@@ -5,16 +5,13 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.parallel import DistributedDataParallel
 from torch.optim.swa_utils import AveragedModel
 
 from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.geometric_net import GeometricNet
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.initialise import initialise_stage
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.processes import join_batch_norms, process_count
 from dgc_pose.training.regression_stage import RegressionStage
 from dgc_pose.training.schedule import STAGES, StageName, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
@@ -28,23 +25,16 @@ _BACKBONE_RATE = 0.25  # times the rate of the rest, to keep what ImageNet taugh
 class ActiveStage:
     """One stage of a run, from the network's present weights, on the device of the network.
 
-    images: (B, 3, S, S), normalised, that batch norm is initialised with if the run starts from
-    trained weights. A pretrained backbone learns at a quarter of the rate.
+    A pretrained backbone learns at a quarter of the rate.
     """
 
-    def __init__(
-        self, name: StageName, net: CorrespondenceNet, options: TrainingOptions, images: Tensor
-    ) -> None:
+    def __init__(self, name: StageName, net: CorrespondenceNet, options: TrainingOptions) -> None:
         self.name = name
         self._net = net
-        self.module = _module(name, net, options, images)
+        self.module = _module(name, net, trained=options.init is not None)
         self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.module.train()
         self.parameters = [p for p in self.module.parameters() if p.requires_grad]
-        self.shared: nn.Module = self.module  # synchronises gradients between processes
-        if process_count() > 1:
-            join_batch_norms(self.module)
-            self.shared = DistributedDataParallel(self.module)
         self._settings = STAGES[name]
         self._rate = options.rate
         self.optimizer = torch.optim.AdamW(
@@ -67,10 +57,9 @@ class ActiveStage:
         return rate
 
     def step(self, loss: Tensor) -> Tensor:
-        """One optimiser step by this process's part of the joint loss; the gradient's norm."""
+        """One optimiser step; the gradient's norm."""
         self.optimizer.zero_grad(set_to_none=True)
-        # Gradients are averaged over the processes, and the loss is the sum of their parts.
-        (loss * process_count()).backward()
+        loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, _LARGEST_GRADIENT)
         self.optimizer.step()
         self._average.update_parameters(self.module)
@@ -118,17 +107,12 @@ def moving_average(module: nn.Module, decay: float) -> AveragedModel:
     return average.eval().requires_grad_(False)
 
 
-def _module(
-    name: StageName, net: CorrespondenceNet, options: TrainingOptions, images: Tensor
-) -> Stage:
+def _module(name: StageName, net: CorrespondenceNet, trained: bool) -> Stage:
     if isinstance(net, GeometricNet):
         return RegressionStage(net, end_to_end=name == "polish")
     assert isinstance(net, DGCNet)
     if name == "encoder":
-        stage = EncoderStage(net).to(images.device)
-        if options.init is not None:
-            initialise_stage(stage, net, images)
-        return stage
+        return EncoderStage(net, trained).to(next(net.parameters()).device)
     return DecoderStage(net, end_to_end=name == "polish")
 
 

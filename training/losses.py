@@ -1,7 +1,4 @@
-"""The losses: contrastive for the encoder; map and mask at each level for the decoders.
-
-Means are over the batches of all processes: each process gets its part, and the parts add up.
-"""
+"""The losses: contrastive for the encoder; map and mask at each level for the decoders."""
 
 import math
 
@@ -10,18 +7,16 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.network.correlation import match_scores
-from dgc_pose.training.processes import joint_sum
 
 _ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm
 
 
-def joint_mean(values: Tensor, inside: Tensor) -> Tensor:
-    """This process's part of the mean of the `values` that are `inside`; 0 if there are none.
+def masked_mean(values: Tensor, inside: Tensor) -> Tensor:
+    """The mean of the `values` that are `inside`; 0 if there are none.
 
     NaN and infinity of the other values do not reach the sum.
     """
-    count = joint_sum(inside.sum())
-    return torch.where(inside, values, 0).sum() / count.clamp(min=1)
+    return torch.where(inside, values, 0).sum() / inside.sum().clamp(min=1)
 
 
 def contrastive_loss(
@@ -40,11 +35,11 @@ def contrastive_loss(
     cells = (truth + 0.5) / stride - 0.5  # the true point in source cells
     likely = match_scores(logits) / 2
     index, weight = _bilinear_cells(cells, size)
-    loss = -joint_mean((likely.gather(1, index) * weight).sum(1), valid)
+    loss = -masked_mean((likely.gather(1, index) * weight).sum(1), valid)
     best = logits.detach().argmax(1)
     points = torch.stack([torch.div(best, size, rounding_mode="floor"), best % size], -1)
     near = (points - cells).norm(dim=-1) < 1.5
-    return loss, joint_mean(near.float(), valid)
+    return loss, masked_mean(near.float(), valid)
 
 
 def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -66,7 +61,7 @@ def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
     the level before it, which should not dominate.
     """
     error = error_cells.abs().sum(-1)
-    return joint_mean(_ROBUST_CELLS * torch.log1p(error / _ROBUST_CELLS), valid)
+    return masked_mean(_ROBUST_CELLS * torch.log1p(error / _ROBUST_CELLS), valid)
 
 
 def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:
@@ -75,4 +70,4 @@ def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:
     target: (B, H, W) bool; only the cells that are `known` (B, H, W) count.
     """
     entropy = F.binary_cross_entropy_with_logits(logits[:, 0], target.to(logits), reduction="none")
-    return joint_mean(entropy, known)
+    return masked_mean(entropy, known)

@@ -48,20 +48,13 @@ class TrainingOptions:
         "ImageNet weights for the encoder (.pth or .safetensors): of VGG-16 in torchvision's "
         "layout, frozen, for dgc and dgcm; of EfficientNet-Lite0, to start from, for dgcm-lite0.",
     )
-    fit_decoders: str | None = option(
-        None,
-        "Weights whose decoders are put on the encoder of --init by least squares; needs a --split "
-        "without an encoder's share.",
-    )
     rate: float = option(
         1.0,
         "Factor of the learning rates; with --init, choose less, such as 0.1.",
         above=0,
         max=1000,
     )
-    batch: int | None = option(
-        None, "Pairs a step, over all processes; default: the stage's own.", min=1, max=2**16
-    )
+    batch: int | None = option(None, "Pairs a step; default: the stage's own.", min=1, max=2**16)
     validation_count: int = option(
         64, "Pairs of held-back photographs.", flag="--validation-pairs", min=1, max=2**20
     )
@@ -85,10 +78,6 @@ class TrainingOptions:
             raise InputError(
                 f"the schedule trains the encoder of {self.network} alone: it is frozen"
             )
-        if self.fit_decoders is not None and self.stages.encoder > 0:
-            raise InputError("fit_decoders needs a schedule that leaves the encoder as it is")
-        if self.fit_decoders is not None and not config.any_shape:
-            raise InputError(f"fit_decoders needs dgcm-lite0, not {self.network}")
 
     @property
     def network(self) -> str:
@@ -101,10 +90,11 @@ class TrainingOptions:
 
     @property
     def encoder_is_frozen(self) -> bool:
-        """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper, and that
-        of a `GeometricNet`."""
+        """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper, or of a
+        trained network, and that of a `GeometricNet`."""
         is_vgg = not isinstance(self.config.pyramid, EfficientNet)
-        return self.config.is_geometric or (is_vgg and self.encoder is not None)
+        starts_trained = self.encoder is not None or self.init is not None
+        return self.config.is_geometric or (is_vgg and starts_trained)
 
     @property
     def stages(self) -> Schedule:

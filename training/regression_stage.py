@@ -9,7 +9,7 @@ from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.geometric_net import GeometricNet
 from dgc_pose.network.net import normalise
-from dgc_pose.training.losses import joint_mean
+from dgc_pose.training.losses import masked_mean
 from dgc_pose.training.stages import FrozenEncoderStage, Loss
 from dgc_pose.training.symmetry import SYMMETRIES, Symmetry, brought_back, moved
 from dgc_pose.training.synthesis.draw import Draw
@@ -64,11 +64,11 @@ class RegressionStage(FrozenEncoderStage):
         points = points.view(-1, *truth.shape)
         # 0 elsewhere, so that undefined values of the truth reach no gradient.
         error = torch.where(valid[..., None], points - truth, 0)
-        return joint_mean((error.square().sum(-1) + 1e-6).sqrt(), valid.expand(points.shape[:-1]))
+        return masked_mean((error.square().sum(-1) + 1e-6).sqrt(), valid.expand(points.shape[:-1]))
 
 
 def _random_views(draw: Draw) -> list[Symmetry]:
-    """The symmetry that moves nothing and three others, the same in every process."""
+    """The symmetry that moves nothing and three others."""
     first, *others = SYMMETRIES
-    (offset,) = draw.common_integers(1, len(others))
+    (offset,) = draw.numbers(1, len(others))
     return [first, *(others[(offset + step) % len(others)] for step in _STEPS)]

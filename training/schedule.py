@@ -17,7 +17,7 @@ class StageOptions:
     """One stage's batches and rates."""
 
     batch: int = 8  # pairs a step on a CPU
-    gpu_batch: int = 64  # pairs a step on GPUs, all together
+    gpu_batch: int = 64  # pairs a step on a GPU
     size: int = 240  # pixels a side of the views
     learning_rate: float = 1e-3  # at its highest
     weight_decay: float = 1e-4

@@ -16,7 +16,7 @@ from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet, normalise, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
-from dgc_pose.training.losses import contrastive_loss, joint_mean, map_loss, mask_loss
+from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss, masked_mean
 from dgc_pose.training.synthesis.draw import Draw
 from dgc_pose.training.synthesis.map_pairs import MapPairs, level_known, level_truth
 
@@ -25,7 +25,7 @@ _QUERIES = 400  # target cells a pair at level 2, which has thousands
 _SIZE = (INPUT_SIZE, INPUT_SIZE)
 
 Window = tuple[slice, slice]  # rows and columns of a level
-Loss = tuple[Tensor, dict[str, Tensor]]  # with figures: this process's parts of joint means
+Loss = tuple[Tensor, dict[str, Tensor]]  # with figures
 
 
 class EncoderStage(nn.Module):
@@ -36,9 +36,11 @@ class EncoderStage(nn.Module):
 
     A `Pyramid` starts from random weights, with batch norm. An `EfficientPyramid`, whose norms are
     folded, starts from the network's weights; its levels 0 and 1 are left as they are.
+
+    trained: the network's inverse temperatures are trained ones, to start from.
     """
 
-    def __init__(self, net: DGCNet) -> None:
+    def __init__(self, net: DGCNet, trained: bool = False) -> None:
         super().__init__()
         self.pyramid: Pyramid | EfficientPyramid
         if isinstance(net.pyramid, EfficientPyramid):
@@ -54,6 +56,10 @@ class EncoderStage(nn.Module):
         self.correlated = net.config.correlated
         count = len(self.correlated) + len(_CONTRASTED)
         self.log_scales = nn.Parameter(torch.full((count,), 2.5))
+        if trained:
+            scales = net.get_buffer("correlation_scales").log()
+            self.log_scales.data[:] = scales[0]
+            self.log_scales.data[: len(scales)] = scales
 
     def forward(self, pairs: MapPairs, draw: Draw) -> Loss:
         """The contrastive loss of a batch, and the share of cells found at each level."""
@@ -118,7 +124,7 @@ class DecoderStage(FrozenEncoderStage):
         source, target = [half[0] for half in halves], [half[1] for half in halves]
         correlation = self.net.correlate(source, target)
         noisy = draw.chance(len(pairs.map), share=noise_share)
-        offset = draw.common_integers(2, LEVEL_SIZES[1] // 2 + 1)
+        offset = draw.numbers(2, LEVEL_SIZES[1] // 2 + 1)
         state = self.net.start(correlation, source[COARSEST], target[COARSEST])
         total, error = self._level_loss(COARSEST, state, pairs, _window(COARSEST, offset))
         figures = {f"epe{LEVEL_SIZES[COARSEST]}": error}
@@ -165,7 +171,7 @@ class DecoderStage(FrozenEncoderStage):
             good = valid & (distance < max(4.0, 1.5 * stride))
             known = level_known(pairs.known, LEVEL_SIZES[level])[:, window[0], window[1]]
             total = total + mask_loss(state[:, 2:], good, known)
-        return total, joint_mean(distance, valid)
+        return total, masked_mean(distance, valid)
 
     def _noisy_truth(
         self,

@@ -24,7 +24,7 @@ class SyntheticOptions:
     """Which pairs are made."""
 
     photos: str = option(
-        help="Folder of photographs, as for training: only those that training holds back are used.",
+        help="Folder of photographs, of which those that training holds back are used.",
         metavar="DIR",
     )
     sets: str | None = option(None, "Comma-separated sets; default: all of them.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -74,14 +73,11 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
 
     The run's folder --out holds checkpoint.pt (written every minute; --resume continues from it
     after any kill), a CSV log for each stage and, at the end, the weights as .safetensors.
-
-    On several GPUs: torchrun --nproc-per-node N --no-python dgc-pose train ...
     """
     import torch
 
     from dgc_pose.network.device import choose_device
     from dgc_pose.training.log import ProgressLine
-    from dgc_pose.training.processes import process_group, rank
     from dgc_pose.training.run import Trainer
     from dgc_pose.training.synthesis.photos import load_photos
 
@@ -91,13 +87,10 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     default_share = 0.25 if files.rgbd else 0.0
     real_share = default_share if files.real_share is None else files.real_share
     options = replace(options, pairs=replace(options.pairs, real_share=real_share))
-    with process_group(device) as device:
-        photos, real = load_photos(files.photos, limit=files.limit), files.load_real()
-        trainer = Trainer(photos, files.out, options, real, device, files.resume)
-        with only_writer(files.out) if rank() == 0 else nullcontext():
-            trainer.run(ProgressLine(options), files.stop_after)
-        if rank() > 0:
-            return
+    photos, real = load_photos(files.photos, limit=files.limit), files.load_real()
+    trainer = Trainer(photos, files.out, options, real, device, files.resume)
+    with only_writer(files.out):
+        trainer.run(ProgressLine(options), files.stop_after)
     if trainer.complete:
         click.echo(f"wrote {trainer.weights_path}")
     elif options.minutes is None:

@@ -11,28 +11,9 @@ from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
-from dgc_pose.training.initialise import initialise_encoder, initialise_from, initialise_stage
+from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.options import InitPart
 from dgc_pose.training.stages import EncoderStage
-
-
-@pytest.mark.parametrize("name", ["dgcm-lite0", "dgcm"])
-@pytest.mark.parametrize("training", [False, True])
-def test_an_unfolded_pyramid_gives_the_same_features(name: str, training: bool) -> None:
-    torch.manual_seed(0)
-    net = DGCNet(preset(name))
-    stage = EncoderStage(net)
-    images = torch.randn(2, 3, 48, 48)
-    initialise_stage(stage, net, images)
-    stage.train(training)
-    with torch.no_grad():
-        expected, found = net.pyramid(images), stage.pyramid(images)
-    for level in range(5):
-        scale = float(expected[level].abs().max())
-        torch.testing.assert_close(found[level], expected[level], rtol=1e-3, atol=2e-3 * scale)
-    if name == "dgcm-lite0":
-        scales = stage.log_scales.exp()
-        torch.testing.assert_close(scales[:2], net.get_buffer("correlation_scales"))
 
 
 def _differs(net: DGCNet, other: DGCNet, prefix: str) -> bool:
@@ -66,16 +47,14 @@ def test_another_pyramid_is_refused(tmp_path: Path) -> None:
         initialise_from(tmp_path / "w.safetensors", DGCNet(preset("dgc")))
 
 
-def test_a_pretrained_encoder_passes_through_its_stage_unchanged() -> None:
+def test_a_trained_encoder_passes_through_its_stage_unchanged() -> None:
     torch.manual_seed(2)
     net = DGCNet(preset("dgcm-lite0"))
-    stage = EncoderStage(net)
-    for parameter in stage.pyramid.parameters():
-        torch.nn.init.zeros_(parameter)
-    initialise_stage(stage, net, torch.randn(1, 3, 32, 32))
-    before = {k: v.clone() for k, v in net.pyramid.state_dict().items()}
-    stage.write(net)
-    assert all(torch.equal(before[k], v) for k, v in net.pyramid.state_dict().items())
+    net.get_buffer("correlation_scales").copy_(torch.tensor([33.0, 12.0]))
+    before = {k: v.clone() for k, v in net.state_dict().items()}
+    EncoderStage(net, trained=True).write(net)
+    for key, value in net.state_dict().items():
+        torch.testing.assert_close(value, before[key])
 
 
 def _torchvision_vgg16(seed: int) -> nn.Sequential:

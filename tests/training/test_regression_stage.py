@@ -136,10 +136,3 @@ def test_a_run_begins_with_the_weights_it_is_given(tmp_path: Path) -> None:
     initialise_from(tmp_path / "given.safetensors", net)
     for key, value in load_network(tmp_path / "given.safetensors").state_dict().items():
         assert torch.equal(net.state_dict()[key], value), key
-
-
-def test_decoders_are_not_fitted_to_a_network_that_has_none(photos: Photos, tmp_path: Path) -> None:
-    save_weights(build_network(preset("rocco")), tmp_path / "rocco.safetensors")
-    options = _options(preset="dgcm-lite0", fit_decoders=str(tmp_path / "rocco.safetensors"))
-    with pytest.raises(WeightsError, match="rocco.safetensors: rocco has no decoders"):
-        Trainer((photos, photos), tmp_path / "run", options)

@@ -15,7 +15,7 @@ from torch import nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
-from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.training.imagenet import vgg_layers
@@ -206,13 +206,8 @@ def test_a_run_begins_with_the_weights_it_is_given(photos: Photos, tmp_path: Pat
         options = _options(init=path, rate=1e-6, schedule=schedule)
         trainer = Trainer((photos, photos), tmp_path / str(encoder_share), options)
         net = trainer.averaged().eval()
-        images = normalise(trainer._validation[0].image1)  # what the norms were set by
-        with torch.no_grad():
-            for found, expected in zip(net.features(images), given.features(images), strict=True):
-                assert (found - expected).norm() < 0.01 * expected.norm()
-        for level in range(5):
-            for key, value in given.get_submodule(f"reg_{level}").state_dict().items():
-                assert torch.equal(net.get_submodule(f"reg_{level}").state_dict()[key], value)
+        for key, value in given.state_dict().items():
+            torch.testing.assert_close(net.state_dict()[key], value)
         trainer.train_step(0.9)
         for key, value in given.named_parameters():
             torch.testing.assert_close(

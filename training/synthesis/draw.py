@@ -1,4 +1,4 @@
-"""Seeded random draws, independent of the device and of the number of processes."""
+"""Seeded random draws, independent of the device."""
 
 import hashlib
 import math
@@ -20,9 +20,6 @@ def seeded(*words: object) -> torch.Generator:
 class Draw:
     """Random tensors of any shape. The numbers are drawn on the generator's device and then moved
     to `device` without waiting, so that a CPU generator gives the same numbers for every device.
-
-    share: (rank, count) if several processes draw for one batch. Each process draws for all and
-    keeps its own rows, the first axis of `shape` being the rows of one process.
     """
 
     def __init__(
@@ -30,26 +27,24 @@ class Draw:
         generator: torch.Generator,
         device: torch.device = _CPU,
         dtype: torch.dtype = torch.float32,
-        share: tuple[int, int] = (0, 1),
     ) -> None:
         self._generator = generator
         self._device = device
         self._dtype = dtype
-        self._rank, self._processes = share
 
     def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
-        return low + (high - low) * self._rows(torch.rand, shape)
+        return low + (high - low) * self._drawn(torch.rand, shape)
 
     def log_uniform(self, *shape: int, low: float, high: float) -> Tensor:
         return self.uniform(*shape, low=math.log(low), high=math.log(high)).exp()
 
     def normal(self, *shape: int) -> Tensor:
         """Standard normal."""
-        return self._rows(torch.randn, shape)
+        return self._drawn(torch.randn, shape)
 
     def integers(self, *shape: int, count: int) -> Tensor:
         """In [0, count), int64."""
-        return self._rows(partial(torch.randint, count), shape)
+        return self._drawn(partial(torch.randint, count), shape)
 
     def chance(self, *shape: int, share: float) -> Tensor:
         """True with probability `share`."""
@@ -73,16 +68,13 @@ class Draw:
             generator = torch.Generator(self._device).manual_seed(seed)
         return torch.randn(shape, generator=generator, device=self._device, dtype=self._dtype)
 
-    def common_integers(self, size: int, count: int) -> list[int]:
-        """`size` numbers in [0, count), the same in every process."""
+    def numbers(self, size: int, count: int) -> list[int]:
+        """`size` whole numbers in [0, count), for the processor."""
         values: list[int] = torch.randint(count, (size,), generator=self._generator).tolist()
         return values
 
-    def _rows(self, draw: Callable[..., Tensor], shape: tuple[int, ...]) -> Tensor:
-        """This process's rows of what is drawn for all processes together, on the device."""
-        size = shape if self._processes == 1 else (self._processes * shape[0], *shape[1:])
-        values = draw(size, generator=self._generator, device=self._generator.device)
-        return self._move(values if size == shape else values.chunk(self._processes)[self._rank])
+    def _drawn(self, draw: Callable[..., Tensor], shape: tuple[int, ...]) -> Tensor:
+        return self._move(draw(shape, generator=self._generator, device=self._generator.device))
 
     def _move(self, values: Tensor) -> Tensor:
         if self._device.type == "cuda" and values.device.type == "cpu":
