@@ -183,7 +183,7 @@ def rendered_pair(
 
 def _posed(views: RenderedPairs, ids: Ids) -> PosedPair:
     """The first pair of a batch."""
-    from dgc_pose.training.synthesis.render.scene_pair import as_arrays
+    from dgc_pose.training.synthesis.render.rendered_pairs import as_arrays
 
     pair = as_arrays(views)
     image1, image2 = Image(pair.image1), Image(pair.image2)

@@ -5,15 +5,19 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from procedural import procedural_textures
 
 from dgc_pose.training.synthesis.draw import Draw
 from dgc_pose.training.synthesis.options import SceneOptions
 from dgc_pose.training.synthesis.render.bank import TextureBank
 from dgc_pose.training.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 from dgc_pose.training.synthesis.render.random_scene import random_scene
-from dgc_pose.training.synthesis.render.rendered_pairs import Views, render_views
-from dgc_pose.training.synthesis.render.scene_pair import RenderedPair, as_arrays
+from dgc_pose.training.synthesis.render.rendered_pairs import (
+    RenderedPair,
+    Views,
+    as_arrays,
+    render_views,
+)
 
 METRES = 4.0  # a rendered scene's unit of length, so that millimetres are fine enough
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from procedural import procedural_textures
 
 from dgc_pose.training.synthesis.photos import Photos
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 
 
 def drawn_photos(count: int, side: int) -> Photos:

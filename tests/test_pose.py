@@ -13,6 +13,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
+from scene_pair import RenderedPair, render_scene_pair
 
 import dgc_pose
 from dgc_pose import (

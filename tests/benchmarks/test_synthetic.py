@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from procedural import procedural_textures
 
 from dgc_pose.benchmarks.map_run import MapCase
 from dgc_pose.benchmarks.synthetic import SETS, synthetic_cases
 from dgc_pose.training.synthesis.photos import Photos
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,10 @@
 """SIFT as a matcher, on a rendered pair whose true map is known."""
 
 import numpy as np
+from scene_pair import render_scene_pair
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import RATIO, SiftMatcher
-from dgc_pose.training.synthesis.render.scene_pair import render_scene_pair
 
 
 def test_matches_lie_on_the_true_map() -> None:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from procedural import procedural_textures
 from scipy.interpolate import RBFInterpolator
 from torch import Tensor
 
@@ -14,7 +15,6 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.geometric_net import GeometricNet
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.spline import TPS_KNOTS
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 
 _AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])
 _SPLINE = TPS_KNOTS.double().numpy() + 0.1 * np.random.default_rng(4).normal(size=(9, 2))

@@ -7,8 +7,7 @@ import pytest
 import torch
 from command_line import assert_refused, run
 from map_nets import MapNet, half_sure, shifted
-
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
+from procedural import procedural_textures
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from depth_folder import rendered, write_rgbd
+from procedural import procedural_textures
 
 from dgc_pose.errors import InputError
 from dgc_pose.training.synthesis.depth_pairs import depth_pairs, random_views
@@ -24,8 +25,7 @@ from dgc_pose.training.synthesis.options import DepthOptions, PairOptions
 from dgc_pose.training.synthesis.photos import Photos
 from dgc_pose.training.synthesis.posed_depth import read_rgbd
 from dgc_pose.training.synthesis.random_pairs import make_pairs
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
-from dgc_pose.training.synthesis.render.scene_pair import RenderedPair
+from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPair
 
 _ALL = FramePairOptions(overlap=(0.0, 1.0), baseline=(0.0, 10.0), rotation_deg=180.0)
 _WHOLE = DepthOptions(view_scale=(1.0, 1.0), view_roll_deg=0.0)

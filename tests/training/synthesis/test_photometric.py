@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from procedural import procedural_textures
 from still_light import STILL
 
 from dgc_pose.training.synthesis.photometric import jpeg_round_trip, random_photometric
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 
 
 def _changed(images: torch.Tensor, seed: int = 0, **changes: object) -> torch.Tensor:

@@ -10,7 +10,7 @@ from depth_folder import METRES, poses, rendered, write_rgbd
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.training.synthesis.posed_depth import read_rgbd
-from dgc_pose.training.synthesis.render.scene_pair import RenderedPair
+from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPair
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 import torch.nn.functional as F
+from procedural import procedural_textures
 from still_light import STILL
 
 from dgc_pose.training.synthesis.map_pairs import MapPairs
@@ -12,7 +13,6 @@ from dgc_pose.training.synthesis.options import PairOptions
 from dgc_pose.training.synthesis.photometric import random_photometric
 from dgc_pose.training.synthesis.photos import Photos
 from dgc_pose.training.synthesis.random_pairs import make_pairs
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 
 
 @pytest.fixture(scope="module")

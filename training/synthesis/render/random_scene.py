@@ -17,8 +17,6 @@ _WILD_ROLL_SHARE = 0.1  # of pairs whose roll has 4 times the usual sigma
 _LOOK_ASIDE = 0.08  # sigma of the common point's distance from the second optical axis
 _FREE_SHARE = 0.15  # of pairs with centre 2 anywhere near centre 1
 _UPRIGHT_SHARE = 0.6  # of the boxes and ellipsoids: upright on the table
-_PLANE_HALF_SIZE = 20.0
-_PLANE_SPAN = (1.0, 1.3)  # fields of view that the photo on a single plane covers
 _LARGE_ONES = 3  # room, background and table come first
 _LARGE_SPAN = 1.5  # and their photos are so much larger, to be repeated less often
 
@@ -111,7 +109,7 @@ def random_scene(
     count = sum(layout)
     active = draw.chance(batch, count, share=options.presence)
     active[:, layout.spans()[0]] = True
-    texture = _texture_maps(draw, batch, count, texture_size, options.texture_span)
+    texture = texture_maps(draw, batch, count, texture_size, options.texture_span)
     texture[:, :_LARGE_ONES, ..., :2] /= _LARGE_SPAN
     return Scene(
         layout=layout,
@@ -122,27 +120,6 @@ def random_scene(
         photo=draw.integers(batch, count, FACES, count=textures),
         texture=texture,
         light=_light(draw, parts[0]),
-    )
-
-
-def single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], photo: int) -> Scene:
-    """For each camera one plane through the origin that fills its view, tilted by up to 30 deg.
-
-    Its texture is `photo`, with the middle at the origin.
-    """
-    batch = len(first.K)
-    towards = normalize(first.centre, dim=-1)[:, None]
-    texture = _texture_maps(draw, batch, 1, texture_size, _PLANE_SPAN)
-    texture[..., 2] = texture.new_tensor(texture_size) / 2
-    return Scene(
-        layout=Layout(0, 1, 0, 0),
-        centre=torch.zeros_like(towards),
-        axes=facing(draw, towards, math.radians(30.0)),
-        half_size=torch.full_like(towards, _PLANE_HALF_SIZE),
-        active=torch.ones_like(towards[..., 0], dtype=torch.bool),
-        photo=torch.full((batch, 1, FACES), photo, device=towards.device),
-        texture=texture,
-        light=first.centre,
     )
 
 
@@ -231,7 +208,7 @@ def _perpendicular(draw: Draw, vector: Tensor) -> Tensor:
     return normalize(torch.linalg.cross(vector, draw.directions(*vector.shape[:-1])), dim=-1)
 
 
-def _texture_maps(
+def texture_maps(
     draw: Draw, batch: int, count: int, size: tuple[int, int], spans: tuple[float, float]
 ) -> Tensor:
     """Affine maps (B, P, 6, 2, 3) from points on faces to texels: scale, aspect, angle, shift."""

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from dgc_pose.training.synthesis.batches import changed, combined, joined
 from dgc_pose.training.synthesis.draw import Draw
+from dgc_pose.training.synthesis.map_pairs import image_arrays
 from dgc_pose.training.synthesis.options import SceneOptions
 from dgc_pose.training.synthesis.render.bank import TextureBank
 from dgc_pose.training.synthesis.render.cameras import Cameras, relative_pose
@@ -44,6 +46,22 @@ class RenderedPairs:
     K1: Tensor  # (B, 3, 3) float, pixels
     K2: Tensor  # (B, 3, 3) float, pixels
     cam2_from_cam1: Tensor  # (B, 3, 4) float, x2 = R x1 + t, world units
+
+
+@dataclass(frozen=True)
+class RenderedPair:
+    """One pair of views as arrays. Pixel (0, 0) is the top-left pixel's centre."""
+
+    image1: np.ndarray  # (h1, w1, 3) uint8, RGB
+    image2: np.ndarray  # (h2, w2, 3) uint8, RGB
+    K1: np.ndarray  # (3, 3) float64, pixels
+    K2: np.ndarray  # (3, 3) float64, pixels
+    R: np.ndarray  # (3, 3) float64, x2 = R x1 + t
+    t: np.ndarray  # (3,) float64, world units; zero for rotation_only
+    map: np.ndarray  # (h2, w2, 2) float64, (x, y) in pixels of image 1; (-1, -1) behind camera 1
+    visible: np.ndarray  # (h2, w2) bool, the surface point is seen in image 1
+    depth1: np.ndarray  # (h1, w1) float64, along the optical axis, world units
+    depth2: np.ndarray  # (h2, w2) float64
 
 
 def render_pairs(
@@ -132,6 +150,16 @@ def render_views(
         K2=second.K,
         cam2_from_cam1=relative_pose(first, second),
     )
+
+
+def as_arrays(pairs: RenderedPairs) -> RenderedPair:
+    """The first pair of a batch, as numpy arrays and 8-bit images."""
+    names = ("K1", "K2", "map", "depth1", "depth2")
+    values = {name: getattr(pairs, name)[0].double().numpy() for name in names}
+    for name in ("image1", "image2"):
+        values[name] = image_arrays(getattr(pairs, name)[:1])[0]
+    pose = pairs.cam2_from_cam1[0].double().numpy()
+    return RenderedPair(R=pose[:, :3], t=pose[:, 3], visible=pairs.visible[0].numpy(), **values)
 
 
 def _image(

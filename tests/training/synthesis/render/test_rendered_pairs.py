@@ -5,11 +5,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import torch
+from procedural import procedural_textures
 from torch.nn.functional import grid_sample
 
 from dgc_pose.training.synthesis.options import SceneOptions
 from dgc_pose.training.synthesis.render.bank import TextureBank
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPairs, render_pairs
 
 SIZE = 64

@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
-from dgc_pose.training.synthesis.render.scene_pair import render_scene_pair
+from procedural import procedural_textures
+from scene_pair import render_scene_pair
 
 KINDS = ("general", "planar", "rotation_only", "forward")
 

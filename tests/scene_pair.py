@@ -1,32 +1,32 @@
 """One pair of views of a seeded scene with procedural textures, as NumPy arrays."""
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-import numpy as np
 import torch
+from procedural import procedural_textures
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.training.synthesis.draw import Draw
-from dgc_pose.training.synthesis.map_pairs import image_arrays
 from dgc_pose.training.synthesis.options import SceneOptions
 from dgc_pose.training.synthesis.render.bank import TextureBank
 from dgc_pose.training.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 from dgc_pose.training.synthesis.render.random_scene import (
+    facing,
     random_scene,
     random_viewpoints,
-    single_plane,
+    texture_maps,
 )
 from dgc_pose.training.synthesis.render.rendered_pairs import (
-    RenderedPairs,
+    RenderedPair,
     Views,
+    as_arrays,
     overlapping,
     render_views,
 )
+from dgc_pose.training.synthesis.render.scene import FACES, Layout, Scene
 
 PairKind = Literal["general", "planar", "rotation_only", "forward"]
 
@@ -34,23 +34,9 @@ _OPTIONS = SceneOptions(
     presence=0.9, texture_span=(0.45, 0.9), min_overlap=0.5, tries=12, shadow=0.3
 )
 _DISTANCE = 1.2  # from the look-at point, fields of view
+_PLANE_HALF_SIZE = 20.0
+_PLANE_SPAN = (1.0, 1.3)  # fields of view that the texture of the plane covers
 _PLANE_TEXTURE = 0  # leaves: not periodic, so that no two points of the plane look alike
-
-
-@dataclass(frozen=True)
-class RenderedPair:
-    """Two views with their exact geometry. Pixel (0, 0) is the top-left pixel's centre."""
-
-    image1: np.ndarray  # (h1, w1, 3) uint8, RGB
-    image2: np.ndarray  # (h2, w2, 3) uint8, RGB
-    K1: np.ndarray  # (3, 3) float64, pixels
-    K2: np.ndarray  # (3, 3) float64, pixels
-    R: np.ndarray  # (3, 3) float64, x2 = R x1 + t
-    t: np.ndarray  # (3,) float64, world units; zero for rotation_only
-    map: np.ndarray  # (h2, w2, 2) float64, (x, y) in pixels of image 1; (-1, -1) behind camera 1
-    visible: np.ndarray  # (h2, w2) bool, the surface point is seen in image 1
-    depth1: np.ndarray  # (h1, w1) float64, along the optical axis, world units
-    depth2: np.ndarray  # (h2, w2) float64
 
 
 def render_scene_pair(
@@ -73,7 +59,7 @@ def render_scene_pair(
     def draw_views() -> Views:
         first, second = _camera_pair(draw, size1, size2, math.radians(rotation_deg), kind)
         if kind == "planar":
-            scene = single_plane(draw, first, bank.size, _PLANE_TEXTURE)
+            scene = _single_plane(draw, first, bank.size, _PLANE_TEXTURE)
         else:
             scene = random_scene(draw, first, second, bank.size, bank.count, _OPTIONS)
         return Views(scene, first, second)
@@ -82,14 +68,25 @@ def render_scene_pair(
     return as_arrays(render_views(views, bank, _OPTIONS, views.scene.light))
 
 
-def as_arrays(pairs: RenderedPairs) -> RenderedPair:
-    """The first pair of a batch, as numpy arrays and 8-bit images."""
-    names = ("K1", "K2", "map", "depth1", "depth2")
-    values = {name: getattr(pairs, name)[0].double().numpy() for name in names}
-    for name in ("image1", "image2"):
-        values[name] = image_arrays(getattr(pairs, name)[:1])[0]
-    pose = pairs.cam2_from_cam1[0].double().numpy()
-    return RenderedPair(R=pose[:, :3], t=pose[:, 3], visible=pairs.visible[0].numpy(), **values)
+def _single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], photo: int) -> Scene:
+    """For each camera one plane through the origin that fills its view, tilted by up to 30 deg.
+
+    Its texture is `photo`, with the middle at the origin.
+    """
+    batch = len(first.K)
+    towards = normalize(first.centre, dim=-1)[:, None]
+    texture = texture_maps(draw, batch, 1, texture_size, _PLANE_SPAN)
+    texture[..., 2] = texture.new_tensor(texture_size) / 2
+    return Scene(
+        layout=Layout(0, 1, 0, 0),
+        centre=torch.zeros_like(towards),
+        axes=facing(draw, towards, math.radians(30.0)),
+        half_size=torch.full_like(towards, _PLANE_HALF_SIZE),
+        active=torch.ones_like(towards[..., 0], dtype=torch.bool),
+        photo=torch.full((batch, 1, FACES), photo, device=towards.device),
+        texture=texture,
+        light=first.centre,
+    )
 
 
 @lru_cache(maxsize=1)
