@@ -21,9 +21,6 @@ from dgc_pose.training.synthesis.posed_depth import PosedFrame
 
 # Four neighbouring depths further apart than this (of the nearest) lie on several surfaces.
 _STRADDLES = 0.05
-# Depth that was measured by another sensor and reprojected has cracks: pixels without depth are
-# filled if there is known depth of one surface on both sides within so many pixels.
-_CRACK_REACH = 3
 _AGREES = 0.03  # tolerance of the depth in the count of overlap, relative
 _PROBE = 16  # overlap is counted on so many pixels squared
 
@@ -143,42 +140,6 @@ def depth_at(depth: Tensor, frame: Tensor, points: Tensor) -> tuple[Tensor, Tens
     return torch.where(known, 1 / inverse, 1.0), known
 
 
-def close_cracks(depth: Tensor) -> Tensor:
-    """Depth (h, w), 0 if unknown, with the pixels filled that two or more lines through them agree
-    on.
-
-    Along a line, horizontal, vertical or diagonal, the inverse depth is interpolated linearly
-    between the nearest known pixels on both sides, if both are within _CRACK_REACH pixels and on
-    one surface.
-    """
-    padded = F.pad(depth, (_CRACK_REACH,) * 4)
-    flat, width = padded.reshape(-1), padded.shape[1]
-    rows, columns = (depth <= 0).nonzero().unbind(1)
-    pixel = (rows + _CRACK_REACH) * width + columns + _CRACK_REACH
-    lines = torch.tensor([[1], [width], [width + 1], [width - 1]])  # steps along them
-
-    def nearest(step: Tensor) -> tuple[Tensor, Tensor]:
-        """The first known depth in that direction and its distance in steps; 0 and 1 if none."""
-        first = depth.new_zeros(len(step), len(pixel))
-        distance = torch.ones_like(first)
-        for steps in range(_CRACK_REACH, 0, -1):
-            there = flat[pixel + steps * step]
-            first = torch.where(there > 0, there, first)
-            distance.masked_fill_(there > 0, steps)
-        return first, distance
-
-    (before, back), (after, ahead) = nearest(-lines), nearest(lines)
-    low, high = torch.minimum(before, after), torch.maximum(before, after)
-    agrees = (low > 0) & (high < (1 + _STRADDLES) * low)
-    inverse = torch.where(agrees, (ahead / before + back / after) / (back + ahead), 0.0).sum(0)
-    lowest = low.masked_fill(~agrees, torch.inf).amin(0)
-    highest = high.masked_fill(~agrees, 0.0).amax(0)
-    fills = (agrees.sum(0) >= 2) & (highest < (1 + _STRADDLES) * lowest)
-    closed = depth.clone()
-    closed[rows[fills], columns[fills]] = (agrees.sum(0) / inverse)[fills]
-    return closed
-
-
 def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
     """Image (3, side, side) uint8, depth (side, side) float32 and K (3, 3) float64 of a square."""
     pixels = load_image(frame.image).pixels
@@ -191,8 +152,8 @@ def _square(frame: PosedFrame, side: int) -> tuple[Tensor, Tensor, Tensor]:
     stored = torch.from_numpy(frame.read_depth())
     if min(stored.shape) < 2:
         raise InputError(f"{frame.depth}: a depth image must have 2 pixels a side at least")
-    stored, first = close_cracks(stored)[None], torch.zeros(1, dtype=torch.int64)
-    depth, known = depth_at(stored, first, point_grid(x, y))
+    first = torch.zeros(1, dtype=torch.int64)
+    depth, known = depth_at(stored[None], first, point_grid(x, y))
     squared = torch.where(known, depth, 0.0).view(side, side).float()
     return resized_planes(pixels, (side, side)), squared, torch.tensor(K)
 

@@ -15,7 +15,6 @@ from dgc_pose.training.synthesis.depth_pairs import depth_pairs, random_views
 from dgc_pose.training.synthesis.depth_scenes import (
     DepthScenes,
     FramePairOptions,
-    close_cracks,
     depth_at,
     load_depth_scenes,
     training_frames,
@@ -163,25 +162,6 @@ def test_depth_between_pixels_is_exact_on_a_plane() -> None:
     expected = 1 / (0.5 + 0.01 * points[..., 0] - 0.008 * points[..., 1])
     assert known.all()
     torch.testing.assert_close(found, expected)
-
-
-def test_cracks_close_on_a_surface_and_not_between_two() -> None:
-    y, x = torch.meshgrid(torch.arange(30.0), torch.arange(40.0), indexing="ij")
-    plane = 1 / (0.5 + 0.004 * x - 0.003 * y)
-    inner = (slice(3, -3), slice(3, -3))  # at the border only one line has known pixels on it
-    for crack in ((slice(None), slice(10, 13)), (slice(20, 22), slice(None))):
-        cracked = plane.clone()
-        cracked[crack] = 0
-        closed = close_cracks(cracked)
-        torch.testing.assert_close(closed[inner], plane[inner], rtol=1e-5, atol=0)
-    hole = plane.clone()
-    hole[5:25, 15:35] = 0
-    closed = close_cracks(hole)
-    assert (closed[9:21, 19:31] == 0).all()
-    step = plane.clone()
-    step[:, 20:] *= 2
-    step[:, 19:21] = 0
-    assert (close_cracks(step)[3:-3, 19:21] == 0).all()
 
 
 def test_pairs_turn_within_the_range(tmp_path: Path) -> None:

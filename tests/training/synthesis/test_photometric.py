@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
-import numpy as np
 import pytest
 import torch
 from procedural import procedural_textures
@@ -17,27 +15,11 @@ def _changed(images: torch.Tensor, seed: int = 0, **changes: object) -> torch.Te
     return random_photometric(images, options, torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize("quality", [10, 49, 50, 75, 95])
-def test_jpeg_agrees_with_opencvs(quality: int) -> None:
-    # Neither side is a multiple of the blocks' 16 pixels.
-    pixels = (255 * procedural_textures(3, 128, seed=1)).round().byte()[:, :, :101, :90]
-    found = jpeg_round_trip(pixels / 255, torch.full((3,), float(quality)))
-    for image, result in zip(pixels, found, strict=True):
-        rgb = image.permute(1, 2, 0).numpy()
-        _, data = cv2.imencode(".jpg", rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-        reference = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1].astype(np.float64)
-        difference = np.abs(255 * result.permute(1, 2, 0).double().numpy() - reference)
-        lost = np.abs(rgb - reference).mean()
-        # Rounding falls differently here and there. A table, a chroma rule or a level shift gone
-        # wrong would cost as much as the coding itself.
-        assert difference.mean() < min(1.4, 0.5 * lost)
-
-
 def test_each_image_has_its_own_quality() -> None:
     image = procedural_textures(1, 64, seed=2)
     both = jpeg_round_trip(image.repeat(2, 1, 1, 1), torch.tensor([10.0, 95.0]))
     lost = (both - image).abs().mean((1, 2, 3))
-    assert lost[0] > 3 * lost[1]
+    assert 0 < 3 * lost[1] < lost[0] < 0.1
 
 
 def test_jpeg_falls_on_its_share_of_the_views() -> None:
