@@ -7,16 +7,13 @@ import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
-from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
-from dgc_pose.network.geometric_net import GeometricNet
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.regression_stage import RegressionStage
 from dgc_pose.training.schedule import STAGES, StageName, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
 
-Stage = EncoderStage | DecoderStage | RegressionStage
+Stage = EncoderStage | DecoderStage
 
 _LARGEST_GRADIENT = 5.0  # norm over all parameters
 _BACKBONE_RATE = 0.25  # times the rate of the rest, to keep what ImageNet taught
@@ -28,10 +25,15 @@ class ActiveStage:
     A pretrained backbone learns at a quarter of the rate.
     """
 
-    def __init__(self, name: StageName, net: CorrespondenceNet, options: TrainingOptions) -> None:
+    def __init__(self, name: StageName, net: DGCNet, options: TrainingOptions) -> None:
         self.name = name
         self._net = net
-        self.module = _module(name, net, trained=options.init is not None)
+        self.module: Stage
+        if name == "encoder":
+            device = next(net.parameters()).device
+            self.module = EncoderStage(net, trained=options.init is not None).to(device)
+        else:
+            self.module = DecoderStage(net, end_to_end=name == "polish")
         self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.module.train()
         self.parameters = [p for p in self.module.parameters() if p.requires_grad]
@@ -65,12 +67,11 @@ class ActiveStage:
         self._average.update_parameters(self.module)
         return norm
 
-    def averaged(self) -> CorrespondenceNet:
+    def averaged(self) -> DGCNet:
         """A copy of the network by the averaged weights."""
         if not isinstance(self.average, EncoderStage):
             return deepcopy(self.average.net)
         net = deepcopy(self._net)
-        assert isinstance(net, DGCNet)
         self.average.write(net)
         return net
 
@@ -105,15 +106,6 @@ def moving_average(module: nn.Module, decay: float) -> AveragedModel:
     average = AveragedModel(module, multi_avg_fn=update, use_buffers=True)
     average.n_averaged += 1  # the initial weights count
     return average.eval().requires_grad_(False)
-
-
-def _module(name: StageName, net: CorrespondenceNet, trained: bool) -> Stage:
-    if isinstance(net, GeometricNet):
-        return RegressionStage(net, end_to_end=name == "polish")
-    assert isinstance(net, DGCNet)
-    if name == "encoder":
-        return EncoderStage(net, trained).to(next(net.parameters()).device)
-    return DecoderStage(net, end_to_end=name == "polish")
 
 
 def _rate_groups(module: nn.Module) -> list[dict[str, Any]]:

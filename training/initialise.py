@@ -6,27 +6,25 @@ from typing import cast
 from torch import Tensor, nn
 
 from dgc_pose.errors import WeightsError, reason
-from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
+from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.weights import check_tensors, load_network, read_state
 from dgc_pose.training.imagenet import load_backbone, vgg_layers
 from dgc_pose.training.options import InitPart
 
 
-def initialise_from(weights: str | Path, net: CorrespondenceNet, part: InitPart = "all") -> None:
+def initialise_from(weights: str | Path, net: DGCNet, part: InitPart = "all") -> None:
     """Load the weights of a file (or of a shipped name) into `net`.
 
     With part "encoder", or weights of another preset with the same pyramid (an ablation), only the
     pyramid and the correlation's temperatures are loaded. Raises WeightsError if the pyramids
-    differ, too, or if the encoder of `net` is given.
+    differ, too.
     """
     other = load_network(weights)
     if part == "all" and other.config == net.config:
         net.load_state_dict(other.state_dict())
         return
-    if net.config.is_geometric:
-        raise WeightsError(f"{weights}: {net.config.name} takes no other encoder")
     if other.config.pyramid != net.config.pyramid:
         raise WeightsError(
             f"{weights}: weights of {other.config.name}, whose pyramid {net.config.name} lacks"
@@ -36,7 +34,7 @@ def initialise_from(weights: str | Path, net: CorrespondenceNet, part: InitPart 
         cast(Tensor, net.correlation_scales).copy_(cast(Tensor, other.correlation_scales))
 
 
-def initialise_encoder(weights: str | Path, net: CorrespondenceNet, images: Tensor) -> None:
+def initialise_encoder(weights: str | Path, net: DGCNet, images: Tensor) -> None:
     """Load ImageNet's weights (.pth or .safetensors) into the net's encoder.
 
     VGG-16 in torchvision's layout, whose later layers are left out, or EfficientNet-Lite0. images:

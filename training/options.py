@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from dgc_pose.errors import InputError
-from dgc_pose.network.config import DEFAULT_WEIGHTS, EfficientNet, NetworkConfig, preset
+from dgc_pose.network.config import EfficientNet, NetworkConfig, preset
 from dgc_pose.system.options import MAX_SEED, check_options, option
 from dgc_pose.training.schedule import Schedule
 from dgc_pose.training.synthesis.options import PairOptions
@@ -16,7 +16,7 @@ InitPart = Literal["all", "encoder"]
 class TrainingOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
-    preset: str = option("dgcm-lite0", "Network: dgc, dgcm, dgcm-lite0 or rocco.")
+    preset: str = option("dgcm-lite0", "Network: dgc, dgcm or dgcm-lite0.")
     minutes: float | None = option(
         None, "Length of the training schedule, minutes.", above=0, max=10**7
     )
@@ -67,11 +67,9 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        config = self.config
+        preset(self.network)  # raises InputError for a name of no network
         if (self.minutes is None) == (self.steps is None):
             raise InputError("a run needs its length, in minutes or in steps, and one of them only")
-        if config.is_geometric and self.encoder is not None:
-            raise InputError(f"{self.network} takes no encoder: it has that of {DEFAULT_WEIGHTS}")
         if self.encoder is not None and self.init is not None and self.init_part == "encoder":
             raise InputError("encoder and init_part=encoder both set the encoder")
         if self.schedule.encoder == 1 and self.encoder_is_frozen:
@@ -91,10 +89,9 @@ class TrainingOptions:
     @property
     def encoder_is_frozen(self) -> bool:
         """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper, or of a
-        trained network, and that of a `GeometricNet`."""
+        trained network."""
         is_vgg = not isinstance(self.config.pyramid, EfficientNet)
-        starts_trained = self.encoder is not None or self.init is not None
-        return self.config.is_geometric or (is_vgg and starts_trained)
+        return is_vgg and (self.encoder is not None or self.init is not None)
 
     @property
     def stages(self) -> Schedule:

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -11,9 +11,8 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
-from dgc_pose.network.correspondence_net import CorrespondenceNet
-from dgc_pose.network.net import normalise
-from dgc_pose.network.weights import build_network, load_checkpoint, save_weights
+from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.weights import load_checkpoint, save_weights
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.log import Row, append
@@ -62,7 +61,7 @@ class Trainer:
             raise InputError(f"{self.weights_path} exists already, and is of no run in this folder")
         self.device = torch.device(device)
         torch.manual_seed(options.seed)
-        self.net = build_network(options.config)
+        self.net = DGCNet(options.config)
         if options.init is not None:
             initialise_from(options.init, self.net, options.init_part)
         self.net.to(self.device).half_precision = options.half_precision
@@ -105,9 +104,7 @@ class Trainer:
         """The file of a complete run's weights."""
         return self.out / f"{self.options.network}.safetensors"
 
-    def run(
-        self, report: Report = lambda row: None, minutes: float | None = None
-    ) -> CorrespondenceNet:
+    def run(self, report: Report = lambda row: None, minutes: float | None = None) -> DGCNet:
         """Train to the end of the run, or for so many `minutes` more of it.
 
         `report` gets a row every few steps. Returns the network by its averaged weights, and writes
@@ -173,7 +170,7 @@ class Trainer:
             figures = {key: float(torch.stack([r[key] for r in rows]).mean()) for key in rows[0]}
         return {f"val_{key}": value for key, value in figures.items()}
 
-    def averaged(self) -> CorrespondenceNet:
+    def averaged(self) -> DGCNet:
         """A copy of the network by the averaged weights of the stage."""
         return self._stage.averaged()
 
@@ -185,7 +182,6 @@ class Trainer:
         """
         state = {
             "preset": self.options.network,
-            "options": asdict(self.options),
             "elapsed": self.elapsed,
             "step": self.step,
             "stage": self._stage.name,

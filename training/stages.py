@@ -12,7 +12,6 @@ from torch import Tensor, nn
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
-from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet, normalise, upsample
 from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
@@ -86,25 +85,7 @@ class EncoderStage(nn.Module):
             net.correlation_scales = scales.exp().clamp(max=60).clone()
 
 
-class FrozenEncoderStage(nn.Module):
-    """A stage that trains all of a network but its pyramid.
-
-    end_to_end: what follows is trained through what goes before it (the polish stage).
-    """
-
-    def __init__(self, net: CorrespondenceNet, end_to_end: bool = False) -> None:
-        super().__init__()
-        self.net = net.requires_grad_(True)
-        net.pyramid.requires_grad_(False)
-        self.end_to_end = end_to_end
-
-    def train(self, mode: bool = True) -> FrozenEncoderStage:
-        super().train(mode)
-        self.net.pyramid.eval()
-        return self
-
-
-class DecoderStage(FrozenEncoderStage):
+class DecoderStage(nn.Module):
     """All decoders at once on the frozen pyramid, each fed with its predecessor's detached map.
 
     A share of the pairs gets the true map plus smooth noise instead, so that the fine decoders
@@ -114,7 +95,16 @@ class DecoderStage(FrozenEncoderStage):
     end_to_end: maps are not detached (the polish stage).
     """
 
-    net: DGCNet
+    def __init__(self, net: DGCNet, end_to_end: bool = False) -> None:
+        super().__init__()
+        self.net = net.requires_grad_(True)
+        net.pyramid.requires_grad_(False)
+        self.end_to_end = end_to_end
+
+    def train(self, mode: bool = True) -> DecoderStage:
+        super().train(mode)
+        self.net.pyramid.eval()
+        return self
 
     def forward(self, pairs: MapPairs, draw: Draw, noise_share: float = 0.0) -> Loss:
         """Map and mask losses of a batch of 240x240 pairs; each level's mean error in pixels."""

@@ -106,5 +106,5 @@ def jpeg_round_trip(images: Tensor, quality: Tensor) -> Tensor:
     for pixels, percent in zip(image_arrays(images), quality.cpu().numpy(), strict=True):
         wanted = [cv2.IMWRITE_JPEG_QUALITY, round(float(percent))]
         _, data = cv2.imencode(".jpg", pixels[..., ::-1], wanted)
-        decoded.append(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1] / 255)
+        decoded.append(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1] / 255)
     return torch.from_numpy(np.stack(decoded)).permute(0, 3, 1, 2).to(images)

@@ -58,7 +58,6 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
         (["--init", "nowhere.pth"], "nowhere.pth"),
         (["--validation-pairs", "1", "--preset", "dgc", "--encoder", "x"], "x cannot be read"),
         (["--validation-pairs", "1", "--encoder", "no.pth"], "no.pth"),
-        (["--preset", "rocco", "--encoder", "x"], "rocco takes no encoder: it has that of"),
         (["--init", "dgcm-lite0", "--init-part", "encoder", "--encoder", "x"], "both set"),
         (["--preset", "dgc", "--encoder", "x", "--split", "100,0,0"], "it is frozen"),
         (["--rate", "0"], "rate must be above 0"),
