@@ -1,7 +1,6 @@
 """The active stage: learning rates by group of parameters, and averaged weights."""
 
 import pytest
-from map_nets import SMALL
 from torch import nn
 
 from dgc_pose.network.config import preset
@@ -29,12 +28,6 @@ def test_a_backbone_learns_at_a_quarter_of_the_rate() -> None:
     frozen = sum(p.numel() for level in fine for p in level.parameters())
     trained = sum(p.numel() for group in (rest, backbone) for p in group["params"])
     assert trained == sum(p.numel() for p in stage.module.parameters()) - frozen
-
-
-def test_a_network_without_backbone_has_one_rate() -> None:
-    stage = _stage(DGCNet(SMALL))
-    rate = stage.set_rate(0.5)
-    assert [group["lr"] for group in stage.optimizer.param_groups] == [rate]
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.3, 0.998])

@@ -5,7 +5,6 @@ import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -264,12 +263,6 @@ def test_a_run_by_steps_repeats_to_the_bit(photos: Photos, tmp_path: Path) -> No
     for one, other in zip(first.parameters(), again.run().parameters(), strict=True):
         assert torch.equal(one, other)
     assert again.step == 4 and again.weights_path.exists()
-
-
-@pytest.mark.parametrize("length", [{"minutes": None}, {"steps": 3}, {"minutes": None, "steps": 0}])
-def test_a_run_needs_one_length(length: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="minutes|steps"):
-        _options(**length)
 
 
 def test_a_run_that_diverges_stops_and_saves_nothing_of_it(photos: Photos, tmp_path: Path) -> None:

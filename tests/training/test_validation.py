@@ -52,16 +52,6 @@ def test_a_comparison_holds_the_map_in_pixels(pairs: MapPairs, net: MapNet) -> N
     np.testing.assert_allclose(first.matchability, half_sure(), atol=1e-6)
 
 
-def test_errors_are_distances_and_infinite_where_nothing_can_be_found(
-    pairs: MapPairs, net: MapNet
-) -> None:
-    errors = compare(net, pairs)[1].errors
-    expected = np.full((240, 240), np.inf)
-    for y, x, distance in loop(pairs, 1):
-        expected[y, x] = distance
-    np.testing.assert_allclose(errors, expected, rtol=1e-4)
-
-
 def test_figures_are_those_of_a_loop(pairs: MapPairs, net: MapNet) -> None:
     figures = validate(net, [pairs])
     rows = [loop(pairs, 0), loop(pairs, 1)]

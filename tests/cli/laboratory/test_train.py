@@ -65,6 +65,7 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
         (["--stop-after", "-1"], "must be above 0"),
         (["--preset", "vgg"], "vgg"),
         (["--minutes", "0"], "minutes"),
+        (["--steps", "3"], "in minutes or in steps, and one of them only"),
         (["--split", "50,50"], "three percentages"),
         (["--split", "90,90,10"], "sum to 1"),
         (["--scene-share", "2"], "scene_share"),

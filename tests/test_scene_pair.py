@@ -1,10 +1,8 @@
-"""The pairs that tests of other rooms use, and the textures they wear."""
+"""The pairs that tests of other modules use."""
 
 import cv2
 import numpy as np
 import pytest
-import torch
-from procedural import procedural_textures
 from scene_pair import render_scene_pair
 
 KINDS = ("general", "planar", "rotation_only", "forward")
@@ -45,14 +43,3 @@ def test_kinds_have_their_motion():
         )
         share = inliers.mean()
         assert share > 0.999 if kind in ("planar", "rotation_only") else share < 0.8, kind
-
-
-def test_textures_are_seeded_and_full_of_detail():
-    textures = procedural_textures(9, 64, seed=1)
-    assert textures.shape == (9, 3, 64, 64) and textures.dtype == torch.float32
-    assert textures.min() >= 0 and textures.max() <= 1
-    assert torch.equal(textures, procedural_textures(9, 64, seed=1))
-    assert torch.equal(textures[:4], procedural_textures(4, 64, seed=1))
-    assert not torch.equal(textures, procedural_textures(9, 64, seed=2))
-    patches = textures.mean(1).unfold(1, 16, 16).unfold(2, 16, 16).flatten(3).std(-1)
-    assert (patches > 0.01).float().mean() > 0.95
