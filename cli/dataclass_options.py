@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import click
 
-from dgc_pose.cli.guard import SectionedOption
+from dgc_pose.cli.guard import NamedPath, SectionedOption
 from dgc_pose.system.options import OptionInfo, check_options, field_types, option_info
 
 _FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
@@ -110,15 +110,6 @@ class _Parsed(click.ParamType):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         return self._parse(value) if isinstance(value, str) else value
-
-
-class NamedPath(click.Path):
-    """A path that is not empty: Path("") would be the working folder."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        if value == "":
-            self.fail("a path is needed", param, ctx)
-        return super().convert(value, param, ctx)
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:

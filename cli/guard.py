@@ -1,11 +1,10 @@
-"""What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, and a
-help with its options in sections.
+"""What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, flags in
+place of the names of arguments in its errors, and a help with its options in sections.
 
 Outputs are options of the types `OutputFile` and `OutputFolder`; all others may name inputs. Before
 the command runs: an output that exists is replaced with --overwrite alone, an input never.
 """
 
-import functools
 import os
 import re
 from collections.abc import Iterator
@@ -14,16 +13,26 @@ from typing import Any, get_args
 
 import click
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
 from dgc_pose.files.outputs import output_target, require_no_input
 from dgc_pose.system.options import Section
 
 STDOUT = "-"
 DEBUG = "--debug"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
+_OVERWRITE = "overwrite"
 _COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
 # Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
 _SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
+
+
+class NamedPath(click.Path):
+    """A path that is not empty: Path("") would be the working folder."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("a path is needed", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class OutputFile(click.Path):
@@ -50,32 +59,23 @@ class OutputFile(click.Path):
             raise InputError(f"{path}: no such folder to write it into")
 
 
-class OutputFolder(click.Path):
+class OutputFolder(NamedPath):
     """The folder of a command's files. results: names of those that are not to be replaced."""
 
     def __init__(self, *results: str, path_type: type = str) -> None:
         super().__init__(file_okay=False, path_type=path_type)
         self.results = results
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if not os.fspath(value):  # Path("") would be the working folder
-            self.fail("the folder of the results needs a name", param, ctx)
-        return self.coerce_path_result(value)
-
     def check(self, path: str | Path, context: click.Context) -> None:
-        """Raise InputError if the path is no folder's, or holds results of a run that is neither
-        resumed nor replaced."""
-        if os.path.exists(path) and not os.path.isdir(path):
-            raise InputError(f"{path}: the results need a folder, and this is none")
+        """Raise InputError if the folder has results of a run that is neither resumed nor
+        replaced."""
         resume = {name.rpartition("__")[2]: value for name, value in context.params.items()}
         if resume.get("resume") or overwrites():
             return
-        for name in self.results:
-            if os.path.lexists(os.path.join(path, name)):
+        for file in (os.path.join(path, name) for name in self.results):
+            if os.path.lexists(file):
                 hint = "--resume goes on with that run, " if "resume" in resume else ""
-                raise InputError(
-                    f"{os.path.join(path, name)} is there already: {hint}--overwrite replaces it"
-                )
+                raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
 
 
 class SectionedOption(click.Option):
@@ -86,8 +86,20 @@ class SectionedOption(click.Option):
         self.section = section
 
 
-class SectionedCommand(click.Command):
-    """A command whose help has its options in sections."""
+class GuardedCommand(click.Command):
+    """A command that checks its outputs, names its flags in errors, and has sections of options."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        _check_outputs(ctx)
+        try:
+            return super().invoke(ctx)
+        except DgcPoseError as error:
+            flags = _flags(self)
+            error.args = tuple(
+                flags.get(part, part) if isinstance(part, ArgumentName) else part
+                for part in error.args
+            )
+            raise
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
@@ -96,12 +108,6 @@ class SectionedCommand(click.Command):
             if shown := [(r[0].ljust(_COLUMN), r[1]) for r in records if r is not None]:
                 with formatter.section(section.capitalize()):
                     formatter.write_dl(shown, col_max=_COLUMN)
-
-
-def _section(option: click.Option) -> Section:
-    if isinstance(option.type, OutputFile | OutputFolder):
-        return "output"
-    return option.section if isinstance(option, SectionedOption) else "options"
 
 
 def guarded(command: click.Command, *, reads_images: bool = True) -> click.Command:
@@ -113,6 +119,8 @@ def guarded(command: click.Command, *, reads_images: bool = True) -> click.Comma
             SectionedOption(
                 ["--overwrite"],
                 is_flag=True,
+                expose_value=False,
+                callback=lambda context, _, value: context.meta.update({_OVERWRITE: value}),
                 section="output",
                 help="Replace outputs that exist, but never an input.",
             )
@@ -138,29 +146,38 @@ def guarded(command: click.Command, *, reads_images: bool = True) -> click.Comma
             help="Show the trace of an error.",
         )
     )
-    run = command.callback
-    assert run is not None
-
-    @functools.wraps(run)
-    def checked(*args: Any, **kwargs: Any) -> Any:
-        _check_outputs(click.get_current_context())
-        kwargs.pop("overwrite", None)
-        return run(*args, **kwargs)
-
     order = get_args(Section)
     params.sort(key=lambda p: order.index(_section(p)) if isinstance(p, click.Option) else -1)
-    return SectionedCommand(command.name, callback=checked, params=params, help=command.help)
+    return GuardedCommand(command.name, callback=command.callback, params=params, help=command.help)
 
 
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
-    return bool(click.get_current_context().params.get("overwrite"))
+    return bool(click.get_current_context().meta.get(_OVERWRITE))
+
+
+def _section(option: click.Option) -> Section:
+    if isinstance(option.type, OutputFile | OutputFolder):
+        return "output"
+    return option.section if isinstance(option, SectionedOption) else "options"
 
 
 def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: int | None) -> None:
     if value is not None:
         os.environ[MAX_PIXELS_VARIABLE] = str(value)  # reaches worker processes too
         context.call_on_close(lambda: os.environ.pop(MAX_PIXELS_VARIABLE))
+
+
+def _flags(command: click.Command) -> dict[str, str]:
+    """The command's flags by the names that the library has for them: those of the fields, and those
+    of arguments such as K_size."""
+    flags = {}
+    for option in command.params:
+        if isinstance(option, click.Option):
+            flag = option.opts[0]
+            flags[flag.lstrip("-").replace("-", "_")] = flag
+            flags[(option.name or "").rpartition("__")[2]] = flag
+    return flags
 
 
 def _check_outputs(context: click.Context) -> None:

@@ -19,12 +19,17 @@ import click
 from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
-from dgc_pose.cli.process import Stopped, plain_warnings, standard_streams, stopped_by_signals
-from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, printable, reason
+from dgc_pose.cli.process import (
+    Stopped,
+    plain_warnings,
+    say,
+    standard_streams,
+    stopped_by_signals,
+)
+from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason, shortened
 
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
-PIPE = 13  # SIGPIPE, which Windows has not
 LONGEST = 1000  # characters of a message
 INTERRUPTED = 130  # what shells report after SIGINT
 # How long a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits for the others.
@@ -101,7 +106,7 @@ class LazyGroup(click.Group):
         except KeyboardInterrupt:  # click would print an empty line of its own
             raise Stopped(signal.SIGINT) from None
         except BrokenPipeError:  # click would exit with 1
-            raise Stopped(PIPE) from None
+            raise Stopped(signal.SIGPIPE) from None
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """As click's own, which would import every sub-command for its help."""
@@ -127,7 +132,7 @@ class LazyGroup(click.Group):
                 click.echo(traceback.format_exc(), err=True, nl=False)
             message, status = _message_and_status(error, words)
             if message is not None:
-                click.echo("error: " + _one_line(message), err=True)
+                say("error: " + shortened(" ".join(message.split()), LONGEST))
         sys.exit(status)
 
 
@@ -136,19 +141,17 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
     match error:
         case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
             return "interrupted", INTERRUPTED
-        case click.NoSuchOption():
-            return _with_path_hint(error, words), UNUSABLE_INPUT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
         case ImageSizeError():
             return f"{error} (--max-pixels sets that number)", UNUSABLE_INPUT
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
-        case BrokenPipeError() | Stopped(number=13):  # PIPE
+        case BrokenPipeError() | Stopped(number=signal.SIGPIPE):
             # Nobody reads the output any more; Python would write the rest when the process ends.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return None, 128 + PIPE
+            return None, 128 + signal.SIGPIPE
         case Stopped():
             return f"stopped by {signal.Signals(error.number).name}", 128 + error.number
         case OSError():
@@ -165,24 +168,10 @@ def _command(words: Sequence[str]) -> str:
     return next((word for word in words if not word.startswith("-")), "this")
 
 
-def _with_path_hint(error: click.NoSuchOption, words: Sequence[str]) -> str:
-    """A photograph's name may begin with a dash, and then looks like an option."""
-    for word in words:
-        if word.startswith(error.option_name) and os.path.exists(word):
-            return f"{error.format_message()} The file of that name is ./{word}"
-    return error.format_message()
-
-
 def _describe(error: OSError) -> str:
     """The files that the system names, and its words."""
     paths = [str(path) for path in (error.filename, error.filename2) if path is not None]
     return f"{' -> '.join(paths) or type(error).__name__}: {error.strerror or reason(error)}"
-
-
-def _one_line(message: str) -> str:
-    """A message that can be printed, shortened."""
-    text = printable(" ".join(message.split()))
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 40]} ... {text[-30:]}"
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:

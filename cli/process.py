@@ -20,9 +20,6 @@ import click
 from dgc_pose.errors import InputError, printable
 from dgc_pose.files.outputs import writing
 
-# SIGINT is a KeyboardInterrupt anyway. Windows has no SIGHUP.
-_STOPPING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
 
 class Stopped(BaseException):
     """A signal asked the process to end. Like KeyboardInterrupt no `Exception`."""
@@ -34,8 +31,12 @@ class Stopped(BaseException):
 
 @contextmanager
 def stopped_by_signals() -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup)."""
-    handled = [number for number in _STOPPING if signal.getsignal(number) is signal.SIG_DFL]
+    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup).
+
+    SIGINT is a KeyboardInterrupt anyway.
+    """
+    stopping = (signal.SIGTERM, signal.SIGHUP)
+    handled = [number for number in stopping if signal.getsignal(number) is signal.SIG_DFL]
     for number in handled:
         signal.signal(number, _stop)
     try:
@@ -105,20 +106,19 @@ def say(text: str) -> None:
 def plain_warnings(*, shown: bool) -> Iterator[None]:
     """Within the block our warnings are lines on stderr, and those of libraries are silent.
 
-    shown: print the libraries' warnings as well, as Python does. So does PYTHONWARNINGS.
+    shown: print the libraries' warnings as well, as Python does.
     """
     ours, handler = logging.getLogger("dgc_pose"), _Lines()
     silent = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
-    level, propagates = silent.level, ours.propagate
     with warnings.catch_warnings():
         ours.addHandler(handler)
         ours.propagate = False
-        if not (shown or sys.warnoptions or "PYTHONWARNINGS" in os.environ):
+        if not shown:
             warnings.simplefilter("ignore")
             silent.setLevel(logging.ERROR)
         try:
             yield
         finally:
             ours.removeHandler(handler)
-            ours.propagate = propagates
-            silent.setLevel(level)
+            ours.propagate = True
+            silent.setLevel(logging.NOTSET)

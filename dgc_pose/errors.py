@@ -6,8 +6,18 @@ from importlib.util import find_spec
 _REASON = 160  # characters of a library's message that are told
 
 
+class ArgumentName(str):
+    """The name of an argument or a field in a message. A command puts its flag in its place."""
+
+
 class DgcPoseError(Exception):
-    """Base of every error that dgc-pose raises; its message is one line, for people."""
+    """Base of every error that dgc-pose raises; its message is one line, for people.
+
+    args: the parts of the message, between which it has blanks.
+    """
+
+    def __str__(self) -> str:
+        return " ".join(map(str, self.args))
 
 
 class InputError(DgcPoseError, ValueError):
@@ -47,13 +57,12 @@ def is_installed(module: str) -> bool:
 
 
 def require(needs: Mapping[str, str]) -> None:
-    """Raise InputError for what needs an extra of the installation whose packages are missing.
+    """Raise InputError, with the command that installs what is missing, unless all packages of these
+    extras are installed.
 
-    needs: what is asked for, such as an option, and the name of its extra. The error has all that
-    are missing, and the command that installs them from the repository.
+    needs: what is asked for, such as an option, and the name of its extra.
     """
-    message = _missing(needs)
-    if message is not None:
+    if message := _missing(needs):
         raise InputError(message)
 
 
@@ -68,11 +77,11 @@ def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | N
 
 
 def _missing(needs: Mapping[str, str]) -> str | None:
-    missing = {}
-    for what, extra in needs.items():
-        names = {name for module, name in EXTRAS[extra].items() if not is_installed(module)}
-        if names:
-            missing[what] = sorted(names)
+    absent = {
+        what: sorted({name for module, name in EXTRAS[extra].items() if not is_installed(module)})
+        for what, extra in needs.items()
+    }
+    missing = {what: names for what, names in absent.items() if names}
     if not missing:
         return None
     clauses = ", ".join(f"{what} needs {' and '.join(names)}" for what, names in missing.items())
@@ -84,8 +93,7 @@ def _missing(needs: Mapping[str, str]) -> str | None:
 
 def reason(failure: BaseException) -> str:
     """The first line of a library's message, shortened; the name of its class if it says little."""
-    lines = str(failure).strip().splitlines()
-    text = lines[0].strip() if lines else ""
+    text = str(failure).strip().partition("\n")[0].strip()
     if not any(character.isalpha() for character in text):
         text = f"{type(failure).__name__} {text}".strip()
     return shortened(text)
@@ -96,7 +104,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else " " if c.isspace() else "\ufffd" for c in text)
 
 
-def shortened(text: str) -> str:
-    """A text for a message: its middle is left out if it is long."""
-    half = _REASON // 2
-    return text if len(text) <= _REASON else f"{text[:half]} ... {text[5 - half :]}"
+def shortened(text: str, most: int = _REASON) -> str:
+    """A text of at most so many characters: its middle is left out if it is long."""
+    half = most // 2
+    return text if len(text) <= most else f"{text[:half]} ... {text[5 - half :]}"

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.files.outputs import writing
 
 TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 
 def read_bytes(
@@ -34,11 +36,8 @@ def read_bytes(
 def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputError) -> bytes:
     """The first `count` bytes of a regular file, or all of a smaller one. Raises as
     `read_bytes` does."""
-    with open_regular(path, error) as stream:
-        try:
-            return stream.read(count)
-        except OSError as failure:
-            raise OSError(failure.errno, failure.strerror, str(path)) from None
+    with open_regular(path, error) as stream, writing(path):
+        return stream.read(count)
 
 
 def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
@@ -62,8 +61,7 @@ def _regular_size(path: str | Path, error: type[DgcPoseError]) -> int:
         raise error(f"{str(path)!r} is no name of a file") from None
     if stat.S_ISREG(status.st_mode):
         return status.st_size
-    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-    kind = kinds.get(stat.S_IFMT(status.st_mode), "a device")
+    kind = _KINDS.get(stat.S_IFMT(status.st_mode), "a device")
     raise error(f"{path} is {kind}, and only regular files are read")
 
 

@@ -1,5 +1,6 @@
 """Output files that appear whole or not at all, and never in place of an input."""
 
+import fcntl
 import os
 import shutil
 import tempfile
@@ -8,11 +9,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from dgc_pose.errors import InputError
-
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
 
 
 @contextmanager
@@ -137,8 +133,7 @@ def require_room(path: Path, size: int) -> None:
     """
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, max(1, size))
+            os.posix_fallocate(file.fileno(), 0, max(1, size))
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
 
@@ -154,9 +149,6 @@ def scratch_folder() -> Iterator[Path]:
 def only_writer(folder: Path, output: str | Path | None = None) -> Iterator[None]:
     """Keep a folder to one run. Raises InputError, naming the folder or the output that is written
     in it, if another run has it."""
-    if fcntl is None:
-        yield
-        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # a file system without locks

@@ -8,9 +8,7 @@ its log is turned off.
 import signal
 from contextlib import suppress
 
-_NAMES = ("SIGTERM", "SIGINT", "SIGHUP")
-_TAKEN = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
-_before = {number: signal.getsignal(number) for number in _TAKEN}
+_before = {n: signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)}
 
 import pycolmap  # noqa: E402
 

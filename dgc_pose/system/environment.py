@@ -5,7 +5,7 @@ import os
 import platform
 import re
 import sys
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 
 from dgc_pose.errors import is_installed
@@ -25,6 +25,7 @@ VARIABLES = (
     "DGC_POSE_MAX_PIXELS",
 )
 ABSENT = "not installed"
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def environment() -> Facts:
@@ -32,21 +33,18 @@ def environment() -> Facts:
 
     Imports torch, if it is installed, to ask for its devices.
     """
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     return {
-        "dgc-pose": {
-            "version": version(),
-            "build": build(),
-            "folder": str(Path(__file__).resolve().parents[1]),
-        },
+        "dgc-pose": {"version": version(), "build": build(), "folder": str(_PACKAGE)},
         "machine": {
             "Python": f"{platform.python_version()} ({sys.executable})",
             "system": platform.platform(),
             "processor": _processor(),
             "processors": f"{usable_cpus()} of {os.cpu_count()} usable",
-            "memory": _memory(),
+            "memory": f"{memory:.1f} GiB",
         },
         "libraries": {name: _library(name) for name in LIBRARIES},
-        "weights": _weights(),
+        "weights": {f.name: _digest(f) for f in sorted(_PACKAGE.glob("weights/*.safetensors"))},
         "devices": _devices(),
         "threads": _threads(),
         "environment": {name: os.environ[name] for name in VARIABLES if name in os.environ},
@@ -54,20 +52,10 @@ def environment() -> Facts:
 
 
 def _processor() -> str:
-    """The processor's name; Linux has it in a file, other systems in `platform`."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        text = ""
+    """The processor's name, which Linux has in a file."""
+    text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     name = re.search(r"^model name\s*:\s*(.*)", text, re.MULTILINE)
-    return name[1] if name else platform.processor() or platform.machine()
-
-
-def _memory() -> str:
-    try:
-        return f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.1f} GiB"
-    except (AttributeError, ValueError, OSError):  # not on Windows
-        return "unknown"
+    return name[1] if name else platform.machine()
 
 
 def _library(name: str) -> str:
@@ -77,14 +65,10 @@ def _library(name: str) -> str:
         return ABSENT
 
 
-def _weights() -> dict[str, str]:
-    """Each file of weights with its size and the first digits of its sha256."""
-    facts = {}
-    for file in sorted(Path(str(resources.files("dgc_pose") / "weights")).glob("*.safetensors")):
-        data = file.read_bytes()
-        digest = hashlib.sha256(data).hexdigest()[:16]
-        facts[file.name] = f"{len(data) / 1e6:.1f} MB, sha256 {digest}"
-    return facts
+def _digest(file: Path) -> str:
+    """The size of a file and the first digits of its sha256."""
+    data = file.read_bytes()
+    return f"{len(data) / 1e6:.1f} MB, sha256 {hashlib.sha256(data).hexdigest()[:16]}"
 
 
 def _devices() -> dict[str, str]:

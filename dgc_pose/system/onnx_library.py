@@ -10,7 +10,6 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when the library is 
 
 import onnxruntime  # noqa: E402
 
-if hasattr(onnxruntime, "disable_telemetry_events"):
-    onnxruntime.disable_telemetry_events()
+onnxruntime.disable_telemetry_events()
 
 __all__ = ["onnxruntime"]

@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 
 MAX_SEED = 2**63 - 1  # what torch takes
 
@@ -64,37 +64,38 @@ def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
 
 
 def check_options(options: Any) -> None:
-    """Raise InputError, naming the field, if a value lies outside its range or Literal.
+    """Raise InputError, naming the field, if a value has another type, or lies outside its range or
+    Literal.
 
-    For `__post_init__` of option dataclasses. The types of all fields are checked, the ranges of
-    those made by `option`; None passes if the type has it.
+    For `__post_init__` of option dataclasses. None passes if the type has it.
     """
     cls: Any = type(options)
     for of in fields(options):
-        name, info, value = of.name, option_info(of), getattr(options, of.name)
+        name, info, value = ArgumentName(of.name), option_info(of), getattr(options, of.name)
         kind, optional = field_types(cls)[name]
         if value is None and (optional or of.default is None):
             continue
         check_type(value, kind, name)
         if get_origin(kind) is Literal and value not in get_args(kind):
             choices = ", ".join(map(str, get_args(kind)))
-            raise InputError(f"{name} must be one of {choices}, not {value!r}")
+            raise InputError(name, f"must be one of {choices}, not {value!r}")
         if info is not None and not _in_range(info, value):
             order = "be ascending and " if isinstance(value, tuple) else ""
-            raise InputError(f"{name} must {order}{_range_text(info)}, not {value}")
+            raise InputError(name, f"must {order}{_range_text(info)}, not {value}")
         if isinstance(value, float) and math.isnan(value):
-            raise InputError(f"{name} must be a number, not nan")
+            raise InputError(name, "must be a number, not nan")
 
 
 def check_type(value: Any, kind: Any, name: str) -> None:
     """Raise InputError, naming the argument, for a value of another type than bool, int, float,
     str, Path, a class or a tuple of these."""
+    name = ArgumentName(name)
     if get_origin(kind) is tuple:
         parts = get_args(kind)
         if not isinstance(value, tuple):
-            raise InputError(f"{name} must be a tuple, not {value!r}")
+            raise InputError(name, f"must be a tuple, not {value!r}")
         if parts[-1] is not Ellipsis and len(parts) != len(value):
-            raise InputError(f"{name} must have {len(parts)} values, not {len(value)}")
+            raise InputError(name, f"must have {len(parts)} values, not {len(value)}")
         for part in value:
             check_type(part, parts[0], name)
         return
@@ -105,11 +106,8 @@ def check_type(value: Any, kind: Any, name: str) -> None:
     if not isinstance(value, tuple(_NUMBERS.get(kind, kind) for kind in kinds)) or number_as_bool:
         is_plain = value is None or isinstance(value, str | Real)
         shown = repr(value) if is_plain else type(value).__name__
-        raise InputError(f"{name} must be {' or '.join(map(_type_name, kinds))}, not {shown}")
-
-
-def _type_name(kind: type) -> str:
-    return _TYPE_NAMES.get(kind) or f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}"
+        names = " or ".join(_TYPE_NAMES.get(kind) or f"of type {kind.__name__}" for kind in kinds)
+        raise InputError(name, f"must be {names}, not {shown}")
 
 
 def _in_range(info: OptionInfo, value: Any) -> bool:
@@ -127,16 +125,16 @@ def _in_range(info: OptionInfo, value: Any) -> bool:
 
 
 def _range_text(info: OptionInfo) -> str:
-    if info.min is not None and info.max is not None:
-        return f"lie in [{_number(info.min)}, {_number(info.max)}]"
-    bounds = (("above", info.above), ("at least", info.min), ("at most", info.max))
-    texts = [f"{words} {_number(bound)}" for words, bound in bounds if bound is not None]
+    bounds = {"above": info.above, "at least": info.min, "at most": info.max}
+    texts = {
+        words: f"{bound:g}" if isinstance(bound, float) else str(bound)
+        for words, bound in bounds.items()
+        if bound is not None
+    }
+    if texts.keys() == {"at least", "at most"}:
+        return f"lie in [{texts['at least']}, {texts['at most']}]"
     finite = " and finite" if info.above is not None and info.max is None else ""
-    return f"be {' and '.join(texts)}{finite}"
-
-
-def _number(bound: float) -> str:
-    return f"{bound:g}" if isinstance(bound, float) else str(bound)
+    return f"be {' and '.join(f'{words} {bound}' for words, bound in texts.items())}{finite}"
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:

@@ -1,4 +1,4 @@
-"""Worker processes: pools that end at once, and how a process ended, told by the system's words."""
+"""Worker processes: pools that end at once, and how a process ended, in the system's words."""
 
 import multiprocessing
 import os
@@ -13,7 +13,7 @@ from typing import Any
 
 import cv2
 
-from dgc_pose.errors import DgcPoseError
+from dgc_pose.errors import ArgumentName, DgcPoseError
 
 Submit = Callable[..., Future[Any]]  # takes the number of a pool, a function and its arguments
 
@@ -23,9 +23,8 @@ def process_pools(
     sizes: Sequence[int], start: Callable[..., None] | None = None, *arguments: Any
 ) -> Iterator[Submit]:
     """Pools of so many processes each, which use one core each. Any error within the context ends
-    the processes at once.
-
-    start: is called with the arguments first in each process, and must not raise.
+    the processes at once. start: is called with the arguments first in each process, and must not
+    raise.
 
     Raises DgcPoseError if a process ends before its work.
     """
@@ -50,8 +49,9 @@ def process_pools(
             pool.shutdown(cancel_futures=True)  # the processes have exit codes then
         if isinstance(error, BrokenProcessPool):
             raise DgcPoseError(
-                f"a worker process ended ({process_ends(started)}): --resume goes on from the "
-                "pairs that were done"
+                f"a worker process ended ({process_ends(started)}):",
+                ArgumentName("resume"),
+                "goes on from the pairs that were done",
             ) from None
         raise
     for pool in pools:

@@ -13,9 +13,7 @@ Result = TypeVar("Result")
 
 def usable_cpus() -> int:
     """Processors that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):  # neither on macOS nor on Windows
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def slices(count: int, size: int) -> list[slice]:
@@ -28,8 +26,8 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
 
     For work that spends its time outside of Python and depends on its item alone, so that the
     answer is the same for any number of threads. `cv2.setNumThreads` sets the number for both; the
-    default is the number of processors. A ThreadPoolExecutor took 5 % longer for a pair, and the
-    process would wait for its threads at the end.
+    default is the number of processors. At its end a process would wait for the threads of a
+    ThreadPoolExecutor.
 
     Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
     the main thread, it is raised at once: results of work that has begun are discarded, and the
