@@ -73,7 +73,9 @@ def parse_methods(
     """
     for name in stored:
         if name in (*shipped(), *(kind.pattern for kind in KINDS)):
-            raise InputError(f"--matches {name}: a method of that name is there already")
+            raise InputError(
+                ArgumentName("matches"), f"{name}: a method of that name is there already"
+            )
     for text in specifications:
         if specifications.count(text) > 1:
             raise InputError(f"the method {text!r} is named twice")

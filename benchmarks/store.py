@@ -27,6 +27,7 @@ _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell; words of a Liter
     float: float,
     bool: {"True": True, "False": False}.__getitem__,
 }
+_RESUME = ArgumentName("resume")
 
 
 class RunStore(Generic[Score]):
@@ -132,7 +133,7 @@ def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
         write_text(path, json.dumps(settings, indent=2) + "\n")
         return
     if not resume:
-        raise InputError(f"{path} is there already: --resume goes on with that run")
+        raise InputError(f"{path} is there already:", _RESUME, "goes on with that run")
     before = read_json(path, "the settings of a run")
     if not isinstance(before, dict):
         raise InputError(f"{path}: not the settings of a run")

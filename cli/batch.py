@@ -82,7 +82,7 @@ def work_through(
     with progress_bars() as progress:
         return run_batch(
             images,
-            read_calibration(inputs.k, details=inputs.details),
+            read_calibration(inputs.k, "--K", inputs.details),
             choice,
             out,
             matcher=matcher,

@@ -1,5 +1,5 @@
-"""What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, flags in
-place of the names of arguments in its errors, and a help with its options in sections.
+"""What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, its
+flags in place of the names of arguments in errors, and a help with its options in sections.
 
 Outputs are options of the types `OutputFile` and `OutputFolder`; all others may name inputs. Before
 the command runs: an output that exists is replaced with --overwrite alone, an input never.
@@ -169,8 +169,8 @@ def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: i
 
 
 def _flags(command: click.Command) -> dict[str, str]:
-    """The command's flags by the names that the library has for them: those of the fields, and those
-    of arguments such as K_size."""
+    """The command's flags by the library's names for them: those of fields, and those of arguments
+    such as K_size."""
     flags = {}
     for option in command.params:
         if isinstance(option, click.Option):

@@ -57,8 +57,8 @@ def is_installed(module: str) -> bool:
 
 
 def require(needs: Mapping[str, str]) -> None:
-    """Raise InputError, with the command that installs what is missing, unless all packages of these
-    extras are installed.
+    """Raise InputError, with the command that installs what is missing, unless these extras are
+    installed.
 
     needs: what is asked for, such as an option, and the name of its extra.
     """

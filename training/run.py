@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from dgc_pose.errors import DgcPoseError, InputError, WeightsError
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_checkpoint, save_weights
@@ -56,7 +56,7 @@ class Trainer:
         self.out = Path(out)
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
-            raise InputError(f"{path} exists already: --resume continues it")
+            raise InputError(f"{path} exists already:", ArgumentName("resume"), "continues it")
         if self.weights_path.exists() and not path.exists():
             raise InputError(f"{self.weights_path} exists already, and is of no run in this folder")
         self.device = torch.device(device)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from dgc_pose.benchmarks.dtu import layouts
 from dgc_pose.benchmarks.dtu.scene import LIGHTS, DtuScene, SceneReader, read_scene
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 
 Layout = Literal["raw", "mvsnet"]
 Find = Callable[[Path, str], SceneReader | None]
@@ -86,7 +86,7 @@ def _find_layout(root: Path, layout: Layout | None, light: str) -> tuple[Layout,
     }
     if len(readers) > 1:
         names = " and ".join(readers)
-        raise InputError(f"{root}: DTU in the layouts {names}: say which by --layout")
+        raise InputError(f"{root}: DTU in the layouts {names}: choose by", ArgumentName("layout"))
     if readers:
         return next(iter(readers.items()))
     if layout is not None:

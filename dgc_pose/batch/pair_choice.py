@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 
 Way = Literal["exhaustive", "sequential", "auto"]
 _DIGITS = 10  # of a number of images
 _EXHAUSTIVE_UP_TO = 20  # images
+_PAIRS = ArgumentName("pairs")
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class PairChoice:
 
     def __post_init__(self) -> None:
         if self.number < 1:
-            raise InputError(f"--pairs {self.way}:N needs N of at least 1, not {self.number}")
+            raise InputError(_PAIRS, f"{self.way}:N needs N of at least 1, not {self.number}")
 
     def pairs(self, count: int) -> list[tuple[int, int]]:
         """The pairs (i, j), i < j, of so many images; none for "auto", which needs their scores."""
@@ -49,7 +50,7 @@ def parse_pair_choice(text: str) -> PairChoice:
             return PairChoice("sequential", int(number))
         if way == "auto":
             return PairChoice("auto", int(number))
-    raise InputError(f"--pairs must be exhaustive, sequential:W or auto:K, not {text!r}")
+    raise InputError(_PAIRS, f"must be exhaustive, sequential:W or auto:K, not {text!r}")
 
 
 def similarities(features: Sequence[np.ndarray]) -> np.ndarray:

@@ -12,11 +12,12 @@ from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.source import PLAN, FileState
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError, reason, shortened
+from dgc_pose.errors import ArgumentName, InputError, reason, shortened
 from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import write_text
 
 _VERSION = 3
+_RESUME = ArgumentName("resume")
 
 
 @dataclass(frozen=True)

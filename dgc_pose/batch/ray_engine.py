@@ -13,7 +13,7 @@ from typing import Any
 
 from dgc_pose.batch.local import RunTasks, core_worker, in_spans
 from dgc_pose.batch.work import Job, Outcome, Task, Worker
-from dgc_pose.errors import DgcPoseError, reason, require
+from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
 
 MOST_TRIES = 3  # of one block, whose worker may end each time
 
@@ -25,7 +25,7 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     Raises InputError without Ray. Running tasks raises DgcPoseError if a block kills its worker
     again and again; `--resume` goes on after that.
     """
-    require({"--engine ray": "ray"})
+    require({"engine ray": "ray"})
     import ray
 
     starts = not ray.is_initialized()
@@ -52,8 +52,9 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
             yield from in_spans(tasks, workers, submit)
         except ray.exceptions.RayActorError as error:
             raise DgcPoseError(
-                f"{MOST_TRIES} workers ended on the same block of pairs ({reason(error)}): "
-                "--resume goes on from the pairs that were done"
+                f"{MOST_TRIES} workers ended on the same block of pairs ({reason(error)}):",
+                ArgumentName("resume"),
+                "goes on from the pairs that were done",
             ) from None
         except ray.exceptions.RayTaskError as error:
             raise error.cause from None

@@ -37,6 +37,7 @@ from dgc_pose.network.stored import find_weights, shipped
 _ENGINES: Mapping[str, Workers] = {"local": local_workers, "ray": ray_workers}
 _BLOCKS_HELD = 4  # of matches in memory, for each worker
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
+_RESUME = ArgumentName("resume")
 
 
 def run_batch(
@@ -150,7 +151,7 @@ def _plan_before(out: Path, resume: bool) -> Plan | None:
             raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
         return None
     if not resume:
-        raise InputError(f"{out}: holds a batch already: --resume goes on with it")
+        raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
     return read_plan(out)
 
 

@@ -19,6 +19,7 @@ PLAN = "plan.json"  # in the folder of a batch
 BATCH, PICTURE = "batch", "picture.png"  # in the folder of a reconstruction
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change
+_ROOT = ArgumentName("root")
 
 
 @dataclass(frozen=True)
@@ -57,11 +58,12 @@ def open_source(path: Path, root: Path | None = None) -> Source:
             "; ".join([f"{path}: {what} there, and a pair needs two", *source.left_out])
         )
     if not source.root.is_dir():
-        raise InputError(f"--root: {source.root}: no such folder of images")
+        raise InputError(_ROOT, f"{source.root}: no such folder of images")
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(
-            f"--root: none of the {len(source.names)} images of {path} is in {source.root} "
-            f"(first: {source.names[0]})"
+            _ROOT,
+            f"{source.root}: none of the {len(source.names)} images of {path} is there "
+            f"(first: {source.names[0]})",
         )
     return source
 

@@ -24,7 +24,7 @@ from dgc_pose.cameras.formats import colmap, plain
 from dgc_pose.cameras.formats.file_cameras import numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
-from dgc_pose.errors import InputError, shortened
+from dgc_pose.errors import ArgumentName, InputError, shortened
 
 _AUTO: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
@@ -82,7 +82,7 @@ class Calibration:
             *_, last = ("", *self.parts)
             which = f": say which, as {self.where}:{last}" if last else ""
             raise InputError(f"{self.where} has no camera for {name}{which}")
-        raise InputError(f"no camera for {name}: give --K, or --K auto")
+        raise InputError(f"no camera for {name}: give", ArgumentName("K"), "or auto in its place")
 
     def says_nothing_of(self, root: Path, name: str) -> bool:
         """Whether an image may take a camera from elsewhere, such as a list of pairs."""
@@ -163,7 +163,9 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
         camera = checked_camera(camera, size, name)
     else:
         if camera.size is not None and camera.size != of_K:
-            raise InputError(f"{name} states {_times(camera.size)}, and --K-size {_times(of_K)}")
+            raise InputError(
+                f"{name} states {_times(camera.size)}, and", ArgumentName("K_size"), _times(of_K)
+            )
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
                 f"{name} is for {_times(of_K)} pixels and the image has {_times(size)}, of another "
@@ -246,11 +248,11 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
 
 
 def read_calibration(
-    text: str | None, name: str = "--K", details: KDetails = KDetails()
+    text: str | None, name: str = "K", details: KDetails = KDetails()
 ) -> Calibration:
-    """The calibration of the option --K: a text or the path of a file, see this module.
+    """The calibration of the argument K: a text or the path of a file, see this module.
 
-    None: no camera for any image. Raises InputError, with the option `name` or the path, if the
+    None: no camera for any image. Raises InputError, with `name` or the path, if the
     text is none of these or the file is malformed.
     """
     if text is None:
@@ -319,7 +321,7 @@ def _require_K(details: KDetails, name: str) -> None:
     """Raise InputError if something is said of a K that is not given."""
     for option, value in (("size", details.size), ("std", details.focal_std or details.centre_std)):
         if value:
-            raise InputError(f"--K-{option} is of a K, and {name} gives none")
+            raise InputError(ArgumentName(f"K_{option}"), f"is of a K, and {name} gives none")
 
 
 def _parts(name: str) -> tuple[str, ...]:

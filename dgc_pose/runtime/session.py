@@ -21,7 +21,7 @@ class Session:
     weights: by the names of the graph's initializers, no others. The number of threads is that of
     `session_threads` when the session is made. Safe to call from several threads at once. Raises
     WeightsError if weights are missing or do not fit, OSError, with the path, if the graph cannot
-    be read; MemoryError, as a call does, if there is not enough.
+    be read.
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
@@ -45,7 +45,6 @@ class Session:
                 enable_fallback=0,  # it would try the same again, and print
             )
         except Exception as error:  # onnxruntime's errors have no common base
-            _check_memory(error)
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
         self.inputs, self.outputs = (
             [(tensor.name, tensor.shape) for tensor in tensors]
@@ -55,17 +54,7 @@ class Session:
     def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """The outputs."""
         inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
-        try:
-            return self._session.run(None, inputs)
-        except Exception as error:
-            _check_memory(error)
-            raise
-
-
-def _check_memory(error: Exception) -> None:
-    """Raise MemoryError for an error of ONNX Runtime that says so."""
-    if "bad_alloc" in str(error) or "allocate memory" in str(error):
-        raise MemoryError(str(error)) from None
+        return self._session.run(None, inputs)
 
 
 def session_threads() -> int:

@@ -36,7 +36,7 @@ def test_the_pairs_of_a_folder_of_which_nothing_is_said(count: int, text: str) -
 
 @pytest.mark.parametrize("text", ["all", "auto", "auto:0", "auto:-1", "sequential:x", "", "a:1"])
 def test_another_text_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--pairs"):
+    with pytest.raises(InputError, match="^pairs"):
         parse_pair_choice(text)
 
 

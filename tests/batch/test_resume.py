@@ -82,7 +82,7 @@ def test_what_differs_is_named_and_nothing_changes(
     before = _files(out)
     apply, options, words = CHANGES[change]
     source = photos if apply is None else apply(photos)
-    with pytest.raises(InputError, match="that batch .*--resume needs the same") as raised:
+    with pytest.raises(InputError, match="that batch .*: resume needs the same") as raised:
         run_sift(source, out, resume=True, **options)  # type: ignore[arg-type]
     assert words in str(raised.value) and "\n" not in str(raised.value)
     assert _files(out) == before

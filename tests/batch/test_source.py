@@ -74,7 +74,7 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | N
     with pytest.raises(InputError) as caught:
         open_source(tmp_path / "list.txt", None if root is None else folder)
     assert str(caught.value) == (
-        f"--root: none of the 3 images of {tmp_path / 'list.txt'} is in {folder} (first: a.png)"
+        f"root {folder}: none of the 3 images of {tmp_path / 'list.txt'} is there (first: a.png)"
     )
     _save(tmp_path / "photos" / "c.png", "PNG")
     assert open_source(tmp_path / "list.txt", tmp_path / "photos").names == (

@@ -98,7 +98,7 @@ def test_any_cut_is_mended(rows, finished, open_store) -> None:
 
 def test_a_run_that_is_there_is_not_begun_again(finished, open_store) -> None:
     folder, whole = finished
-    with pytest.raises(InputError, match="--resume goes on"):
+    with pytest.raises(InputError, match=": resume goes on"):
         open_store()
     with pytest.raises(InputError, match=r'had protocol "native", not "paper"'):
         open_store(resume=True, settings={**SETTINGS, "protocol": "paper"})

@@ -50,7 +50,7 @@ def test_the_cameras_of_a_pair() -> None:
         (CameraChoice(k1=K), "image 2 has no K: give --K or --K2, or --K auto"),
         (CameraChoice(K), "--K has its principal point at (320, 240), the middle of an image of"),
         (CameraChoice("160,160,160,120", k2="K"), "--K2: 'K' is neither"),
-        (CameraChoice("auto", (640, 480)), "--K-size is of a K, and --K gives none"),
+        (CameraChoice("auto", (640, 480)), "K_size is of a K, and --K gives none"),
     ],
 )
 def test_what_is_refused_names_the_option(choice: CameraChoice, said: str) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import multiprocessing
-import re
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
@@ -154,29 +153,8 @@ def test_threads_are_opencv_s_and_no_more_than_openmp_allows(
         assert session_threads() == expected
 
 
-@pytest.mark.parametrize(
-    ("said", "kind"),
-    [
-        ("RUNTIME_EXCEPTION : Exception during initialization: std::bad_alloc", MemoryError),
-        ("AllocateRawInternal(size_t, bool) Failed to allocate memory for 9", MemoryError),
-        ("INVALID_GRAPH : This is an invalid model", WeightsError),
-    ],
-)
-def test_a_lack_of_memory_is_told_as_such(
-    monkeypatch: pytest.MonkeyPatch, said: str, kind: type[Exception]
-) -> None:
-    """As ONNX Runtime says it where the address space is bounded."""
-
-    def fail(*arguments: object, **settings: object) -> None:
-        raise RuntimeError(said)
-
-    monkeypatch.setattr("dgc_pose.runtime.session.onnxruntime.InferenceSession", fail)
-    with pytest.raises(kind, match=re.escape(said)):
-        load_onnx_engine(find_weights("dgcm-lite0"))._session(NATIVE)
-
-
 def test_what_is_raised_is_not_printed_too(capfd: pytest.CaptureFixture[str]) -> None:
-    """Sides that are no multiples of 16 fail within the graph, as a lack of memory does."""
+    """Sides that are no multiples of 16 fail within the graph."""
     native = load_onnx_engine(find_weights("dgcm-lite0"))._session(NATIVE)
     with pytest.raises(Exception, match="Non-zero status code"):
         native(np.zeros((20, 20, 3), np.float32))

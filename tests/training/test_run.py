@@ -278,7 +278,7 @@ def test_a_run_that_diverges_stops_and_saves_nothing_of_it(photos: Photos, tmp_p
 
 def test_runs_are_not_overwritten_or_mixed(photos: Photos, tmp_path: Path) -> None:
     Trainer((photos, photos), tmp_path, _options()).save()
-    with pytest.raises(InputError, match="--resume"):
+    with pytest.raises(InputError, match=": resume continues"):
         Trainer((photos, photos), tmp_path, _options())
     with pytest.raises(WeightsError, match="preset dgcm-lite0, not dgc"):
         Trainer((photos, photos), tmp_path, _options(preset="dgc"), resume=True)
