@@ -12,21 +12,27 @@ PACKAGING := setup.cfg pyproject.toml constraints.txt
 # As the command sets it (cli/main.py), so that the tests bear a busy machine.
 export GOMP_SPINCOUNT ?= 10000
 
-.PHONY: demo test test-processors lint fuzz docs figures clean
+.PHONY: demo test test-all test-processors lint fuzz docs figures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
 
 # Two processes of one thread each: most tests wait for one core.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+
+# The linters, and all tests but those marked as slow.
 test: lint
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+	$(PYTEST) -m "not slow"
+
+# Every test once.
+test-all: test
+	$(PYTEST) -m slow
 
 # The network's tests once more, as on a processor without AVX-512 and bfloat16. Nothing outside of
 # torch turns it to bfloat16 (it does not read oneDNN's ONEDNN_DEFAULT_FPMATH_MODE): the tests of
 # half precision among these ask for it by the package's own option, on any processor.
 test-processors: $(VENV)/.installed-dev
-	env $$(cat tests/avx2.env) OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 \
-		--dist loadfile tests/network tests/runtime/test_torch_engine.py \
+	env $$(cat tests/avx2.env) $(PYTEST) tests/network tests/runtime/test_torch_engine.py \
 		tests/runtime/test_onnx_engine.py tests/runtime/test_processors.py \
 		tests/refinement/test_features.py
 

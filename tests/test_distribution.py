@@ -21,6 +21,8 @@ from test_packaging import MAPPED, ROOT
 
 from dgc_pose.version import version
 
+pytestmark = pytest.mark.slow
+
 TOP_FILES = ("setup.cfg", "setup.py", "pyproject.toml", "MANIFEST.in", "LICENSE", "README.md")
 DOCUMENTS = ("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "constraints.txt")
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")

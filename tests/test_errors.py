@@ -10,6 +10,8 @@ from hidden_packages import EXTRAS, run_in, without
 
 from dgc_pose.errors import InputError, missing_package, require
 
+pytestmark = pytest.mark.slow
+
 _PAIR = [str(resources.files("dgc_pose") / "data" / "demo" / f"image{k}.jpg") for k in (1, 2)]
 _K = ("--K", "460,460,319.5,239.5")
 _LENS = "OPENCV,800,600,820,820,404.8,297.3,0.1,0,0,0"

@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main
 
+pytestmark = pytest.mark.slow
+
 HANG_S = 120  # of a command, on a busy machine
 ESTIMATE = ("estimate", "one.png", "two.png", "--refine", "none", "--runs", "1")
 K = ("--K", dense_scene.K_TEXT)

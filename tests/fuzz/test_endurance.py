@@ -4,10 +4,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import dense_scene
 import numpy as np
+import pytest
 from fuzz.test_readers import resident
 from hypothesis import settings
 
 from dgc_pose import EstimationOptions, estimate_relative_pose, load_matcher
+
+pytestmark = pytest.mark.slow
 
 CALLS = settings.default.max_examples // 4
 GROWTH = 100 * 2**20  # bytes; the first calls fill the libraries' own pools

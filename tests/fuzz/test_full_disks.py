@@ -14,6 +14,8 @@ from multi_view import K_text
 FULL = """
 import resource, sys
 from dgc_pose.cli.main import main
+
+pytestmark = pytest.mark.slow
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
 main()
 """

@@ -11,6 +11,8 @@ from pathlib import Path
 import dtu_layout
 import pytest
 
+pytestmark = pytest.mark.slow
+
 LIMIT_S = 300.0  # for what takes seconds on an idle machine
 QUICK = ("--workers", "2", "--runs", "2", "--iterations", "100", "--resume")
 

@@ -19,6 +19,8 @@ from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.main import main
 from dgc_pose.files.outputs import save_text, staged
 
+pytestmark = pytest.mark.slow
+
 @click.command()
 @click.option("--json", "out", type=OutputFile())
 @click.option("--size", type=int, default=4)

@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from dgc_pose.errors import DgcPoseError
 
+pytestmark = pytest.mark.slow
+
 HANG_S = 120  # of one file, on a busy machine
 MEMORY = 2**30  # bytes that one file may take
 Reader = tuple[Path, dict[Path, bytes], Read]

@@ -8,8 +8,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hidden_packages import EXTRAS, run_in, without
 from multi_view import K_text, render_views, write_views
+
+pytestmark = pytest.mark.slow
 
 _K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
 _PAIR = [str(resources.files("dgc_pose") / "data" / "demo" / f"image{k}.jpg") for k in (1, 2)]

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from ambiguous_pose import ambiguous_pose
 
+pytestmark = pytest.mark.slow
+
 # Elements that do not lie within the window, or none.
 OUTSIDE = """[document.scrollingElement, ...document.querySelectorAll('body *')].filter((part) => {
   const { left, right, width } = part.getBoundingClientRect();

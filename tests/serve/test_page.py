@@ -12,6 +12,8 @@ from ambiguous_pose import ambiguous_pose
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.output import pose_data
 
+pytestmark = pytest.mark.slow
+
 DONE = "document.querySelector('#progress').textContent.startsWith('done')"
 
 
