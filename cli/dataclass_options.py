@@ -42,14 +42,13 @@ def dataclass_options(
 
     def decorate(command: Command) -> Command:
         @functools.wraps(command)
-        def with_instance(*args: Any, **kwargs: Any) -> Any:
+        def with_instance(**kwargs: Any) -> Any:
             values = {name: kwargs.pop(name) for name in chosen}
-            return command(*args, **kwargs, **{argument: _made(cls, values, argument)})
+            return command(**kwargs, **{argument: _made(cls, values, argument)})
 
-        decorated: Command = with_instance
-        for decorator in reversed(chosen.values()):
-            decorated = decorator(decorated)
-        return decorated
+        return functools.reduce(
+            lambda made, add: add(made), reversed(chosen.values()), with_instance
+        )
 
     return decorate
 
@@ -67,22 +66,22 @@ def _options(
             flag = info.flag or "--" + field.name.replace("_", "-")
             if kind is bool and field.default is True:
                 flag += "/--no-" + flag[2:]
-            default = field.default if info.text is None else info.text
-            yield name, click.option(flag, name, **_settings(kind, default, info))
+            yield name, click.option(flag, name, **_settings(kind, field.default, info))
         elif isinstance(kind, type) and is_dataclass(kind) and not optional:
             yield from _options(kind, name)
 
 
 def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
-    """What click is told of an option; without a default it is required."""
+    """What click needs of an option; without a default it is required."""
     settings: dict[str, Any] = {"help": info.help, "metavar": info.metavar}
-    settings |= {"cls": SectionedOption, "section": info.section}
-    settings |= {"required": True} if default is MISSING else {"default": default}
+    settings |= {"cls": SectionedOption, "section": info.section, "required": default is MISSING}
+    if default is not MISSING:
+        settings["default"] = default if info.text is None else info.text
     if kind is bool:
         return settings | {"is_flag": True}
     if get_origin(kind) is tuple and info.parse is None:
         return settings | {"multiple": True, "type": _parameter_type(get_args(kind)[0], info)}
-    shown = default not in (MISSING, None)
+    shown = settings.get("default") is not None
     return settings | {"type": _parameter_type(kind, info), "show_default": shown}
 
 
@@ -100,16 +99,11 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
     return made
 
 
-class _Parsed(click.ParamType):
-    """What the option's own function makes of its text."""
-
-    name = "text"
-
-    def __init__(self, parse: Callable[[str], Any]) -> None:
-        self._parse = parse
+class _Parsed(click.types.FuncParamType):
+    """What the option's function makes of its text. Its InputError reaches the user as it is."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        return self._parse(value) if isinstance(value, str) else value
+        return self.func(value) if isinstance(value, str) else value
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:

@@ -9,7 +9,7 @@ from click.core import ParameterSource
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE, Outputs, check_picture, draw, run_pipeline
-from dgc_pose.cli.output import matrix_lines, pose_text, vector_line
+from dgc_pose.cli.output import pose_text, row_lines
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files.outputs import staged
 from dgc_pose.matchers import MatcherOptions
@@ -27,26 +27,22 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
     """
     check_picture(outputs.plot)
     pair = bundled_pair()
+    cameras = (pair.camera1, pair.camera2)
     with staged(outputs.plot) as stage:
-        trace = run_pipeline(
-            pair.path1, pair.path2, lambda *_: (pair.camera1, pair.camera2), matcher, estimation
-        )
+        trace = run_pipeline(pair.path1, pair.path2, lambda *_: cameras, matcher, estimation)
         draw(trace, stage, outputs.plot)
-    pose = trace.pose
-    K1, K2 = (_k_text(camera.K) for camera in (pair.camera1, pair.camera2))
+    K1, K2 = (",".join(f"{camera.K[at]:.15g}" for at in _NUMBERS_OF_K) for camera in cameras)
     click.echo(f"image 1: {pair.path1}, K {K1}\nimage 2: {pair.path2}, K {K2}\n")
     words = ["dgc-pose", "estimate", str(pair.path1), str(pair.path2), "--K1", K1, "--K2", K2]
     click.echo(f"the same by: {shlex.join([*words, *_chosen(click.get_current_context())])}\n")
-    click.echo(pose_text(pose) + "\n")
-    if not pose.success:
+    click.echo(pose_text(trace.pose) + "\n")
+    if not trace.pose.success:
         return NO_POSE
-    click.echo(_beside(pose, pair))
+    click.echo(_beside(trace.pose, pair))
     return 0
 
 
-def _k_text(K: np.ndarray) -> str:
-    """fx,fy,cx,cy of a matrix without skew, as --K takes them."""
-    return ",".join(f"{value:.15g}" for value in K[[0, 1, 0, 1], [0, 1, 2, 2]])
+_NUMBERS_OF_K = ((0, 0), (1, 1), (0, 2), (1, 2))  # fx, fy, cx, cy, as --K takes them
 
 
 def _chosen(context: click.Context) -> list[str]:
@@ -65,11 +61,9 @@ def _chosen(context: click.Context) -> list[str]:
 def _beside(pose: RelativePose, pair: Pair) -> str:
     """An estimated pose that has R and t and the known pose in two columns, and the errors."""
     assert pose.R is not None and pose.t is not None
-    known = matrix_lines(pair.R) + [vector_line(pair.t / np.linalg.norm(pair.t))]
-    estimated = matrix_lines(pose.R) + [vector_line(pose.t)]
-    width = len(known[0])
-    lines = [f"     {'estimated':{width}}   {'known':{width}}"]
-    for name, left, right in zip("RRRt", estimated, known, strict=True):
+    known = row_lines(*pair.R, pair.t / np.linalg.norm(pair.t))
+    lines = [f"     {'estimated':{len(known[0])}}   known{' ' * (len(known[0]) - 5)}"]
+    for name, left, right in zip("RRRt", row_lines(*pose.R, pose.t), known, strict=True):
         lines.append(f"  {name}  {left}   {right}")
     lines.append(
         f"errors: rotation {rotation_error_deg(pose.R, pair.R):.2f} deg, "

@@ -112,40 +112,22 @@ class GuardedCommand(click.Command):
 
 def guarded(command: click.Command, *, reads_images: bool = True) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
-    params = list(command.params)
+    params, hidden = list(command.params), {"expose_value": False}
     kinds = [parameter.type for parameter in params]
     if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
-        params.append(
-            SectionedOption(
-                ["--overwrite"],
-                is_flag=True,
-                expose_value=False,
-                callback=lambda context, _, value: context.meta.update({_OVERWRITE: value}),
-                section="output",
-                help="Replace outputs that exist, but never an input.",
-            )
-        )
+        text = "Replace outputs that exist, but never an input."
+        flag = SectionedOption(["--overwrite"], section="output", is_flag=True, help=text, **hidden)
+        flag.callback = lambda context, _, value: context.meta.update({_OVERWRITE: value})
+        params.append(flag)
     if reads_images:
-        params.append(
-            SectionedOption(
-                ["--max-pixels"],
-                type=click.IntRange(1, 2**30),
-                metavar="N",
-                expose_value=False,
-                callback=_set_max_pixels,
-                section="advanced",
-                help="Most pixels of an image that is decoded; default: 210 million.",
-            )
+        text = "Most pixels of an image that is decoded; default: 210 million."
+        most = SectionedOption(
+            ["--max-pixels"], section="advanced", metavar="N", help=text, **hidden
         )
-    params.append(
-        SectionedOption(
-            [DEBUG],
-            is_flag=True,
-            expose_value=False,
-            section="advanced",
-            help="Show the trace of an error.",
-        )
-    )
+        most.type, most.callback = click.IntRange(1, 2**30), _set_max_pixels
+        params.append(most)
+    text = "Show the trace of an error."
+    params.append(SectionedOption([DEBUG], section="advanced", is_flag=True, help=text, **hidden))
     order = get_args(Section)
     params.sort(key=lambda p: order.index(_section(p)) if isinstance(p, click.Option) else -1)
     return GuardedCommand(command.name, callback=command.callback, params=params, help=command.help)

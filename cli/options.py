@@ -1,5 +1,6 @@
 """Options that several commands share: dataclasses that `dataclass_options` makes options of."""
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -17,25 +18,24 @@ def split_names(text: str) -> list[str]:
 
 def parse_size(text: str) -> tuple[int, int]:
     """A text WxH. Raises InputError for another one."""
-    match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", text.strip())
-    if match is None or not (int(match[1]) and int(match[2])):
+    match = re.fullmatch(r"0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})", text.strip())
+    if match is None:
         raise InputError(f"--K-size must be WxH in pixels, such as 1600x1200, not {text!r}")
     return int(match[1]), int(match[2])
 
 
 def parse_deviations(text: str) -> tuple[float, float]:
     """A text F[,C]; C is 0 without one. Raises InputError for another one."""
-    numbers = re.split(r"\s*,\s*", text.strip())
     try:
-        values = [float(number) for number in numbers]
+        focal, centre = map(float, (text if "," in text else f"{text},0").split(","))
     except ValueError:
-        values = []
-    if not (len(values) in (1, 2) and 0 <= min(values) and values[0] <= 1 and values[-1] < 1e6):
+        focal = centre = math.nan
+    if not (0 <= focal <= 1 and 0 <= centre < 1e6):
         raise InputError(
             f"--K-std must be F or F,C, the relative deviation of the focal length, at most 1, and "
             f"the pixels of the principal point, not {text!r}"
         )
-    return values[0], values[1] if len(values) == 2 else 0.0
+    return focal, centre
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,9 @@ class CameraChoice(KChoice):
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked. Raises InputError, naming the option, if one is
         missing, unusable, or does not fit its image."""
+        names = ["--K" if k is None else flag for flag, k in (("--K1", self.k1), ("--K2", self.k2))]
         text1, text2 = (self.k if k is None else k for k in (self.k1, self.k2))
-        name1, name2 = (
-            "--K" if k is None else f"--K{number}"
-            for number, k in enumerate((self.k1, self.k2), start=1)
-        )
         if text1 is None or text2 is None:
             number = 1 if text1 is None else 2
             raise InputError(f"image {number} has no K: give --K or --K{number}, or --K auto")
-        return pair_cameras(text1, text2, image1, image2, (name1, name2), self.details)
+        return pair_cameras(text1, text2, image1, image2, (names[0], names[1]), self.details)

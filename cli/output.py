@@ -15,6 +15,12 @@ from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 
+_FIELDS = (
+    *("status", "success", "R", "t", "quaternion_wxyz", "E", "camera1", "camera2"),
+    *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
+    *("rotation_error_90_deg", "translation_error_90_deg", "covariance", "probability"),
+)
+
 
 def pose_data(pose: RelativePose) -> dict[str, Any]:
     """A pose for JSON: cam2_from_cam1, x2 = R x1 + t, t of unit length.
@@ -22,35 +28,25 @@ def pose_data(pose: RelativePose) -> dict[str, Any]:
     Unknown values are null. Without a pose, the reason is the first of the warnings. If it is
     ambiguous, the alternatives are all the poses, the likeliest first.
     """
+    of_alternative = ("R", "t", "num_inliers", "probability")
     return {
-        "status": pose.status,
-        "success": pose.success,
-        "R": _list(pose.R),
-        "t": _list(pose.t),
-        "quaternion_wxyz": _list(pose.quaternion_wxyz),
-        "E": _list(pose.E),
-        "camera1": None if pose.camera1 is None else camera_data(pose.camera1),
-        "camera2": None if pose.camera2 is None else camera_data(pose.camera2),
-        "num_matches": pose.num_matches,
-        "num_inliers": pose.num_inliers,
-        "inlier_ratio": finite_or_none(pose.inlier_ratio),
-        "median_triangulation_angle_deg": finite_or_none(pose.median_triangulation_angle_deg),
-        "rotation_error_90_deg": pose.rotation_error_90_deg,
-        "translation_error_90_deg": pose.translation_error_90_deg,
-        "covariance": _list(pose.covariance),
-        "probability": pose.probability,
+        **{name: _plain(getattr(pose, name)) for name in _FIELDS},
         "alternatives": [
-            {
-                "R": _list(alternative.R),
-                "t": _list(alternative.t),
-                "num_inliers": alternative.num_inliers,
-                "probability": alternative.probability,
-            }
+            {name: _plain(getattr(alternative, name)) for name in of_alternative}
             for alternative in pose.alternatives
         ],
         "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
         "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
     }
+
+
+def _plain(value: Any) -> Any:
+    """A value of a pose for JSON."""
+    if isinstance(value, Camera):
+        return camera_data(value)
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return finite_or_none(value) if isinstance(value, float) else value
 
 
 def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -> str:
@@ -86,22 +82,18 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
 
 def _pose_lines(R: np.ndarray, t: np.ndarray | None) -> list[str]:
     """R and t, each row a line; t is None after a rotation alone."""
-    lines = [f"  R  {line}" for line in matrix_lines(R)]
+    lines = [f"  R  {line}" for line in row_lines(*R)]
     lines.append(f"     rotation angle {rotation_angle_deg(R):.2f} deg")
     if t is None:
         return [*lines, "  t  undefined: the images show a rotation alone"]
-    return [*lines, f"  t  {vector_line(t)}  (translation up to scale)"]
+    return [*lines, f"  t  {row_lines(t)[0]}  (translation up to scale)"]
 
 
-def matrix_lines(matrix: np.ndarray) -> list[str]:
-    """The rows of a matrix, each a line."""
-    return [vector_line(row) for row in matrix]
-
-
-def vector_line(vector: np.ndarray) -> str:
-    """A vector in brackets, six digits behind the point."""
+def row_lines(*rows: np.ndarray) -> list[str]:
+    """Rows of numbers in brackets, six digits behind the point."""
     # Rounded first, so that no zero shows a sign.
-    return "[" + " ".join(f"{round(float(value), 6) + 0.0:9.6f}" for value in vector) + "]"
+    texts = ([f"{round(value, 6) + 0.0:9.6f}" for value in row.tolist()] for row in rows)
+    return [f"[{' '.join(text)}]" for text in texts]
 
 
 _SOURCES = {
@@ -152,7 +144,3 @@ def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
         "points2": matches.points2,
         "confidence": matches.confidence,
     }
-
-
-def _list(array: np.ndarray | None) -> list[Any] | None:
-    return None if array is None else array.tolist()

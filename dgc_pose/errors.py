@@ -77,18 +77,14 @@ def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | N
 
 
 def _missing(needs: Mapping[str, str]) -> str | None:
-    absent = {
-        what: sorted({name for module, name in EXTRAS[extra].items() if not is_installed(module)})
-        for what, extra in needs.items()
-    }
-    missing = {what: names for what, names in absent.items() if names}
-    if not missing:
-        return None
-    clauses = ", ".join(f"{what} needs {' and '.join(names)}" for what, names in missing.items())
-    verb = "is" if len({name for names in missing.values() for name in names}) == 1 else "are"
-    extras = ",".join(sorted({needs[what] for what in missing} - {""}))
-    target = f"'.[{extras}]'" if extras else "."
-    return f"{clauses}, which {verb} not installed: pip install {target}"
+    """What the first of the needs lacks; None if there is all."""
+    for what, extra in needs.items():
+        lacks = {name for module, name in EXTRAS[extra].items() if not is_installed(module)}
+        if lacks:
+            verb, target = "is" if len(lacks) == 1 else "are", f"'.[{extra}]'" if extra else "."
+            names = " and ".join(sorted(lacks))
+            return f"{what} needs {names}, which {verb} not installed: pip install {target}"
+    return None
 
 
 def reason(failure: BaseException) -> str:
