@@ -138,20 +138,3 @@ def test_what_the_class_refuses_is_an_input_error(words: list[str], message: str
     assert isinstance(result.exception, InputError)
     with pytest.raises(InputError, match=message):
         raise result.exception
-
-
-def test_a_literal_and_a_range_are_checked_without_a_command_line() -> None:
-    with pytest.raises(InputError, match="kind must be one of fast, good, not 'slow'"):
-        Options(Path(), kind="slow")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="secret must be at least 0, not -1"):
-        Options(Path(), secret=-1)
-    assert Options(Path(), limit_px=None).limit_px is None
-
-
-def test_a_field_of_no_known_type_needs_a_parse_function() -> None:
-    @dataclass(frozen=True)
-    class Odd:
-        sizes: dict[str, int] = option(None, "By name.")
-
-    with pytest.raises(TypeError, match="parse"):
-        dataclass_options(Odd, "odd")(lambda odd: None)

@@ -71,23 +71,6 @@ def test_json_has_the_keys_and_the_pose(folder, network):
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
 
 
-def test_text_tells_the_pose(folder, network):
-    result = estimate()
-    assert result.exit_code == 0
-    assert result.stderr == ""
-    assert "cam2_from_cam1" in result.stdout
-    assert "translation up to scale" in result.stdout
-    assert "expected error: R within 0." in result.stdout
-    rows = [line for line in result.stdout.splitlines() if line.startswith("  R  ")]
-    R = np.array([[float(v) for v in row[5:].strip("[] ").split()] for row in rows])
-    assert rotation_error_deg(R, dense_scene.R) < 0.05
-
-
-def test_the_same_seed_gives_the_same_pose(folder, network):
-    first, again = (json.loads(estimate("--json", "-").stdout) for _ in range(2))
-    assert {key: first[key] for key in KEYS[:-1]} == {key: again[key] for key in KEYS[:-1]}
-
-
 def test_all_outputs_are_written(folder, network):
     result = estimate("--json", "p.json", "--matches", "m.npz", "--plot", "p.png")
     assert result.exit_code == 0
@@ -104,12 +87,6 @@ def test_all_outputs_are_written(folder, network):
         assert np.abs(off).max() < 1e-3
     picture = cv2.imread("p.png")
     assert picture is not None and picture.std() > 10
-
-
-def test_outputs_go_to_exactly_the_path_given(folder, network):
-    assert estimate("--matches", "plain", "--plot", "p.svg").exit_code == 0
-    assert sorted(os.listdir(folder)) == ["one.png", "p.svg", "plain", "two.png"]
-    assert (folder / "p.svg").read_text().startswith("<?xml")
 
 
 def test_the_points_in_space_are_written_with_their_colours(folder, network):
@@ -171,15 +148,6 @@ def test_a_pure_rotation_keeps_R_and_says_that_t_is_undefined(folder, network):
     assert "t  undefined" in text.stdout
 
 
-def test_the_same_image_twice_has_no_alternatives(folder):
-    k = ("--K", dense_scene.K_TEXT)
-    result = run("estimate", "one.png", "one.png", *k, "--weights", "sift", "--json", "p.json")
-    assert result.exit_code == 3
-    assert "alternative" not in result.stdout and "other pose" not in result.stdout
-    data = json.loads((folder / "p.json").read_text())
-    assert data["status"] == "rotation_only" and data["alternatives"] == []
-
-
 def test_a_warning_about_the_camera_of_both_images_is_told_once(folder, network):
     result = estimate(k=("--K", "300,300,40,119.5"))
     warnings = [line for line in result.stdout.splitlines() if "principal point" in line]
@@ -205,19 +173,6 @@ def test_an_ambiguous_pair_exits_with_3_and_has_both_poses(folder, network, monk
     assert text.exit_code == 3
     assert text.stdout.startswith(f"no pose (ambiguous): {pose.reason}\n")
     assert text.stdout.count("rotation angle") == text.stdout.count("  t  [") == 2
-
-
-def test_each_image_can_have_its_own_camera(folder, network):
-    np.save("k1.npy", dense_scene.K)
-    np.savetxt("k2.txt", dense_scene.K)
-    result = estimate("--json", "-", k=("--K", "1,1,5,5", "--K1", "k1.npy", "--K2", "k2.txt"))
-    assert result.exit_code == 0
-    assert rotation_error_deg(np.array(json.loads(result.stdout)["R"]), dense_scene.R) < 0.05
-
-
-def test_without_a_k_the_command_names_auto(folder, network):
-    assert_refused(estimate(k=()), "image 1 has no K", "--K auto")
-    assert_refused(estimate(k=("--K1", dense_scene.K_TEXT)), "image 2 has no K", "--K2")
 
 
 @pytest.mark.parametrize(
@@ -275,10 +230,4 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
 def test_unusable_input_is_refused(folder, monkeypatch, arguments, words):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert_refused(estimate("--json", "p.json", *arguments), words)
-    assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
-
-
-def test_a_bad_image_is_refused(folder):
-    (folder / "two.png").write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00")
-    assert_refused(estimate("--json", "p.json", "--plot", "p.png"), "two.png")
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]

@@ -1,6 +1,5 @@
 import hashlib
 import json
-import re
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -52,15 +51,3 @@ def test_what_is_not_installed_is_said(monkeypatch):
     found = environment.environment()
     assert found["devices"] == {"torch": "not installed"}
     assert found["libraries"]["no-such-library"] == "not installed"
-
-
-def test_each_variable_of_the_package_is_one_that_it_reads():
-    folder = Path(dgc_pose.__file__).parent
-    code = "".join(
-        path.read_text()
-        for top in (folder, Path(dgc_pose.cli.__path__[0]))
-        for path in top.rglob("*.py")
-        if path.name != "environment.py"
-    )
-    read = set(re.findall(r"\"(DGC_POSE_\w+)\"", code))
-    assert {name for name in environment.VARIABLES if name.startswith("DGC_POSE")} == read

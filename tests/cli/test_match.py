@@ -77,24 +77,6 @@ def test_matches_written_are_refined_and_the_map_is_not(network, refine, error):
     assert error[0] < np.median(np.linalg.norm(off, axis=1)) < error[1]
 
 
-def test_most_matches_hold_for_refined_ones_too(network):
-    network(OFF)
-    assert match("--refine", "map", "--max-matches", "200").exit_code == 0
-    with np.load("m.npz", allow_pickle=False) as file:
-        assert 50 <= len(file["points1"]) <= 200
-
-
-def test_the_benchmark_refines_as_it_is_told(network):
-    network(OFF)
-    errors = []
-    for refine in ("none", "map"):
-        result = run("bench-pairs", "pairs.txt", "--methods", "net", "--refine", refine)
-        assert result.exit_code == 0, result.stderr
-        row = result.stdout.splitlines()[-1].split()
-        errors.append(float(row[6]))
-    assert errors[1] < errors[0]
-
-
 def test_an_orientation_that_is_not_applied_is_told(network):
     network(TRUE)
     exif = PIL.Image.Exif()

@@ -25,17 +25,6 @@ def test_no_probability_is_printed_as_certain(probability, words) -> None:
     assert f"probability {words} that R and t are within 10 deg" in lines
 
 
-def test_inliers_of_no_pose_are_those_of_an_essential_matrix() -> None:
-    """And an expected error holds if the pose is right."""
-    scene = two_view_scene("general", seed=0, count=200)
-    pose = estimate_pose(scene.matches, *scene.cameras, EstimationOptions(runs=1))
-    count = f"{pose.num_inliers} of 200 matches"
-    assert f"\n{count} are inliers (" in pose_text(pose)
-    assert "nine times in ten if the pose is right" in pose_text(pose)
-    failed = replace(pose, status="behind_cameras", R=None, t=None)
-    assert f"\n{count} agree with the best essential matrix (" in pose_text(failed)
-
-
 def test_an_ambiguous_pair_has_no_pose_and_all_that_explain_it() -> None:
     pose = ambiguous_pose()
     lines = pose_text(pose).splitlines()

@@ -28,12 +28,6 @@ def test_after_an_exception_all_is_as_before(tmp_path):
     assert kept.read_text() == "old"
 
 
-def test_an_error_of_no_file_is_none_of_the_outputs(tmp_path):
-    with pytest.raises(OSError) as caught, staged(str(tmp_path / "a.txt")):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    assert caught.value.filename is None
-
-
 def test_an_error_of_the_writing_has_the_outputs_name(tmp_path):
     out = str(tmp_path / "a.txt")
     with pytest.raises(OSError) as caught, staged(out) as stage, writing(stage(out)):

@@ -136,13 +136,6 @@ def test_max_pixels_bounds_what_is_decoded(folder: Path) -> None:
     assert "DGC_POSE_MAX_PIXELS" not in os.environ
 
 
-def test_a_method_may_be_called_as_a_formula(folder: Path) -> None:
-    """Its name is in the figure's legend, where matplotlib reads formulas."""
-    shutil.copytree(folder, folder / "$x_")
-    words = ["sift:runs=1" if word == "sift" else word for word in BENCH]
-    assert run(*words, "--out", "$\\frac{$").exit_code == 0
-
-
 def test_every_output_of_every_command_is_declared() -> None:
     """The guard knows the outputs by their types alone."""
     names = {"out", "json", "plot", "matches", "json_path", "plot_path"}

@@ -200,8 +200,3 @@ def test_a_plan_names_no_files_elsewhere(tmp_path: Path, name: object) -> None:
 
 def test_a_name_in_the_pages_command_is_no_option() -> None:
     assert "estimate ./--json=x b.png" in command(("--json=x", "b.png"), ("auto", "auto"), [])
-
-
-def test_a_number_of_thousands_of_digits_is_refused() -> None:
-    with pytest.raises(InputError, match="^pairs must be"):
-        parse_pair_choice("auto:" + "9" * 5000)

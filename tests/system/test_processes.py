@@ -20,11 +20,6 @@ def _killed(number: int) -> multiprocessing.process.BaseProcess:
     return process
 
 
-def test_exit_codes_and_signals() -> None:
-    assert process_end(3) == "exit code 3"
-    assert process_end(-signal.SIGABRT) == f"signal 6, {signal.strsignal(6)}"
-
-
 def test_a_sigterm_beside_another_end_is_left_out() -> None:
     killed, stopped = _killed(signal.SIGKILL), _killed(signal.SIGTERM)
     assert process_ends([killed, stopped]) == process_end(-signal.SIGKILL)

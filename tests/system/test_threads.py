@@ -14,7 +14,7 @@ from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import align
 from dgc_pose.refinement.consistency import consistent
-from dgc_pose.system.threads import in_threads, slices
+from dgc_pose.system.threads import in_threads
 from two_view import two_view_scene
 
 
@@ -29,13 +29,6 @@ def threads_as_before() -> Iterator[None]:
 def test_answers_come_in_the_order_of_the_items(count: int) -> None:
     cv2.setNumThreads(3)
     assert in_threads(lambda x: x * x, range(count)) == [x * x for x in range(count)]
-
-
-@pytest.mark.parametrize("count", [0, 1, 4, 5, 11])
-def test_slices_cover_all_rows_in_their_order(count: int) -> None:
-    parts = slices(count, 4)
-    assert len(parts) == max(1, -(-count // 4))
-    assert [row for part in parts for row in range(count)[part]] == list(range(count))
 
 
 def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
