@@ -5,18 +5,13 @@ import shutil
 import subprocess
 import sys
 import tarfile
-import urllib.request
 import venv
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from email import message_from_bytes
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
 from test_packaging import MAPPED, ROOT
 
 from dgc_pose.version import version
@@ -31,9 +26,6 @@ OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 @dataclass(frozen=True)
 class Release:
-    """What a release consists of."""
-
-    sdist: Path
     wheel: Path  # built from the sdist
     commit: str
 
@@ -74,7 +66,7 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> Release:
     with tarfile.open(sdist) as archive:
         archive.extractall(unpacked, filter="data")
     (source,) = unpacked.iterdir()
-    return Release(sdist, build(source, "wheel"), run(*git, "rev-parse", "HEAD"))
+    return Release(build(source, "wheel"), run(*git, "rev-parse", "HEAD"))
 
 
 def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(release: Release) -> None:
@@ -162,13 +154,7 @@ def test_every_python_installs_the_wheel_and_runs_the_command(
             shutil.copy(origin, tmp_path / "needed" / origin.name)
     needed = str(tmp_path / "needed")
     (package,) = (tmp_path / "env").glob("lib/python*/site-packages/dgc_pose")
-    # Every module is written in this version's language.
-    code = (
-        "import ast, pathlib, sys\n"
-        "files = list(pathlib.Path(sys.argv[1]).rglob('*.py'))\n"
-        "print(sum(ast.parse(file.read_bytes()) is not None for file in files))"
-    )
-    assert int(run(own, "-c", code, package, cwd=tmp_path)) > 150
+    run(own, "-m", "compileall", "-q", package)  # each module is written in this version's language
     script = tmp_path / "env" / "bin" / "dgc-pose"
     text = run(script, "--version", cwd=tmp_path, PYTHONPATH=needed)
     shown, build_of = text.removeprefix("dgc-pose ").removesuffix(")").split(" (build ")
@@ -178,9 +164,7 @@ def test_every_python_installs_the_wheel_and_runs_the_command(
     assert help_text.startswith("Usage: python -m dgc_pose ")
 
 
-def test_an_installed_wheel_estimates_the_bundled_pair_and_serves_the_page(
-    release: Release, tmp_path: Path
-) -> None:
+def test_an_installed_wheel_estimates_the_bundled_pair(release: Release, tmp_path: Path) -> None:
     """In an environment that has the dependencies of this one, but not the repository."""
     own = installed(sys.executable, release.wheel, tmp_path / "env")
     (packages,) = (tmp_path / "env").glob("lib/python*/site-packages")
@@ -189,32 +173,4 @@ def test_an_installed_wheel_estimates_the_bundled_pair_and_serves_the_page(
     (packages / "dependencies.pth").write_text(f"{Path(numpy.origin).parents[1]}\n")
     code = "import dgc_pose; print(dgc_pose.__file__)"
     assert Path(run(own, "-c", code, cwd=tmp_path)).is_relative_to(packages)
-    text = run(own, "-m", "dgc_pose", "demo", cwd=tmp_path)
-    assert "errors: rotation 0." in text
-    files = {file.name: file for file in (ROOT / "dgc_pose" / "serve" / "static").iterdir()}
-    del files["page.html"]  # has the token put in
-    with served(own, tmp_path) as get:
-        assert version().encode() in get("")
-        for name, file in files.items():
-            assert get(f"static/{name}") == file.read_bytes()
-
-
-@contextmanager
-def served(python: Path, folder: Path) -> Iterator[Callable[[str], bytes]]:
-    """Runs `dgc-pose serve` in the folder; what it answers to a request of a path."""
-    command = [python, "-m", "dgc_pose", "serve", "--no-browser"]
-    environment = {**os.environ, "TMPDIR": str(folder)}
-    with subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
-    ) as server:
-        try:
-            assert server.stdout is not None
-            address, token = server.stdout.readline().strip().split("?token=")
-
-            def get(path: str) -> bytes:
-                with urllib.request.urlopen(f"{address}{path}?token={token}", timeout=60) as answer:
-                    return bytes(answer.read())
-
-            yield get
-        finally:
-            server.terminate()
+    assert "errors: rotation 0." in run(own, "-m", "dgc_pose", "demo", cwd=tmp_path)

@@ -30,7 +30,6 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
         (("bench-pairs", "--rendered", "1", "--photos", "."), f"--rendered needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--weights", "{}/dgcm.pth"), f"dgcm.pth needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--runtime", "torch"), f"runtime torch needs {_TORCH}"),
-        (("estimate", *_PAIR, *_K, "--half-precision"), f"half_precision needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--device", "cuda"), _CUDA),
         (("batch", "{}", *_K, "--pairs", "exhaustive", "--out", "x", "--device", "cuda"), _CUDA),
         (
@@ -46,8 +45,8 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
         ),
         (
             ("fit-probability", "--data", ".", "--out", "x", "--plan", "{}/plan.json"),
-            "fit-probability needs scikit-learn and scipy, the plan's rendered needs torch, which "
-            "are not installed: pip install '.[fit,torch]'",
+            "fit-probability needs scikit-learn and scipy, which are not installed: "
+            "pip install '.[fit]'",
         ),
         (
             ("estimate", "{}/1.heic", "{}/1.heic", *_K),

@@ -1,4 +1,4 @@
-"""Every reader of the package, with good files that the tests make themselves."""
+"""Every reader of the product, with good files that the tests make themselves."""
 
 import base64
 import json
@@ -8,8 +8,6 @@ from pathlib import Path
 
 import cv2
 import dense_scene
-import dtu_layout
-import homography_scene
 import numpy as np
 import PIL.Image
 import pycolmap
@@ -303,30 +301,6 @@ def _matches(count: int) -> PairMatches:
 def _read_store(folder: Path, path: Path) -> None:
     if path.stem == MATCHED:
         list(PairStore(folder, MATCHED, read_plan(folder)).blocks())
-
-
-def _make_collection(folder: Path) -> None:
-    engine = folder / "matches" / "sift"
-    (engine / "scene").mkdir(parents=True)
-    (engine / "engine.json").write_text(json.dumps({"name": "sift", "fingerprint": None}))
-    points = np.random.default_rng(0).uniform(0, 9, (6, 2)).astype(np.float32)
-    arrays = {"scene": "scene", "R": np.eye(3), "t": np.array([1.0, 0, 0])}
-    for number in (1, 2):
-        arrays |= {f"K{number}": np.diag([9.0, 9, 1]), f"size{number}": (10, 8)}
-    for prefix in ("", "map_"):
-        arrays |= {f"{prefix}points1": points, f"{prefix}points2": points}
-        arrays |= {f"{prefix}confidence": np.ones(6, np.float32), f"{prefix}error_px": 1.0}
-        arrays |= {f"{prefix}key_points": True}
-    np.savez_compressed(engine / "scene" / "0000.npz", **arrays)
-    parts = [("x", "fit"), ("z", "report")]
-    plan = [{"name": name, "part": part, "kind": "list", "path": "a"} for name, part in parts]
-    (folder / "plan.json").write_text(json.dumps(plan))
-
-
-def _read_collection(folder: Path, path: Path) -> None:
-    read_sources(folder / "plan.json")
-    read_engine(folder, "sift")
-    list(read_collection(folder, "sift", [PlanEntry("scene", part="fit", kind="list")]))
 
 
 def _make_requests(folder: Path) -> None:

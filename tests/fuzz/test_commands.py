@@ -2,7 +2,6 @@
 
 import faulthandler
 import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -72,16 +71,10 @@ def test_every_number_option_has_a_range() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        (*ESTIMATE, *K, "--matches", "one.png"),
-        (*ESTIMATE, *K, "--json", "two.png"),
         (*ESTIMATE, *K, "--plot", "one.png"),
         (*ESTIMATE, *K, "--json", "./link"),
         (*ESTIMATE, "--K", "K.txt", "--json", "K.txt"),
-        (*ESTIMATE, *K, "--weights", "w.pth", "--json", "w.pth"),
-        ("match", "one.png", "two.png", "--out", "one.png"),
-        ("match", "one.png", "two.png", "--out", "link"),
         ("match", "one.png", "two.png", "--weights", "w.pth", "--out", "w.pth"),
-        (*BENCH, "--json", "pairs.txt"),
         (*BENCH, "--methods", "w.pth:runs=1", "--json", "w.pth"),
         (*BENCH, "--json", "hard.json"),
         (*BENCH, "--json", "one.png", "--overwrite"),
@@ -116,15 +109,13 @@ def test_an_output_that_exists_is_replaced_with_overwrite_alone(
     [
         ((*ESTIMATE, *K, "--matches", "-"), "a file called - is ./-"),
         ((*ESTIMATE, *K, "--json", "o.json/"), "must be a file"),
-        (("estimate", "-b.png", "two.png", *K), "./-b.png"),
         (("train", "--photos", ".", "--out", "new", "--split", "nan,50,50"), "sum to 1"),
-        ((*BENCH, "--out", ""), "needs a name"),
+        ((*BENCH, "--out", ""), "a path is needed"),
         ((*BENCH, "--photos", "."), "one of them"),
     ],
     ids=lambda value: " ".join(value[-3:]) if isinstance(value, tuple) else "",
 )
 def test_words(folder: Path, arguments: tuple, words: str) -> None:
-    shutil.copy("one.png", "-b.png")
     before = contents(folder)
     assert_refused(run(*arguments), words)
     assert contents(folder) == before

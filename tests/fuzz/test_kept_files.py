@@ -3,7 +3,6 @@
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import assert_refused, contents, run
 from fuzz.readers import make_batch, make_unfinished_batch
@@ -80,13 +79,6 @@ def test_export_never_replaces_its_batch(
     before = contents(batch)
     assert_refused(run("export-colmap", ".", "--sharing", "cells", *arguments, *overwrite))
     assert contents(batch) == before
-
-
-def test_copies_for_a_benchmark_never_replace_the_images(tmp_path: Path) -> None:
-    views = PosedViews(tmp_path, {"a.png": Camera(np.eye(3))}, {"a.png": np.eye(4)[:3]})
-    (tmp_path / "a.png").write_bytes(b"image")
-    with pytest.raises(InputError, match="would be lost"):
-        views.resized(0.5, tmp_path)
 
 
 def test_a_second_writer_of_a_batch_is_refused(tmp_path: Path) -> None:

@@ -114,13 +114,6 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path) -> None:
     assert (process.returncode, told) == (128 + signal.SIGPIPE, "")
 
 
-def test_a_folder_that_takes_no_file_is_one_line(tmp_path: Path) -> None:
-    process = start(tmp_path, "--json", "/proc/out.json")
-    printed, told = process.communicate("on\n", timeout=60)
-    assert (process.returncode, printed) == (2, "")
-    assert told.startswith("error: /proc/out.json: ") and told.count("\n") == 1
-
-
 HANDLERS = """
 import signal
 handler = lambda *_: None
