@@ -89,25 +89,26 @@ def check_options(options: Any) -> None:
 def check_type(value: Any, kind: Any, name: str) -> None:
     """Raise InputError, naming the argument, for a value of another type than bool, int, float,
     str, Path, a class or a tuple of these."""
-    name = ArgumentName(name)
+    kinds, parts = get_args(kind), (value,)
     if get_origin(kind) is tuple:
-        parts = get_args(kind)
         if not isinstance(value, tuple):
-            raise InputError(name, f"must be a tuple, not {value!r}")
-        if parts[-1] is not Ellipsis and len(parts) != len(value):
-            raise InputError(name, f"must have {len(parts)} values, not {len(value)}")
-        for part in value:
-            check_type(part, parts[0], name)
-        return
-    kinds = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+            raise InputError(ArgumentName(name), f"must be a tuple, not {value!r}")
+        if kinds[-1] is not Ellipsis and len(kinds) != len(value):
+            words = f"must have {len(kinds)} values, not {len(value)}"
+            raise InputError(ArgumentName(name), words)
+        kinds, parts = kinds[:1], value
+    elif get_origin(kind) not in (Union, UnionType):
+        kinds = (kind,)
     if not all(isinstance(kind, type) for kind in kinds):
         return
-    number_as_bool = isinstance(value, bool) and kind in (int, float)
-    if not isinstance(value, tuple(_NUMBERS.get(kind, kind) for kind in kinds)) or number_as_bool:
-        is_plain = value is None or isinstance(value, str | Real)
-        shown = repr(value) if is_plain else type(value).__name__
-        names = " or ".join(_TYPE_NAMES.get(kind) or f"of type {kind.__name__}" for kind in kinds)
-        raise InputError(name, f"must be {names}, not {shown}")
+    allowed = tuple(_NUMBERS.get(kind, kind) for kind in kinds)
+    for part in parts:
+        if not isinstance(part, allowed) or (isinstance(part, bool) and bool not in kinds):
+            names = " or ".join(_TYPE_NAMES.get(kind, f"a {kind.__name__}") for kind in kinds)
+            shown = (
+                repr(part) if part is None or isinstance(part, str | Real) else type(part).__name__
+            )
+            raise InputError(ArgumentName(name), f"must be {names}, not {shown}")
 
 
 def _in_range(info: OptionInfo, value: Any) -> bool:
@@ -138,8 +139,6 @@ def _range_text(info: OptionInfo) -> str:
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:
-    if get_origin(hint) in (Union, UnionType):
-        kinds = [kind for kind in get_args(hint) if kind is not type(None)]
-        if len(kinds) == 1:
-            return kinds[0], True
-    return hint, False
+    kinds = [kind for kind in get_args(hint) if kind is not type(None)]
+    is_union = get_origin(hint) in (Union, UnionType)
+    return (kinds[0], True) if is_union and len(kinds) == 1 else (hint, False)

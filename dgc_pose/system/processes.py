@@ -4,7 +4,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -48,8 +48,9 @@ def process_pools(
         for pool in pools:
             pool.shutdown(cancel_futures=True)  # the processes have exit codes then
         if isinstance(error, BrokenProcessPool):
+            codes = {process.exitcode for process in started} - {None}
             raise DgcPoseError(
-                f"a worker process ended ({process_ends(started)}):",
+                f"a worker process ended ({process_end(*codes)}):",
                 ArgumentName("resume"),
                 "goes on from the pairs that were done",
             ) from None
@@ -76,17 +77,13 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def process_end(code: int | None) -> str:
-    """How a process ended, in words, from the exit code that `multiprocessing` gives."""
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    return f"signal {-code}, {signal.strsignal(-code)}"
-
-
-def process_ends(processes: Iterable[BaseProcess]) -> str:
-    """How those of the processes that have ended did, in words.
+def process_end(*codes: int | None) -> str:
+    """How processes ended, in words, from the exit codes that `multiprocessing` gives.
 
     A pool whose process has ended stops the others by SIGTERM, which says nothing of the cause.
     """
-    codes = {process.exitcode for process in processes} - {None}
-    return "; ".join(sorted(map(process_end, codes - {-signal.SIGTERM} or codes)))
+    ends = {code: f"exit code {code}" for code in codes}
+    ends |= {n: f"signal {-n}, {signal.strsignal(-n)}" for n in codes if n is not None and n < 0}
+    return "; ".join(
+        sorted(end for n, end in ends.items() if n != -signal.SIGTERM or len(ends) == 1)
+    )

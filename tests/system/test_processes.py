@@ -1,6 +1,5 @@
 """Pools of processes, and how processes ended, in words."""
 
-import multiprocessing
 import os
 import signal
 import time
@@ -8,23 +7,21 @@ import time
 import pytest
 
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.system.processes import process_end, process_ends, process_pools
+from dgc_pose.system.processes import process_end, process_pools
 
 
-def _killed(number: int) -> multiprocessing.process.BaseProcess:
-    process = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
-    process.start()
-    assert process.pid is not None
-    os.kill(process.pid, number)
-    process.join()
-    return process
-
-
-def test_a_sigterm_beside_another_end_is_left_out() -> None:
-    killed, stopped = _killed(signal.SIGKILL), _killed(signal.SIGTERM)
-    assert process_ends([killed, stopped]) == process_end(-signal.SIGKILL)
-    assert process_ends([stopped]) == process_end(-signal.SIGTERM)
-    assert process_ends([]) == ""
+@pytest.mark.parametrize(
+    ("codes", "words"),
+    [
+        ((3,), "exit code 3"),
+        ((-6,), f"signal 6, {signal.strsignal(6)}"),
+        ((-9, -15), f"signal 9, {signal.strsignal(9)}"),
+        ((-15,), f"signal 15, {signal.strsignal(15)}"),
+        ((), ""),
+    ],
+)
+def test_a_sigterm_beside_another_end_is_left_out(codes: tuple[int, ...], words: str) -> None:
+    assert process_end(*codes) == words
 
 
 def test_how_the_process_of_a_pool_ended_is_told() -> None:
