@@ -115,14 +115,6 @@ def test_each_option_stands_in_its_section() -> None:
     assert "--limit PX" in advanced and "--debug" in advanced
 
 
-def test_some_fields_alone_may_be_options() -> None:
-    result, options = _invoke("--folder", "f", "--level", "60", only=("folder", "level"))
-    assert result.exit_code == 0, result.output
-    assert options == Options(Path("f"), level=60)
-    refused, _ = _invoke("--folder", "f", "--runs", "2", only=("folder", "level"))
-    assert refused.exit_code == 2 and "--runs" in refused.output
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [

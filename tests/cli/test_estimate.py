@@ -55,12 +55,6 @@ def test_json_has_the_keys_and_the_pose(folder, network):
     assert np.linalg.norm(data["t"]) == pytest.approx(1)
     assert np.shape(data["covariance"]) == (6, 6)
     assert 0 < data["rotation_error_90_deg"] < 1 and 0 < data["translation_error_90_deg"] < 1
-    assert np.linalg.norm(data["quaternion_wxyz"]) == pytest.approx(1)
-    w = data["quaternion_wxyz"][0]
-    assert 2 * np.arccos(abs(w)) == pytest.approx(np.arccos((np.trace(data["R"]) - 1) / 2))
-    t, E = data["t"], np.array(data["E"])
-    skew = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]]) @ np.array(data["R"])
-    assert abs(np.sum(E / np.linalg.norm(E) * skew / np.linalg.norm(skew))) == pytest.approx(1)
     for camera in (data["camera1"], data["camera2"]):
         assert np.allclose(camera["K"], dense_scene.K)
         assert camera["focal_std"] == 0 and camera["focal_source"] == "given"
@@ -194,14 +188,6 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
     focal = camera["K"][0][0]
     assert focal == pytest.approx(dense_scene.K[0, 0], rel=0.02)
     assert f"f = {focal:.1f} +- {focal * camera['focal_std']:.1f} px" in told[-1]
-    # The JSON is a camera of the next pair, as uncertain as it was.
-    assert estimate("--json", "q.json", k=("--K", "p.json")).exit_code == 0
-    again = json.loads((folder / "q.json").read_text())
-    for name in ("camera1", "camera2"):
-        np.testing.assert_allclose(again[name]["K"], data[name]["K"], rtol=0.01)
-        assert (again[name]["focal_std"] > 0) == (data[name]["focal_std"] > 0)
-    same = [found["camera1"]["identity"] == found["camera2"]["identity"] for found in (data, again)]
-    assert same[0] == same[1]
 
 
 @pytest.mark.parametrize(
@@ -209,21 +195,13 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
     [
         (("--K", "300,300,159.5"), "--K"),
         (("--K", "nosuch.txt"), "nosuch.txt"),
-        (("--K", "-300,300,159.5,119.5"), "--K"),
-        (("--K", "nan,300,159.5,119.5"), "not finite"),
-        (("--K", "PINHOLE,640,480,600,600,320,240"), "640"),
         (("--K2", "300,300,900,119.5"), "--K2"),
-        (("--K", "one.png"), "one.png"),
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
-        (("--plot", "plain"), "plain"),
         (("--matches", "p.json"), "same file"),
         (("--ply", "nowhere/p.ply"), "nowhere/p.ply"),
-        (("--ply", "two.png"), "two.png"),
-        (("--matchability", "1.5"), "matchability"),
-        (("--threshold", "0"), "threshold"),
+        (("--matchability", "1.5"), "--matchability must lie in"),
         (("--weights", "nosuch.safetensors"), "nosuch.safetensors"),
-        (("--weights", "one.png"), "one.png"),
         (("--device", "cuda"), "cuda"),
     ],
 )

@@ -12,6 +12,8 @@ from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
 
+pytestmark = pytest.mark.slow
+
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 LATIN_1 = os.fsdecode("h\xfctte".encode("latin-1"))  # no UTF-8
 NAMES = ("shoot #3", "herz?", "100%20real", "guess", "a name", "hütte", "[1]", LATIN_1)

@@ -42,7 +42,7 @@ from dgc_pose.images.image import Image, image_header, image_size, load_image, r
 from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
+from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.training.synthesis.photos import load_photos
 from dgc_pose.training.synthesis.posed_depth import read_rgbd
@@ -199,13 +199,6 @@ def _make_weights(folder: Path) -> None:
     torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
 
 
-def _make_checkpoints(folder: Path) -> None:
-    state = {"preset": "dgcm-lite0", "elapsed": 1.5, "step": 3, "stage": "encoder", "net": {}}
-    state["net"]["weight"] = torch.ones(3, 4)
-    torch.save(state, folder / "checkpoint.pt")
-    torch.save(state, folder / "legacy.pt", _use_new_zipfile_serialization=False)
-
-
 def _make_matches(folder: Path) -> None:
     """A folder of each format, as `--matches` takes them."""
     flow = np.random.default_rng(0).normal(size=(30, 40, 2)).astype(np.float32)
@@ -336,7 +329,6 @@ READERS: dict[str, tuple[Make, Read]] = {
     "DTU MVSNet": (_make_layout("mvsnet"), _read_layout),
     "homographies": (_make_homographies, _read_homographies),
     "weights": (_make_weights, lambda _, path: load_network(path)),
-    "checkpoints": (_make_checkpoints, lambda _, path: load_checkpoint(path)),
     "matches": (_make_matches, _read_matches),
     "results": (
         _make_run,

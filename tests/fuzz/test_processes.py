@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 COMMAND = """
 import sys, time, types
 import click
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.main import main
 from dgc_pose.files.outputs import save_text, staged
-
-pytestmark = pytest.mark.slow
 
 @click.command()
 @click.option("--json", "out", type=OutputFile())

@@ -19,6 +19,8 @@ AVX2 = dict(
     line.split("=", 1)
     for line in (Path(__file__).parents[1] / "avx2.env").read_text(encoding="utf-8").split()
 )
+pytestmark = pytest.mark.slow
+
 _POSE = """
 import json, sys
 from dgc_pose import load_matcher

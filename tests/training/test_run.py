@@ -29,6 +29,8 @@ from dgc_pose.training.synthesis.photos import Photos
 from dgc_pose.training.synthesis.random_pairs import make_pairs
 from dgc_pose.training.validation import validate, validation_pairs
 
+pytestmark = pytest.mark.slow
+
 _WARPS_ONLY = PairOptions(scene_share=0.0)
 
 

@@ -18,6 +18,8 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import save_weights
 
+pytestmark = pytest.mark.slow
+
 FAST = ("--runs", "1", "--iterations", "100")
 
 

@@ -9,6 +9,8 @@ from photos import write_photos
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -68,7 +70,7 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
         (["--steps", "3"], "in minutes or in steps, and one of them only"),
         (["--split", "50,50"], "three percentages"),
         (["--split", "90,90,10"], "sum to 1"),
-        (["--scene-share", "2"], "scene_share"),
+        (["--scene-share", "2"], "--scene-share"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(
