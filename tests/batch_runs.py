@@ -44,7 +44,7 @@ def run_sift(
     """A batch, by default with SIFT and the K of the rendered views."""
     return run_batch(
         open_source(source, root),
-        read_calibration(K),
+        read_calibration(K, "--K"),  # as the command names it
         None if pairs is None else parse_pair_choice(pairs),
         out,
         matcher=matcher,

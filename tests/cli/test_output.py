@@ -1,6 +1,5 @@
 """What the commands print of a pose."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +7,8 @@ import pytest
 from ambiguous_pose import INLIERS, ambiguous_pose
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.output import pose_data, pose_text
+from dgc_pose.cli.output import pose_text
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.files.json_files import json_text
 from two_view import two_view_scene
 
 
@@ -43,15 +41,6 @@ def test_an_ambiguous_pair_has_no_pose_and_all_that_explain_it() -> None:
     # No R or t besides those of the two, and nothing that is known of one pose alone.
     assert sum(line.startswith("  t  ") for line in lines) == 2
     assert "expected error" not in pose_text(pose) and "camera " not in pose_text(pose)
-
-
-def test_an_ambiguous_pair_as_json() -> None:
-    data = json.loads(json_text(pose_data(ambiguous_pose())))
-    assert data["success"] is False and data["probability"] == 0
-    for name in ("R", "t", "E", "quaternion_wxyz", "covariance", "camera1", "camera2"):
-        assert data[name] is None
-    assert [other["probability"] for other in data["alternatives"]] == [0.52, 0.45]
-    np.testing.assert_array_equal(data["alternatives"][1]["R"], ambiguous_pose().alternatives[1].R)
 
 
 K = np.array([[1210.0, 0, 639.5], [0, 1210, 479.5], [0, 0, 1]])

@@ -30,7 +30,6 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.serve.cameras import command
-from dgc_pose.training.initialise import initialise_encoder
 
 
 @pytest.fixture(autouse=True)
@@ -94,9 +93,6 @@ def test_a_foreign_checkpoint_is_refused(content: object, tmp_path: Path) -> Non
     torch.save(content, path)
     with pytest.raises(WeightsError, match=r"w\.pth"):
         load_network(path)
-    net = DGCNet(preset("dgcm-lite0"))
-    with pytest.raises(WeightsError, match=r"w\.pth"):
-        initialise_encoder(path, net, torch.zeros(1, 3, 240, 240))
 
 
 @pytest.mark.parametrize(

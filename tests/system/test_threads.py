@@ -6,14 +6,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import cv2
-import dense_scene
 import numpy as np
 import pytest
 
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.refinement.align import align
-from dgc_pose.refinement.consistency import consistent
 from dgc_pose.system.threads import in_threads
 from two_view import two_view_scene
 
@@ -73,19 +70,3 @@ def test_a_pose_is_the_same_for_any_number_of_threads() -> None:
     assert poses[0].success
     assert np.array_equal(poses[0].R, poses[1].R) and np.array_equal(poses[0].t, poses[1].t)
     assert np.array_equal(poses[0].inliers, poses[1].inliers)
-
-
-def test_aligned_patches_are_the_same_for_any_number_of_threads() -> None:
-    first, second = dense_scene.pictures()
-    points2 = np.random.default_rng(0).uniform((60, 40), (260, 200), (900, 2))
-    places = dense_scene.points_in_image1(points2)
-    local = consistent(Matches(places, points2, np.ones(900), error_px=1.0), 12)
-    found = []
-    for threads in (1, 4):
-        cv2.setNumThreads(threads)
-        found.append(
-            align(first, second, local, radius=7, error_px=1.2, min_zncc=0.8, max_matches=800)
-        )
-    assert len(found[0].index) > 512  # several chunks
-    assert np.array_equal(found[0].points1, found[1].points1)
-    assert np.array_equal(found[0].zncc, found[1].zncc)
