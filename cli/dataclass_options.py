@@ -46,9 +46,10 @@ def dataclass_options(
             values = {name: kwargs.pop(name) for name in chosen}
             return command(**kwargs, **{argument: _made(cls, values, argument)})
 
-        return functools.reduce(
-            lambda made, add: add(made), reversed(chosen.values()), with_instance
-        )
+        decorated: Command = with_instance
+        for decorator in reversed(chosen.values()):
+            decorated = decorator(decorated)
+        return decorated
 
     return decorate
 
