@@ -1,4 +1,4 @@
-"""The one door for K: what a user says of the cameras, as a text, a file or a value.
+"""Cameras from the options --K, --K1 and --K2: a text, a file or a value.
 
 - `auto`, `auto:shared` or `auto:two`: no K, see `prior.py`;
 - `fx,fy,cx,cy` or nine numbers, split by commas or blanks, (0, 0) the centre of the top-left pixel;
@@ -9,26 +9,24 @@
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePath, PurePosixPath
 from typing import Any, Protocol, get_args
 
-import numpy as np
-
 from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
 from dgc_pose.cameras.checks import checked_camera
-from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.formats import colmap, plain
 from dgc_pose.cameras.formats.file_cameras import numbers_camera
+from dgc_pose.cameras.formats.keyed import keyed_camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
-_AUTO: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
+_SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
-_PATH = re.compile(r"[/\\]|\.[A-Za-z]\w*(:\w+)?$")  # what has a folder or an ending
+_FOLDER_OR_ENDING = re.compile(r"[/\\]|\.[A-Za-z]\w*(:\w+)?$")
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 
 
@@ -42,7 +40,7 @@ class NamedPhotograph(Photograph, Protocol):
 
 @dataclass(frozen=True)
 class KDetails:
-    """What is said of a K that is given besides its numbers."""
+    """The size that a K refers to, and its deviations."""
 
     size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
     focal_std: float = 0.0  # relative, of the focal lengths
@@ -142,7 +140,7 @@ class Calibration:
             match = _PART_FOLDER.fullmatch(folder)
             if match and (key := f"{match[1]}{int(match[2])}") in self.parts:
                 return self.parts[key]
-        if self.common is None or len({_numbers(camera) for camera in self.parts.values()}) == 1:
+        if self.common is None or _are_equal(self.parts.values()):
             return self.common
         first, *_, last = self.parts
         warning = (
@@ -307,18 +305,18 @@ def _parse_text(text: str, name: str) -> Camera:
 
 def _looks_like_path(text: str) -> bool:
     is_camera = colmap.is_line(text) or plain.numbers_of(text) is not None
-    return text.isprintable() and _PATH.search(text) is not None and not is_camera
+    return text.isprintable() and _FOLDER_OR_ENDING.search(text) is not None and not is_camera
 
 
 def _sharing(text: str, name: str) -> Sharing | None:
-    """What a word says of a camera without K; None for another text."""
-    if text.startswith("auto:") and text not in _AUTO:
-        raise InputError(f"{name} must be one of {', '.join(_AUTO)}, not {shortened(text)!r}")
-    return _AUTO.get(text)
+    """The sharing of cameras by a word for no K; None for another text."""
+    if text.startswith("auto:") and text not in _SHARING:
+        raise InputError(f"{name} must be one of {', '.join(_SHARING)}, not {shortened(text)!r}")
+    return _SHARING.get(text)
 
 
 def _require_K(details: KDetails, name: str) -> None:
-    """Raise InputError if something is said of a K that is not given."""
+    """Raise InputError for details of a K that there is not."""
     for option, value in (("size", details.size), ("std", details.focal_std or details.centre_std)):
         if value:
             raise InputError(ArgumentName(f"K_{option}"), f"is of a K, and {name} gives none")
@@ -335,8 +333,8 @@ def _common_tail(first: tuple[str, ...], second: tuple[str, ...]) -> int:
     return [*same, False].index(False)
 
 
-def _numbers(camera: Camera) -> tuple[object, ...]:
-    return *camera.K.ravel().tolist(), camera.distortion
+def _are_equal(cameras: Iterable[Camera]) -> bool:
+    return len({(*camera.K.ravel().tolist(), camera.distortion) for camera in cameras}) == 1
 
 
 def _times(size: tuple[int, int]) -> str:
@@ -360,19 +358,8 @@ def camera_data(camera: Camera) -> dict[str, Any]:
 
 
 def parse_camera_data(data: Mapping[str, Any]) -> Camera:
-    """The camera of `camera_data`."""
-    lens = None
-    if data["model"] is not None:
-        lens = Distortion(data["model"], tuple(data["coefficients"]))
+    """The camera of `camera_data`. Raises KeyError, TypeError or ValueError for other data."""
     if data["focal_source"] not in get_args(FocalSource):
         raise ValueError("a focal_source that is none")
-    return Camera(
-        np.array(data["K"]),
-        None if data["size"] is None else (int(data["size"][0]), int(data["size"][1])),
-        lens,
-        tuple(data["warnings"]),
-        float(data["focal_std"]),
-        float(data["centre_std_px"]),
-        data["focal_source"],
-        data["identity"],
-    )
+    camera = keyed_camera(data)
+    return replace(camera, warnings=tuple(data["warnings"]), focal_source=data["focal_source"])

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _MAX_ROUND_TRIP_ERROR = 1e-5
 # Over the focal length: rounding in a calibration, below 0.01 pixels in the image.
 _MOST_SKEW, _MOST_FOCAL_DIFFERENCE = 1e-5, 1e-6
-# The models without a lens, by their ids.
+# The models without a lens, for which pycolmap need not be imported.
 _PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", "cy"]}
 # A model of one focal length as one of two, and the number of its coefficients.
 _TWO_FOCALS = {
@@ -121,9 +121,6 @@ def parameters(K: np.ndarray, distortion: Distortion | None) -> tuple[str, list[
 
 def model_of_id(model_id: int) -> tuple[str, int]:
     """The name and the number of parameters of a model of COLMAP's files. Raises InputError."""
-    for number, (name, layout) in enumerate(_PINHOLES.items()):
-        if number == model_id:
-            return name, len(layout)
     from dgc_pose.system.colmap_library import pycolmap
 
     names = {int(value): name for name, value in pycolmap.CameraModelId.__members__.items()}

@@ -1,6 +1,5 @@
 """The camera of an image without K: focal lengths by hand from EXIF data of known numbers."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras, with_orientation
-from dgc_pose.cameras.sensors import sensor_width_mm
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import load_image
 
@@ -121,19 +119,6 @@ def test_the_sensor_in_the_table_of_colmap() -> None:
     assert auto_camera(photo(stale, (900, 600), **canon)).focal == pytest.approx(1250, rel=1e-6)
     unknown = auto_camera(photo({FOCAL: mm(50)}))
     assert unknown.focal_source == "size" and unknown.warnings == ()
-
-
-def test_without_pycolmap_the_table_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    canon = {"make": "Canon", "model": "Canon EOS 5D Mark II"}
-    sensor_width_mm.cache_clear()
-    for name in ("pycolmap", "dgc_pose.system.colmap_library"):
-        monkeypatch.setitem(sys.modules, name, None)
-    try:
-        assert auto_camera(photo({FOCAL: mm(50)}, **canon)).focal_source == "size"
-        tags = {FOCAL: mm(50), PLANE_X: mm(4000 / 36), PLANE_UNIT: 4}
-        assert auto_camera(photo(tags, **canon)).focal == pytest.approx(5555.6, rel=1e-4)
-    finally:
-        sensor_width_mm.cache_clear()
 
 
 # --- what is not believed -------------------------------------------------------------------------

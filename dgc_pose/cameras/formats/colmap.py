@@ -1,7 +1,8 @@
 """COLMAP's cameras: a line of cameras.txt, the files, and the folder of a model.
 
 The principal point has (0.5, 0.5) at the centre of the top-left pixel, half a pixel more than ours.
-A pinhole is read and written without pycolmap.
+pycolmap's own reader needs all files of a model, takes a cameras.bin that is cut within a camera,
+and never ends in an images.bin that is cut within a name.
 """
 
 import re
@@ -126,9 +127,6 @@ def _binary_cameras(path: Path) -> dict[int, Camera]:
     except (struct.error, InputError) as error:
         raise InputError(f"{path}: not COLMAP's cameras ({error})") from None
     return cameras
-
-
-# pycolmap's reader of an images.bin that is cut within a name never ends.
 
 
 def _binary_images(data: bytes) -> dict[str, int]:

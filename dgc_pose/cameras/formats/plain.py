@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers_camera
-from dgc_pose.cameras.formats.opencv import keyed_camera
+from dgc_pose.cameras.formats.keyed import keyed_camera
 from dgc_pose.errors import InputError, reason
 from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as

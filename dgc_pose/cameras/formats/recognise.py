@@ -1,4 +1,4 @@
-"""Which format a file of cameras has: told by what it holds, by its name where that says nothing.
+"""The format of a file of cameras, by its content, and by its name where the content is not enough.
 
 | file | principal point of the top-left pixel's centre | images by |
 |---|---|---|
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from dgc_pose.cameras.formats import colmap, kalibr, kitti, nerf, opencv, plain, ros
+from dgc_pose.cameras.formats import colmap, keyed, kitti, nerf, plain
 from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers_camera
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.inputs import read_as, read_text
@@ -57,7 +57,7 @@ def _read_file(path: Path) -> FileCameras:
         raise InputError(f"{path} is empty")
     if "<opencv_storage>" in text:
         with read_as("XML", path):
-            return _of_mapping(opencv.xml_data(ElementTree.fromstring(text)), path)
+            return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
     if ending == ".json" or text.lstrip().startswith("{"):
         with read_as("JSON", path):
             return _of_mapping(json.loads(text), path)
@@ -80,14 +80,14 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
     with read_as("a file of cameras", path):
         if not isinstance(data, dict):
             return FileCameras(common=numbers_camera(data))
-        if ros.is_camera_info(data) and "intrinsics" not in data:
-            return ros.camera_info(data)
-        if kalibr.is_camchain(data):
-            return kalibr.camchain(data, path)
+        if keyed.is_camera_info(data) and "intrinsics" not in data:
+            return keyed.keyed_cameras(data)
+        if keyed.camchain_cameras(data):
+            return keyed.camchain(data, path)
         if nerf.is_transforms(data):
             return nerf.transforms(data, str(path))
-        if opencv.is_keyed(data):
-            return opencv.keyed_cameras(data)
+        if keyed.is_keyed(data):
+            return keyed.keyed_cameras(data)
     raise InputError(
         f"no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys "
         f"({shortened(', '.join(map(str, data)))})"

@@ -1,6 +1,5 @@
 """COLMAP's lines and files, against those that pycolmap writes and reads."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 
 from dgc_pose.cameras.calibration import Calibration, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.formats.colmap import write_line
 from dgc_pose.errors import InputError
 from dgc_pose.images.header import Header
@@ -99,22 +97,6 @@ def test_a_camera_written_as_a_line_is_read_back(model: str, resized: bool) -> N
 def test_a_camera_that_is_no_line(camera: Camera, said: str) -> None:
     with pytest.raises(InputError, match=said):
         write_line(camera)
-
-
-def test_a_pinhole_needs_no_pycolmap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    reconstruction = pycolmap.Reconstruction()
-    reconstruction.add_camera_with_trivial_rig(_theirs("PINHOLE"))
-    reconstruction.write_binary(tmp_path)
-    (tmp_path / "images.bin").unlink()
-    for name in [name for name in sys.modules if name.startswith("pycolmap")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "dgc_pose.system.colmap_library", raising=False)
-    monkeypatch.setitem(sys.modules, "pycolmap", None)
-    camera = parse_camera(str(tmp_path))
-    assert parse_camera(write_line(camera)).K.tolist() == camera.K.tolist()
-    assert parse_camera("SIMPLE_PINHOLE 640 480 500 320.5 240.5").K[0].tolist() == [500, 0, 320]
-    with pytest.raises(ModuleNotFoundError):
-        Distortion("SIMPLE_RADIAL", (0.1,))
 
 
 @pytest.mark.parametrize(
