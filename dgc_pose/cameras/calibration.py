@@ -7,13 +7,15 @@
 - `FILE:PART`, a camera of a rig, such as `camchain.yaml:cam1`.
 """
 
+from __future__ import annotations
+
 import os
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePath, PurePosixPath
-from typing import Any, Protocol, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
 from dgc_pose.cameras.checks import checked_camera
@@ -24,18 +26,14 @@ from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
+if TYPE_CHECKING:
+    from dgc_pose.images.header import Header
+    from dgc_pose.images.image import Image
+
 _SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
 _FOLDER_OR_ENDING = re.compile(r"[/\\]|\.[A-Za-z]\w*(:\w+)?$")
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
-
-
-class NamedPhotograph(Photograph, Protocol):
-    """An `Image`, or what else has its name, size and EXIF block."""
-
-    @property
-    def name(self) -> str:
-        """The path, or the argument's name."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,9 @@ class Calibration:
     auto: Sharing | None = None
     details: KDetails = KDetails()
 
-    def camera(self, root: Path, name: str, image: Photograph, part: str | None = None) -> Camera:
+    def camera(
+        self, root: Path, name: str, image: Image | Header, part: str | None = None
+    ) -> Camera:
         """The camera of an image or its header, checked against its size.
 
         root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
@@ -180,7 +180,7 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
 
 def camera_for(
     value: Camera | Any | None,
-    image: NamedPhotograph,
+    image: Image,
     name: str,
     details: KDetails = KDetails(),
     part: str | None = None,
@@ -203,8 +203,8 @@ def camera_for(
 def pair_cameras(
     K1: Camera | Any | None,
     K2: Camera | Any | None,
-    image1: NamedPhotograph,
-    image2: NamedPhotograph,
+    image1: Image,
+    image2: Image,
     names: tuple[str, str] = ("K1", "K2"),
     details: KDetails = KDetails(),
 ) -> tuple[Camera, Camera]:

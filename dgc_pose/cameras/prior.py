@@ -1,17 +1,23 @@
-"""The camera of an image without a K: a focal length with its deviation, from what the image says.
+"""The camera of an image without a K: a focal length with its deviation, by EXIF data or the size.
 
 The principal point is the middle of the image, whose pixels are as stored: an EXIF orientation
 changes nothing.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.cameras.exif_focal import exif_focal
 from dgc_pose.images.exif import read_exif
+
+if TYPE_CHECKING:
+    from dgc_pose.images.header import Header
+    from dgc_pose.images.image import Image
 
 Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
@@ -21,28 +27,12 @@ _NEAR_MIDDLE = 0.04  # of the principal point from the middle, over the side
 _QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
-class Photograph(Protocol):
-    """What an `Image` and the `Header` of a file say of the camera."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-
-    @property
-    def exif(self) -> bytes:
-        """The EXIF block, empty without one."""
-
-    @property
-    def orientation(self) -> int:
-        """By EXIF, 1 to 8, which is not applied; 1 is upright."""
-
-
-def auto_camera(image: Photograph) -> Camera:
+def auto_camera(image: Image | Header) -> Camera:
     """The camera of an image without a K: its focal length by its EXIF data, else by its size.
 
     `identity` is equal for images that one camera may have taken: of the same size, in either
     orientation, whose EXIF data name the same camera, lens, focal length and zoom, or none. Of two
-    images of which one has lost its EXIF data nothing says that one camera took both.
+    images of which one has lost its EXIF data it is not known that one camera took both.
     """
     width, height = image.size
     longer, shorter = max(width, height), min(width, height)
@@ -69,7 +59,7 @@ def auto_camera(image: Photograph) -> Camera:
 
 
 def auto_cameras(
-    image1: Photograph, image2: Photograph, sharing: Sharing = "files"
+    image1: Image | Header, image2: Image | Header, sharing: Sharing = "files"
 ) -> tuple[Camera, Camera]:
     """`auto_camera` of two images.
 
@@ -88,7 +78,7 @@ def auto_cameras(
 
 
 def _with_focal(camera: Camera, other: Camera) -> Camera:
-    """The camera with the focal length of another, unless EXIF data say its own."""
+    """The camera with the focal length of another, unless it has one of EXIF data."""
     if camera.focal_source == "exif":
         return camera
     K = camera.K.copy()
@@ -96,9 +86,9 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
     return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
 
 
-def with_orientation(camera: Camera, image: Photograph) -> Camera:
+def with_orientation(camera: Camera, image: Image | Header) -> Camera:
     """The camera with a warning if an EXIF orientation is not applied: a K that was given may be
-    for the upright image, unless its size or its principal point says that it is not."""
+    for the upright image, unless its size or its principal point excludes that."""
     if image.orientation == 1 or camera.focal_source != "given" or _is_as_stored(camera, image):
         return camera
     warning = (
@@ -107,7 +97,7 @@ def with_orientation(camera: Camera, image: Photograph) -> Camera:
     return replace(camera, warnings=(*camera.warnings, warning))
 
 
-def _is_as_stored(camera: Camera, image: Photograph) -> bool:
+def _is_as_stored(camera: Camera, image: Image | Header) -> bool:
     """Whether K is certainly of the pixels as stored, and not of the image rotated by a quarter."""
     if image.orientation not in _QUARTER_TURNS:
         return False

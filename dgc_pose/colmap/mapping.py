@@ -1,6 +1,8 @@
 """A reconstruction from a COLMAP database, by pycolmap's incremental or global mapper."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from dgc_pose.colmap.options import MappingOptions
 from dgc_pose.errors import DgcPoseError, reason
@@ -9,6 +11,10 @@ from dgc_pose.system.colmap_library import pycolmap
 
 LEAST_IMAGES = 3  # of a model
 _SEED = 0
+_MAPPERS: Mapping[str, Callable[..., Any]] = {
+    "incremental": pycolmap.incremental_mapping,
+    "global": pycolmap.global_mapping,
+}
 
 
 class MappingError(DgcPoseError):
@@ -20,11 +26,8 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
     pycolmap.set_random_seed(_SEED)
     with scratch_folder() as folder:
         try:
-            if options.mapper == "incremental":
-                settings = _incremental(options)
-                models = pycolmap.incremental_mapping(database, images, folder, settings)
-            else:
-                models = pycolmap.global_mapping(database, images, folder, _global(options))
+            run = _MAPPERS[options.mapper]
+            models = run(database, images, folder, _pipeline_options(options))
         except (RuntimeError, ValueError) as error:
             raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
     if not models:
@@ -34,25 +37,21 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
 
 
-def _incremental(options: MappingOptions) -> pycolmap.IncrementalPipelineOptions:
-    settings = pycolmap.IncrementalPipelineOptions()
+def _pipeline_options(options: MappingOptions) -> Any:
+    settings: Any
+    if options.mapper == "incremental":
+        settings = pycolmap.IncrementalPipelineOptions()
+        settings.ba_refine_focal_length = options.refine_intrinsics
+        settings.ba_refine_extra_params = options.refine_intrinsics
+        settings.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
+        settings.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
+    else:
+        settings = pycolmap.GlobalPipelineOptions()
+        settings.mapper.bundle_adjustment.refine_focal_length = options.refine_intrinsics
+        settings.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
+        settings.mapper.bundle_adjustment.ceres.use_gpu = False
+        settings.mapper.global_positioning.use_gpu = False
     settings.min_model_size = LEAST_IMAGES
-    settings.ba_refine_focal_length = options.refine_intrinsics
-    settings.ba_refine_extra_params = options.refine_intrinsics
     settings.num_threads = options.mapper_threads
     settings.random_seed = settings.mapper.random_seed = _SEED
-    settings.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
-    settings.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
-    return settings
-
-
-def _global(options: MappingOptions) -> pycolmap.GlobalPipelineOptions:
-    settings = pycolmap.GlobalPipelineOptions()
-    settings.min_model_size = LEAST_IMAGES
-    settings.num_threads = options.mapper_threads
-    settings.random_seed = settings.mapper.random_seed = _SEED
-    settings.mapper.bundle_adjustment.refine_focal_length = options.refine_intrinsics
-    settings.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
-    settings.mapper.bundle_adjustment.ceres.use_gpu = False
-    settings.mapper.global_positioning.use_gpu = False
     return settings
