@@ -1,10 +1,9 @@
-"""Cameras: parsing, checks, resizing, distortion; against OpenCV, pycolmap and resized images."""
+"""Cameras: the matrix, what is refused, resizing, and points without an inverse."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import pytest
 import torch
 
@@ -20,17 +19,6 @@ SIZE = (640, 480)
 
 def points(count: int = 200, size: tuple[int, int] = SIZE) -> np.ndarray:
     return np.random.default_rng(5).uniform((-0.5, -0.5), np.array(size) - 0.5, (count, 2))
-
-
-def colmap_camera(model: str, coefficients: list[float], focals: int) -> pycolmap.Camera:
-    """An independent camera in COLMAP's own pixels."""
-    focal = [700.0, 720.0][:focals]
-    parameters = [*focal, 330.0, 250.0, *coefficients]
-    return pycolmap.Camera(model=model, width=640, height=480, params=parameters)
-
-
-def text_of(camera: pycolmap.Camera) -> str:
-    return f"{camera.model_name},640,480," + ",".join(map(str, camera.params))
 
 
 # --- the matrix -----------------------------------------------------------------------------------
@@ -127,7 +115,7 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
 
 
 def test_resized_keeps_the_distortion_and_the_warnings() -> None:
-    camera = parse_camera(text_of(colmap_camera("SIMPLE_RADIAL", [-0.1], 1)))
+    camera = Camera(K, SIZE, Distortion("SIMPLE_RADIAL", (-0.1,)))
     pixels = points()
     resized = camera.resized((320, 960))
     moved = (pixels + 0.5) * (0.5, 2) - 0.5
@@ -142,36 +130,6 @@ def test_a_camera_without_a_proper_size_cannot_be_resized(size: tuple[int, int] 
 
 
 # --- text -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("text", ["810,790,321.25,238.5", " 810 , 790, 321.25,2.385e2 "])
-def test_four_numbers(text: str) -> None:
-    camera = parse_camera(text)
-    expected = [[810, 0, 321.25], [0, 790, 238.5], [0, 0, 1]]
-    np.testing.assert_array_equal(camera.K, expected)
-    assert camera.size is None and camera.distortion is None and camera.warnings == ()
-
-
-@pytest.mark.parametrize("delimiter", [" ", ",", "\t", ", "])
-def test_files(tmp_path: Path, delimiter: str) -> None:
-    path = tmp_path / "K.txt"
-    np.savetxt(path, K, delimiter=delimiter, header="intrinsics")
-    np.testing.assert_array_equal(parse_camera(str(path)).K, K)
-    np.save(tmp_path / "a, comma K.npy", K)
-    np.testing.assert_array_equal(parse_camera(str(tmp_path / "a, comma K.npy")).K, K)
-
-
-def test_colmap_cameras_differ_from_ours_by_half_a_pixel() -> None:
-    pinhole = parse_camera("PINHOLE,640,480,700,720,330,250")
-    expected = [[700, 0, 329.5], [0, 720, 249.5], [0, 0, 1]]
-    np.testing.assert_array_equal(pinhole.K, expected)
-    assert pinhole.size == SIZE and pinhole.distortion is None
-    simple = parse_camera("simple_pinhole, 640, 480, 700, 330, 250")
-    assert simple.K[0, 0] == simple.K[1, 1] == 700
-    theirs = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[700, 720, 330, 250])
-    np.testing.assert_allclose(
-        pinhole.normalise(points()), theirs.cam_from_img(points() + 0.5), atol=1e-13
-    )
 
 
 @pytest.mark.parametrize(
@@ -249,78 +207,7 @@ def test_what_the_system_says_of_a_K_file_goes_through(
                 parse_camera(str(path), "K1")
 
 
-def test_a_camera_longer_than_a_name_of_a_file_is_a_text() -> None:
-    numbers = ",".join(f"{value:.30f}" for value in (700, 720, 330, 250, -0.2, 0.05, 0.002, -0.001))
-    text = f"OPENCV,640,480,{numbers}"
-    assert len(text) > 255
-    assert parse_camera(text).distortion == Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001))
-
-
 # --- distortion -----------------------------------------------------------------------------------
-
-LENSES = [
-    ("SIMPLE_RADIAL", [-0.12], 1),
-    ("RADIAL", [-0.15, 0.03], 1),
-    ("OPENCV", [-0.2, 0.05, 0.002, -0.001], 2),
-    ("FULL_OPENCV", [-0.2, 0.05, 0.002, -0.001, 0.01, 0.02, 0.01, 0.0], 2),
-    ("SIMPLE_RADIAL_FISHEYE", [0.02], 1),
-    ("RADIAL_FISHEYE", [0.03, -0.005], 1),
-    ("OPENCV_FISHEYE", [-0.03, 0.005, -0.001, 0.0002], 2),
-    ("THIN_PRISM_FISHEYE", [0.01, -0.01, 0.001, 0.002, 0.001, 0, 0.001, 0.002], 2),
-    (
-        "RAD_TAN_THIN_PRISM_FISHEYE",
-        [0.2, -0.4, 0.3, -0.2, 0.05, -0.005, 0.001, 0.002, 0.001, 0, -0.001, 0],
-        2,
-    ),
-    ("SIMPLE_FISHEYE", [], 1),
-    ("FISHEYE", [], 2),
-    ("FOV", [0.8], 2),
-    ("SIMPLE_DIVISION", [-0.15], 1),
-    ("DIVISION", [-0.15], 2),
-    ("EUCM", [0.6, 1.1], 2),
-]
-NO_LENSES = {"INVALID", "PINHOLE", "SIMPLE_PINHOLE", "EQUIRECTANGULAR"}
-
-
-def test_every_lens_of_colmap_is_tested() -> None:
-    assert {lens[0] for lens in LENSES} | NO_LENSES == set(pycolmap.CameraModelId.__members__)
-
-
-@pytest.mark.parametrize(("model", "coefficients", "focals"), LENSES)
-def test_distortion_is_undone_as_pycolmap_does(
-    model: str, coefficients: list[float], focals: int
-) -> None:
-    theirs = colmap_camera(model, coefficients, focals)
-    ours = parse_camera(text_of(theirs))
-    pixels = points()
-    rays = theirs.cam_from_img(pixels + 0.5)
-    np.testing.assert_allclose(ours.normalise(pixels), rays, atol=1e-8)
-    np.testing.assert_allclose(ours.project(rays), pixels, atol=1e-5)
-    pinhole = pycolmap.Camera(
-        model="PINHOLE",
-        width=640,
-        height=480,
-        params=[theirs.focal_length_x, theirs.focal_length_y, 330, 250],
-    )
-    ideal = pinhole.img_from_cam(np.column_stack([rays, np.ones(len(rays))])) - 0.5
-    assert np.abs(ideal - pixels).max() > 3, "the lens must bend something, or nothing is tested"
-
-
-@pytest.mark.parametrize(
-    ("model", "coefficients"),
-    [
-        ("OPENCV", (-0.2, 0.05, 0.002, -0.001)),
-        ("FULL_OPENCV", (-0.2, 0.05, 0.002, -0.001, 0.01, 0.02, 0.01, 0.005)),
-    ],
-)
-def test_what_opencv_distorts_is_undone(model: str, coefficients: tuple[float, ...]) -> None:
-    camera = Camera(K, SIZE, Distortion(model, coefficients))
-    ideal = np.random.default_rng(2).uniform(-0.35, 0.35, (100, 2))
-    rays = np.column_stack([ideal, np.ones(100)])
-    none = np.zeros(3)
-    distorted = cv2.projectPoints(rays, none, none, np.eye(3), np.array(coefficients))[0][:, 0]
-    pixels = distorted @ K[:2, :2].T + K[:2, 2]
-    np.testing.assert_allclose(camera.normalise(pixels), ideal, atol=1e-9)
 
 
 def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:

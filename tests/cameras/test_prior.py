@@ -1,10 +1,8 @@
 """The camera of an image without K: focal lengths by hand from EXIF data of known numbers."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import PIL.Image
 import pytest
 from exif_blocks import (
     FILM,
@@ -23,7 +21,6 @@ from PIL.TiffImagePlugin import IFDRational
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras, with_orientation
 from dgc_pose.images.header import Header
-from dgc_pose.images.image import load_image
 
 SIZE = (4000, 3000)  # a diagonal of 5000
 FILM_DIAGONAL = np.hypot(36, 24)
@@ -57,23 +54,6 @@ def test_without_exif_the_size_says_little() -> None:
     assert (camera.size, camera.focal_source, camera.focal_std) == ((1000, 800), "size", SIZE_STD)
     assert (camera.centre_std, camera.warnings) == (5, ())
     assert camera.identity is not None
-
-
-@pytest.mark.parametrize("format", ["JPEG", "PNG", "WEBP", "TIFF", "HEIF"])
-def test_the_focal_length_on_film_in_every_format(tmp_path: Path, format: str) -> None:
-    """50 mm by the diagonal of 36 mm x 24 mm: 50 px of an image of 36 x 24. HEIF applies its
-    rotation: of such a file the sides are exchanged."""
-    if format == "HEIF":
-        pytest.importorskip("pillow_heif").register_heif_opener()
-    exif = exif_of({FILM: 50})
-    exif[0x0112] = 6 if format in ("HEIF", "JPEG") else 1
-    PIL.Image.new("RGB", (360, 240)).save(tmp_path / "photo", format, exif=exif.tobytes())
-    image = load_image(tmp_path / "photo")
-    assert image.size == ((240, 360) if format == "HEIF" else (360, 240))
-    camera = auto_camera(image)
-    assert camera.focal == pytest.approx(500, rel=1e-4)
-    np.testing.assert_array_equal(camera.K[:2, 2], (np.array(image.size) - 1) / 2)
-    assert camera.focal_source == "exif" and camera.warnings == ()
 
 
 @pytest.mark.parametrize(("film", "focal"), [(13, 1502.2), (26, 3004.4), (300, 34666.1)])
@@ -152,13 +132,6 @@ def test_the_sensor_goes_in_for_a_film_that_is_not_believed() -> None:
     tags = {FILM: 65535, FOCAL: mm(50), PLANE_X: mm(4000 / 36), PLANE_UNIT: 4}
     camera = auto_camera(photo(tags))
     assert camera.focal == pytest.approx(5555.6, rel=1e-4) and camera.warnings == ()
-
-
-@pytest.mark.parametrize("value", [0, -26, "26 mm", (26, 26), IFDRational(26, 0)])
-def test_damaged_numbers_are_none(value: Any) -> None:
-    camera = auto_camera(photo({FILM: value, FOCAL: value}))
-    assert (camera.focal_source, camera.warnings) == ("size", ())
-    assert auto_camera(Header("JPEG", SIZE, exif=b"Exif\0\0MM\0*junk")).focal == 4400
 
 
 # --- zoom, parts, shapes --------------------------------------------------------------------------
@@ -252,15 +225,6 @@ def test_one_camera_if_there_is_no_exif() -> None:
     for size, same in ((SIZE, True), (SIZE[::-1], True), ((4000, 2999), False)):
         camera1, camera2 = auto_cameras(photo(), photo(size=size, orientation=8))
         assert (camera1.identity == camera2.identity) is same
-
-
-def test_words_for_who_took_both() -> None:
-    first, second = photo(TAGS), photo(TAGS, (2000, 1500))
-    for sharing, same in (("shared", True), ("two", False), ("files", False)):
-        camera1, camera2 = auto_cameras(first, second, sharing)
-        assert (camera1.identity == camera2.identity) is same
-        assert camera1.identity is not None and camera2.focal == camera1.focal / 2
-    assert not np.array_equal(*(camera.K for camera in auto_cameras(first, photo(), "two")))
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
+from dgc_pose.colmap.database import colmap_camera, write_database
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -133,18 +133,6 @@ def test_the_name_of_a_folder_is_no_address(tmp_path: Path, name: str) -> None:
     with pycolmap.Database.open(path) as database:
         assert database.num_images() == 3
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_pair_that_shares_no_key_point_is_written(tmp_path: Path) -> None:
-    """COLMAP counts such a pair as matched; it is no sign of rows that are missing."""
-    path, names = tmp_path / "database.db", [*NAMES, "c.png"]
-    points = {name: np.array([[5.0, 6], [7, 8], [9, 9]]) for name in NAMES}
-    pairs = {NAMES: INDEX, ("b.png", "c.png"): np.zeros((0, 2), np.uint32)}
-    rows = {pair: true_row(pair, np.eye(3), np.array([1.0, 0, 0])) for pair in pairs}
-    shared = SharedMatches(points | {"c.png": np.zeros((0, 2))}, pairs)
-    write_database(path, names, {name: camera() for name in names}, shared, rows)
-    with pycolmap.Database.open(path) as database:
-        assert database.num_matches() == len(INDEX)
 
 
 def test_rows_that_are_missing_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""ROS's camera_info and Kalibr's camchain; the lenses against OpenCV's."""
+"""Files as OpenCV writes them, ROS's camera_info and Kalibr's camchain; lenses against OpenCV's."""
 
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from dgc_pose.images.image import Image
 K = np.array([[500.0, 0, 321.25], [0, 510, 238.5], [0, 0, 1]])
 SIZE = (640, 480)
 PLUMB_BOB = [-0.21, 0.06, 0.002, -0.001, 0.013]
+LENS = [*PLUMB_BOB, 0.02, 0.01, 0.004]
 FISHEYE = [-0.03, 0.005, -0.001, 0.0002]
 
 # As camera_calibration_parsers writes it (sensor_msgs/CameraInfo: K of the raw image, row by row).
@@ -105,11 +106,85 @@ def _assert_lens(camera: Camera, model: str, coefficients: list[float]) -> None:
     np.testing.assert_allclose(again[:, 0], _pixels(), atol=1e-3)
 
 
+def _write_storage(path: Path, **values: object) -> str:
+    """A file as OpenCV writes it; the ending tells YAML, XML or JSON."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        storage.write(name, value)
+    storage.release()
+    return str(path)
+
+
+@pytest.mark.parametrize("ending", ["yml", "yaml", "xml", "json"])
+@pytest.mark.parametrize("count", [0, 4, 5, 8, 12])
+def test_opencv_in_each_syntax_and_length(tmp_path: Path, ending: str, count: int) -> None:
+    coefficients = np.array([*LENS, *[0.0] * 4])[:count].reshape(-1, 1)
+    values = {"distortion_coefficients": coefficients} if count else {}
+    path = _write_storage(
+        tmp_path / f"camera.{ending}", image_width=640, image_height=480, camera_matrix=K, **values
+    )
+    camera = parse_camera(path)
+    _assert_lens(camera, "opencv", coefficients.ravel().tolist() or [0.0] * 4)
+    assert camera.size == SIZE
+
+
+def test_opencv_fisheye(tmp_path: Path) -> None:
+    """`fisheye_model` as OpenCV's sample camera_calibration.cpp writes it."""
+    coefficients = np.array([-0.03, 0.005, -0.001, 0.0002])
+    path = _write_storage(
+        tmp_path / "fisheye.yml",
+        fisheye_model=1,
+        camera_matrix=K,
+        distortion_coefficients=coefficients,
+    )
+    camera = parse_camera(path)
+    expected = cv2.fisheye.undistortPoints(_pixels()[:, None], K, coefficients)[:, 0]
+    np.testing.assert_allclose(camera.normalise(_pixels()), expected, atol=1e-6)
+    assert camera.distortion is not None and camera.distortion.model == "OPENCV_FISHEYE"
+    path = _write_storage(tmp_path / "silent.yml", K=K, D=coefficients)
+    assert parse_camera(f"{path}:fisheye").distortion == camera.distortion
+    silent = parse_camera(path)
+    assert silent.distortion is not None and silent.distortion.model == "OPENCV"
+    assert silent.warnings == ()
+
+
+@pytest.mark.parametrize(
+    "names", [("cameraMatrix", "dist_coeffs"), ("K", "D"), ("camera_matrix", "distCoeffs")]
+)
+def test_other_names(tmp_path: Path, names: tuple[str, str]) -> None:
+    path = _write_storage(tmp_path / "c.yml", **{names[0]: K, names[1]: np.array(LENS[:4])})
+    camera = parse_camera(path)
+    np.testing.assert_array_equal(camera.K, K)
+    assert camera.distortion is not None and camera.distortion.coefficients == tuple(LENS[:4])
+    assert camera.size is None
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"camera_matrix": K, "distortion_coefficients": np.full(12, 0.1)}, "a thin prism"),
+        ({"camera_matrix": K, "distortion_coefficients": np.full(3, 0.1)}, "3 distortion coeff"),
+        (
+            {"camera_matrix": K, "D": np.full(4, 0.1), "xi": np.ones((1, 1))},
+            ": xi may be of the lens",
+        ),
+        ({"rotation": np.eye(3)}, "no camera of OpenCV's"),
+        ({"camera_matrix": np.eye(2)}, "camera_matrix must have positive focal"),
+    ],
+)
+def test_what_is_no_camera_of_ours_is_named(
+    tmp_path: Path, values: dict[str, np.ndarray], said: str
+) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        parse_camera(_write_storage(tmp_path / "c.yml", **values))
+    assert "c.yml" in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("model", "coefficients"),
     [
         ("plumb_bob", PLUMB_BOB),
-        ("rational_polynomial", [*PLUMB_BOB, 0.02, 0.01, 0.004]),
+        ("rational_polynomial", LENS),
         ("equidistant", FISHEYE),
     ],
 )
