@@ -47,13 +47,13 @@ class KDetails:
 
 @dataclass(frozen=True)
 class Calibration:
-    """The cameras of images."""
+    """Cameras by the names of images, and the one of all others."""
 
     where: str  # of errors: the option or file that the cameras come from
     by_name: Mapping[str, Camera] = field(default_factory=dict)
     parts: Mapping[str, Camera] = field(default_factory=dict)  # of a rig or a pair, by name
     common: Camera | None = None  # of all other images
-    # The images have no K. Of "shared" one camera took all; of "two" each has a camera of its own.
+    # The images have no K. With "shared" one camera took all; with "two" one each.
     auto: Sharing | None = None
     details: KDetails = KDetails()
 
@@ -99,14 +99,14 @@ class Calibration:
         """
         path = PurePath(os.path.abspath(root / name))
         alike = {**self._by_file_name.get(path.stem, {}), **self._by_file_name.get(path.name, {})}
-        parts, given = (*path.parts[:-1], path.stem), len(PurePath(name).parts)
+        parts, count_of_name = (*path.parts[:-1], path.stem), len(PurePath(name).parts)
         common, folders = self._folders
         common = 0 if root.parts else common
         shared = {}
         for other in alike:
             count = _common_tail(_parts(other), parts)
             differs = count < len(_parts(other)) - common
-            if not (differs and (count < given or parts[-1 - count] in folders)):
+            if not (differs and (count < count_of_name or parts[-1 - count] in folders)):
                 shared[other] = count
         if not shared:
             return None

@@ -7,13 +7,12 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 
 MAX_FIELD_OF_VIEW_DEG, MIN_FIELD_OF_VIEW_DEG = 150.0, 1.0  # horizontal, of a pinhole
-_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
-_SAME_RATIO = 0.03  # of the sides of two sizes: less is the same aspect ratio
+_MAX_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
+_MAX_ASPECT_DIFFERENCE = 0.03  # of the logarithms of two aspect ratios that are the same
 # Logarithms of the scale between two sizes of the same aspect ratio: less is the same size, and
 # more cannot be the image's.
-_OTHER_SCALE, _FAR_OTHER_SCALE = 0.1, 0.4
-# Lenses whose field of view is not that of a pinhole.
-_WIDE = ("FISHEYE", "FOV", "EUCM", "DIVISION")
+_MAX_SAME_SCALE, _MAX_POSSIBLE_SCALE = 0.1, 0.4
+_WIDER_THAN_PINHOLE = ("FISHEYE", "FOV", "EUCM", "DIVISION")
 
 Size = tuple[int, int]  # (width, height), pixels
 
@@ -36,23 +35,23 @@ def check_size(camera: Camera, size: Size, name: str) -> tuple[str, ...]:
         raise InputError(f"{name} {_other_size(camera.size, size, name)}")
     x, y = float(camera.K[0, 2]), float(camera.K[1, 2])
     is_inside = -0.5 < x < size[0] - 0.5 and -0.5 < y < size[1] - 0.5
-    said = f"{name} has its principal point at ({x:g}, {y:g})"
+    text = f"{name} has its principal point at ({x:g}, {y:g})"
     other = _size_by_centre(x, y, size) if camera.size is None else None
-    is_far_off = other is not None and not _alike(max(other), max(size), _FAR_OTHER_SCALE)
+    is_far_off = other is not None and not _alike(max(other), max(size), _MAX_POSSIBLE_SCALE)
     if other is not None:
-        middle = f"{said}, the middle of an image of about {_times(other)}, and"
-        said = f"{middle} {_turned_or_scaled(other, size, name)}"
+        middle = f"{text}, the middle of an image of about {_times(other)}, and"
+        text = f"{middle} {_turned_or_scaled(other, size, name)}"
     elif not is_inside:
-        said = f"{said}, outside the image of {_times(size)}"
-    elif _offset(x, y, size) > _USUAL_OFFSET:
-        said = f"{said}, far from the middle of the image of {_times(size)}"
+        text = f"{text}, outside the image of {_times(size)}"
+    elif _offset(x, y, size) > _MAX_USUAL_OFFSET:
+        text = f"{text}, far from the middle of the image of {_times(size)}"
     else:
-        said = ""
+        text = ""
     angle = _field_of_view_deg(camera, size[0])
     is_too_wide = angle is not None and angle > MAX_FIELD_OF_VIEW_DEG
-    if said and (not is_inside or is_far_off or (is_too_wide and other is not None)):
-        raise InputError(said)
-    warnings = [said] if said else []
+    if text and (not is_inside or is_far_off or (is_too_wide and other is not None)):
+        raise InputError(text)
+    warnings = [text] if text else []
     if angle is not None and not MIN_FIELD_OF_VIEW_DEG <= angle <= MAX_FIELD_OF_VIEW_DEG:
         warnings.append(
             f"{name} has a focal length of {camera.K[0, 0]:g} pixels, which is a field of view of "
@@ -65,7 +64,9 @@ def check_size(camera: Camera, size: Size, name: str) -> tuple[str, ...]:
 
 def _field_of_view_deg(camera: Camera, width: int) -> float | None:
     """Horizontal; None for a lens that sees more than a pinhole of its focal length."""
-    if camera.distortion is not None and any(word in camera.distortion.model for word in _WIDE):
+    if camera.distortion is not None and any(
+        word in camera.distortion.model for word in _WIDER_THAN_PINHOLE
+    ):
         return None
     return math.degrees(2 * math.atan(width / 2 / float(camera.K[0, 0])))
 
@@ -76,21 +77,25 @@ def _size_by_centre(x: float, y: float, size: Size) -> Size | None:
     if not (x > 0 and y > 0):
         return None
     scale = (2 * x + 1) / size[0], (2 * y + 1) / size[1]
-    is_scaled = _alike(*scale, _SAME_RATIO) and not _alike(max(scale), 1, _OTHER_SCALE)
+    is_scaled = _alike(*scale, _MAX_ASPECT_DIFFERENCE) and not _alike(
+        max(scale), 1, _MAX_SAME_SCALE
+    )
     turned = (2 * x + 1) / size[1], (2 * y + 1) / size[0]
-    is_turned = _alike(*turned, _SAME_RATIO) and not _alike(size[0], size[1], _OTHER_SCALE)
+    is_turned = _alike(*turned, _MAX_ASPECT_DIFFERENCE) and not _alike(
+        size[0], size[1], _MAX_SAME_SCALE
+    )
     return (round(2 * x + 1), round(2 * y + 1)) if is_scaled or is_turned else None
 
 
 def _other_size(of_K: Size, size: Size, name: str) -> str:
-    said = f"is for an image of {of_K[0]} x {of_K[1]} pixels, the image has {size[0]} x {size[1]}"
-    if _alike(of_K[0] * size[1], of_K[1] * size[0], _SAME_RATIO):
-        return said + _scaling(of_K, name)
-    return f"{said}: it is of the image turned by 90 degrees" if of_K[::-1] == size else said
+    text = f"is for an image of {of_K[0]} x {of_K[1]} pixels, the image has {size[0]} x {size[1]}"
+    if _alike(of_K[0] * size[1], of_K[1] * size[0], _MAX_ASPECT_DIFFERENCE):
+        return text + _scaling(of_K, name)
+    return f"{text}: it is of the image turned by 90 degrees" if of_K[::-1] == size else text
 
 
 def _turned_or_scaled(of_K: Size, size: Size, name: str) -> str:
-    if _alike(of_K[0] * size[1], of_K[1] * size[0], 2 * _SAME_RATIO):
+    if _alike(of_K[0] * size[1], of_K[1] * size[0], 2 * _MAX_ASPECT_DIFFERENCE):
         return f"the image has {_times(size)}" + _scaling(of_K, name)
     return f"the image has {_times(size)}: K is of the image turned by 90 degrees"
 

@@ -10,35 +10,35 @@ from dgc_pose.images.exif import Exif
 
 _FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
 
-# Deviations of the logarithm of the focal length in pixels. That on 35 mm film: EXIF does not say
+# Deviations of the logarithm of the focal length in pixels. That on 35 mm film: EXIF leaves open
 # which side of the images it holds for; cameras' makers agreed on the diagonal (CIPA DCG-001), and
 # by the width it would be 4 % less at 4:3. Pixels that the correction of distortion and shake
 # leaves out, and the focus, are a few per cent too.
-FILM_STD = 0.06
-ROUNDING_MM = 0.29  # deviation of a number that is rounded to an integer
+FILM_FOCAL_STD = 0.06
+ROUNDING_STD_MM = 0.29  # deviation of a number that is rounded to an integer
 # The lens and the resolution of the sensor are nominal; the focus changes the focal length.
-PLANE_STD = 0.06
+SENSOR_RESOLUTION_STD = 0.06
 # As before; and the table's width may be of another part of the sensor than the image's.
-TABLE_STD = 0.08
+SENSOR_TABLE_STD = 0.08
 # More for a digital zoom, which some telephones write of one of two steps, and for an image that
 # was cut out of another.
 ZOOM_STD, CUT_STD = 0.1, 0.05
 
-BELIEVED = (0.2, 20.0)  # over the longer side: fields of view of 136 to 3 degrees
-_SENSOR_MM = (1.5, 80.0)  # widths and diagonals of sensors
-_SAME_WIDTH = 0.1  # of two widths of one sensor, the largest difference of their logarithms
+PLAUSIBLE_FOCALS = (0.2, 20.0)  # over the longer side: fields of view of 136 to 3 degrees
+_SENSOR_RANGE_MM = (1.5, 80.0)  # widths and diagonals
+_MAX_WIDTH_DIFFERENCE = 0.1  # of the logarithms of two widths of one sensor
 # Whether the focal length on 35 mm film has the digital zoom in it, by the make, as in files of
-# theirs. EXIF does not say, and others do either.
+# theirs. EXIF leaves it open, and others do either.
 _ZOOM_IN_FILM = {"apple": True, "samsung": False}
 # Sensors are 5:4 to 3:2; images of another shape are mostly parts of one of 4:3.
-_SENSOR_ASPECTS, _USUAL_ASPECT = (1.24, 1.52), 4 / 3
+_SENSOR_ASPECT_RANGE, _USUAL_ASPECT = (1.24, 1.52), 4 / 3
 
 
 @dataclass(frozen=True)
 class ExifFocal:
     """A focal length by EXIF data."""
 
-    focal: float | None = None  # pixels; None if they do not say it
+    focal: float | None = None  # pixels; None without one
     std: float = 0.0  # standard deviation of its logarithm
     centre_std: float = 0.0  # of the principal point, if the image was cut out of another; pixels
     warnings: tuple[str, ...] = ()
@@ -59,13 +59,13 @@ def exif_focal(exif: Exif, size: tuple[int, int]) -> ExifFocal:
 
     That on 35 mm film comes first; then that of the lens, with the resolution on the sensor or the
     sensor's width in COLMAP's table. One that contradicts the others, or that is no photograph's,
-    is not believed: a warning says so if there is no other.
+    is not believed, with a warning if there is no other.
     """
     whole = _whole(exif, size)
     if whole is not None:
         margin = max(whole.width - size[0], whole.height - size[1])
         for focal, std in chain(_on_film(exif, whole), _on_sensor(exif, whole)):
-            if BELIEVED[0] <= focal / max(size) <= BELIEVED[1]:
+            if PLAUSIBLE_FOCALS[0] <= focal / max(size) <= PLAUSIBLE_FOCALS[1]:
                 warnings = (_cut(exif, size),) if margin else ()
                 std = math.hypot(std, whole.std)
                 return ExifFocal(focal, std, margin / math.sqrt(12), warnings)
@@ -110,7 +110,7 @@ def _on_film(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
         inside = _ZOOM_IN_FILM.get(exif.make.lower())
         more = {True: 1.0, False: zoom, None: math.sqrt(zoom)}[inside]
         zoom_std = ZOOM_STD if inside is not None else math.hypot(ZOOM_STD, math.log(zoom) / 2)
-    std = math.hypot(FILM_STD, ROUNDING_MM / film, shape_std, zoom_std)
+    std = math.hypot(FILM_FOCAL_STD, ROUNDING_STD_MM / film, shape_std, zoom_std)
     yield more * film / _FILM_DIAGONAL_MM * diagonal, std
 
 
@@ -128,28 +128,28 @@ def _on_sensor(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
     in_table = sensor_width_mm(exif.make, exif.model)
     if exif.pixels_per_mm is not None:
         width = longer / whole.scale / exif.pixels_per_mm
-        same = in_table is None or abs(math.log(width / in_table)) <= _SAME_WIDTH
+        same = in_table is None or abs(math.log(width / in_table)) <= _MAX_WIDTH_DIFFERENCE
         if _is_sensor(width) and same:
-            yield focal / width * longer, math.hypot(PLANE_STD, zoom_std)
+            yield focal / width * longer, math.hypot(SENSOR_RESOLUTION_STD, zoom_std)
     if in_table is not None:
-        yield focal / in_table * longer, math.hypot(TABLE_STD, zoom_std)
+        yield focal / in_table * longer, math.hypot(SENSOR_TABLE_STD, zoom_std)
 
 
 def _diagonal(whole: _Whole) -> tuple[float, float]:
     """The diagonal that stands for that of the film, and the deviation of its logarithm.
 
-    That of an image of another shape than a sensor's may be its own or that of the sensor's image.
+    Of an image of another shape than a sensor's: between its diagonal and that of the sensor's image.
     """
     longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
     diagonal = math.hypot(longer, shorter)
-    if _SENSOR_ASPECTS[0] <= longer / shorter <= _SENSOR_ASPECTS[1]:
+    if _SENSOR_ASPECT_RANGE[0] <= longer / shorter <= _SENSOR_ASPECT_RANGE[1]:
         return diagonal, 0.0
     sensor = max(longer, _USUAL_ASPECT * shorter) * math.hypot(1, 1 / _USUAL_ASPECT)
     return math.sqrt(diagonal * sensor), math.log(sensor / diagonal) / 2
 
 
 def _is_sensor(mm: float) -> bool:
-    return _SENSOR_MM[0] <= mm <= _SENSOR_MM[1]
+    return _SENSOR_RANGE_MM[0] <= mm <= _SENSOR_RANGE_MM[1]
 
 
 def _cut(exif: Exif, size: tuple[int, int]) -> str:

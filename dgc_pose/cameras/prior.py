@@ -23,7 +23,7 @@ Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
 SIZE_STD = 0.45  # deviation of their logarithm
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
-_NEAR_MIDDLE = 0.04  # of the principal point from the middle, over the side
+_MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
 _QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 
@@ -107,4 +107,4 @@ def _is_as_stored(camera: Camera, image: Image | Header) -> bool:
         float(np.abs((camera.K[:2, 2] + 0.5) / size - 0.5).max())
         for size in (image.size, image.size[::-1])
     ]
-    return offsets[0] < _NEAR_MIDDLE < offsets[1]
+    return offsets[0] < _MAX_CENTRE_OFFSET < offsets[1]

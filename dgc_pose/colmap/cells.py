@@ -12,7 +12,7 @@ from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, one_to_one, pairs_by_image
 from dgc_pose.geometry.neighbours import nearest_to
 
-_PER_IMAGE = 8192  # key points of an image, unless the options say another number
+_KEY_POINTS_PER_IMAGE = 8192  # unless the options have another number
 
 
 def merge_by_cells(pairs: Sequence[PairGeometry], options: SharingOptions) -> SharedMatches:
@@ -47,5 +47,5 @@ def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: SharingOpt
     support = np.bincount(pairs_of_cells[:, 0])[cell]
     order = np.lexsort((-scores, -support))
     _, first = np.unique(cell[order], return_index=True)
-    best = order[np.sort(first)][: options.per_image or _PER_IMAGE]
+    best = order[np.sort(first)][: options.per_image or _KEY_POINTS_PER_IMAGE]
     return points[best]

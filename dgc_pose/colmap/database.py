@@ -55,7 +55,7 @@ def write_database(
                     geometry = two_view_geometry(rows[pair], index)
                     database.write_two_view_geometry(id1, id2, geometry)
         except RuntimeError as error:
-            require_room(path, _LEAST_BYTES)  # pycolmap does not tell what the system said
+            require_room(path, _LEAST_BYTES)  # pycolmap leaves out the system's error
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
         for ending in ("-wal", "-shm", "-journal"):
@@ -106,7 +106,7 @@ def _write_images(
     database: pycolmap.Database, names: Sequence[str], cameras: Mapping[str, Camera]
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera, unless each
-    has a focal length of its own that is not known."""
+    has an uncertain focal length and no identity."""
     camera_ids: dict[tuple[object, ...], int] = {}
     ids = {}
     for name in (name for name in names if name in cameras):
@@ -131,7 +131,7 @@ def _write_images(
 
 def _require_rows(temporary: Path, path: Path, keypoints: int, matches: int) -> None:
     """Raise DgcPoseError, with `path`, if a table has fewer rows than were written into it: SQLite
-    says nothing of a log that does not fit into the file when it is closed."""
+    raises nothing for a log that does not fit into the file when it is closed."""
     expected = {"keypoints": keypoints, "matches": matches, "two_view_geometries": matches}
     address = f"{temporary.absolute().as_uri()}?mode=ro&immutable=1"
     try:

@@ -21,8 +21,8 @@ def write_points(file: Path, points: np.ndarray, colours: np.ndarray, name: str 
 def write_model_points(file: Path, model: pycolmap.Reconstruction, name: str | Path) -> None:
     """Write the points of a model.
 
-    Raises DgcPoseError, with the output's name, if the file is not whole: COLMAP says nothing of a
-    disk that is full.
+    Raises DgcPoseError, with the output's name, if the file is not whole: COLMAP raises nothing for
+    a full disk.
     """
     model.export_PLY(file)
     size, least = file.stat().st_size, _POINT_BYTES * model.num_points3D()

@@ -89,8 +89,8 @@ def refines(batch: Batch, options: ReconstructionOptions) -> bool:
 
 
 def _require_model(expected: pycolmap.Reconstruction, folder: Path, path: Path) -> None:
-    """Raise DgcPoseError, with `path`, unless the folder holds the model: pycolmap says nothing of
-    a disk that is full."""
+    """Raise DgcPoseError, with `path`, unless the folder holds the model: pycolmap raises nothing
+    for a disk that is full."""
     try:
         written = pycolmap.Reconstruction(folder)
     except (RuntimeError, ValueError) as error:

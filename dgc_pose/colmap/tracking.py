@@ -1,7 +1,7 @@
 """Shared key points by tracking: a corner of one image is located anew in each of its pairs.
 
 For each image, corners are chosen that many of its pairs have matches at. In each pair the local
-affinity of the matches says where a corner lies in the other image, and alignment of patches
+affinity of the matches predicts where a corner lies in the other image, and alignment of patches
 locates it there to a fraction of a pixel. A corner and its locations are one track: nothing is
 merged, so no match is moved.
 """
@@ -29,11 +29,11 @@ from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import locate, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches, consistent
 
-_PER_IMAGE = 1000  # corners of an image
-_NEIGHBOURS = 12  # matches that a local affinity is fitted to
-# Farthest match that tells where a corner lies in the other image, as a share of the longer side.
-_REACH = 0.015
-_SIMILAR = 1.5  # scale between images up to which neither is smoothed
+_CORNERS_PER_IMAGE = 1000
+_AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
+# Farthest match that predicts a corner in the other image, as a share of the longer side.
+_MAX_DISTANCE_TO_MATCH = 0.015
+_MAX_UNSMOOTHED_SCALE = 1.5  # scale between images up to which neither is smoothed
 _MAX_SHIFT_PX = 3.0  # by alignment, pixels of the other image
 _PATCH_RADIUS = 7  # pixels
 _MIN_ZNCC = 0.8  # of aligned patches
@@ -65,7 +65,9 @@ def track_corners(
     builder = _Builder(pairs, cameras)
     pairs_of = pairs_by_image(pairs)
     for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
-        builder.add(name, *_tracks_of(name, its_pairs, cameras, load, per_image or _PER_IMAGE))
+        builder.add(
+            name, *_tracks_of(name, its_pairs, cameras, load, per_image or _CORNERS_PER_IMAGE)
+        )
         progress(number, len(pairs_of))
     return builder.result()
 
@@ -84,12 +86,12 @@ def _tracks_of(
     for pair in pairs:
         _, points1, points2 = pair.towards(name)
         raw = Matches(points1, points2, pair.scores, pair.row.error_px or 1.0)
-        matches_of_pairs.append(consistent(raw, _NEIGHBOURS))
+        matches_of_pairs.append(consistent(raw, _AFFINITY_MATCHES))
     corners = _choose(grey, matches_of_pairs, per_image)
     tracks = []
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other, *_ = pair.towards(name)
-        start = _predicted(corners, matches, _REACH * max(image.size))
+        start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(image.size))
         if len(start.index) == 0:
             continue
         scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
@@ -149,7 +151,7 @@ def _grey(image: Image) -> np.ndarray:
 
 def _smoothed(grey: np.ndarray, scale: float) -> np.ndarray:
     """An image that shows things `scale` times larger, without what the smaller one cannot show."""
-    if scale < _SIMILAR:
+    if scale < _MAX_UNSMOOTHED_SCALE:
         return grey
     blurred: np.ndarray = cv2.GaussianBlur(grey, (0, 0), 0.5 * float(np.sqrt(scale**2 - 1)))
     return blurred

@@ -1,4 +1,4 @@
-"""What an EXIF block says of the camera that took the image."""
+"""The camera of a photograph by its EXIF block."""
 
 import math
 import warnings
@@ -16,15 +16,15 @@ CAMERA_TAGS = (
     *(_FOCAL_LENGTH, _WIDTH, _HEIGHT, _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT),
     *(_DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL),
 )
-_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file does not say it
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
 _MAX_ZOOM = 200.0
-_SQUARE_PIXELS = 0.02  # largest difference of the resolutions along x and y, as a share
+_MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
 _MAX_TEXT = 80  # characters of a name
 
 
 @dataclass(frozen=True)
 class Exif:
-    """What is known of a camera. Numbers are positive and finite, None where there is none."""
+    """A camera by EXIF data. Numbers are positive and finite, None where there is none."""
 
     make: str = ""
     model: str = ""
@@ -38,7 +38,7 @@ class Exif:
 
 
 def read_exif(block: bytes) -> Exif:
-    """What an EXIF block says, with or without `Exif\\0\\0` before it; nothing if it is damaged."""
+    """Read an EXIF block, with or without `Exif\\0\\0` before it; a damaged one as an empty one."""
     if not block:
         return Exif()
     try:
@@ -92,7 +92,7 @@ def _size(width: Any, height: Any) -> tuple[int, int] | None:
 def _pixels_per_mm(along_x: Any, along_y: Any, unit: Any) -> float | None:
     """None for pixels that are not square, as of sensors that were interpolated along one axis."""
     x, y = _number(along_x), _number(along_y)
-    if x is None or (y is not None and abs(x - y) > _SQUARE_PIXELS * x):
+    if x is None or (y is not None and abs(x - y) > _MAX_RESOLUTION_DIFFERENCE * x):
         return None
     unit_mm = _UNIT_MM.get(2 if unit is None else unit)
     return None if unit_mm is None else x / unit_mm

@@ -1,4 +1,4 @@
-"""The images below a folder, told by their content, and what is left out."""
+"""The images below a folder by their content, and what is left out."""
 
 import os
 from collections.abc import Iterator, Sequence

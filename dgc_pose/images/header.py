@@ -1,6 +1,6 @@
 """The header of an encoded image: format, size and orientation, without decoding a pixel.
 
-A file's format is told by its first bytes, never by its name. Pillow reads the headers, OpenCV the
+A file has the format of its first bytes, whatever its name. Pillow reads the headers, OpenCV the
 pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory for what a header
 claims, so an image is decoded only after its size is known.
 """
@@ -16,7 +16,7 @@ import PIL.Image
 from dgc_pose.errors import is_installed
 from dgc_pose.images.exif import CAMERA_TAGS, EXIF_DIRECTORY, MAKE, MODEL
 
-START_BYTES = 4096  # of a file, by which its format is told
+START_BYTES = 4096  # of a file, which its format is recognised by
 _RAW = "RAW"
 # The formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
 _FORMATS = {
@@ -39,12 +39,12 @@ _KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  
 
 
 class UnreadableFormatError(ValueError):
-    """A file's format is not known, or is not read. The message says what the file is."""
+    """A file's format is not known, or is not read. The message names what the file is."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What an encoded image says of itself."""
+    """Format, size and EXIF data of an encoded image."""
 
     format: str  # a key of `_FORMATS`
     size: tuple[int, int]  # (width, height) as it is decoded
@@ -55,7 +55,7 @@ class Header:
 def image_format(start: bytes) -> str:
     """The format of an image file by its first `START_BYTES` or more, or by all of a smaller file.
 
-    Raises UnreadableFormatError, which says what the file is, if it is not read.
+    Raises UnreadableFormatError, which names what the file is, if it is not read.
     """
     name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
     if name is None:
@@ -89,8 +89,8 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
                 if tag not in tags:
                     raise ValueError(f"it has no {what} (tag {tag})")
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
-            says = any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL))
-            exif = _tiff_exif(data, tags, complete) if says else b""
+            has_camera = any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL))
+            exif = _tiff_exif(data, tags, complete) if has_camera else b""
             return Header(name, size, _known(tags.get(_ORIENTATION, 1)), exif)
         return _pillow_header(data, name, complete)
 
@@ -105,13 +105,13 @@ def _is_raw(start: bytes) -> bool:
             warnings.simplefilter("ignore")
             tags = _tiff_tags(start)
         return _DNG_VERSION in tags or bool(tags.get(_KIND, 0) & 1)
-    except Exception:  # tags that are damaged: the header's reader tells
+    except Exception:  # damaged tags, which the header's reader refuses
         return False
 
 
 def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
-    """The tags of a TIFF's first image, or of the directory at an offset. Pillow's own reader
-    refuses kinds that OpenCV decodes."""
+    """The tags of a TIFF's first image, or of the directory at an offset. Pillow's reader
+    of images refuses kinds that OpenCV decodes, such as floats in three colours."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     stream = io.BytesIO(data)
@@ -122,7 +122,7 @@ def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
 
 
 def _tiff_exif(data: bytes, tags: Any, complete: bool) -> bytes:
-    """An EXIF block with what the tags of a TIFF say of the camera, empty if they are damaged.
+    """An EXIF block with the tags of a TIFF that are of the camera, empty if they are damaged.
 
     Raises ValueError if there may be more of it behind `data`.
     """

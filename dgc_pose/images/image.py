@@ -180,7 +180,7 @@ def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
         if error.code == cv2.Error.STS_NO_MEM:
             raise MemoryError from None
         raise ImageError(f"{path} is corrupt: {error.err}") from None
-    if array is None:  # OpenCV does not say why
+    if array is None:  # OpenCV gives no reason
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
     _check_pixel_count(array.shape[1], array.shape[0], path)
     return array
@@ -207,7 +207,7 @@ def _checked_header(data: bytes, path: Path) -> Header:
         header = read_header(data)
     except UnreadableFormatError as error:
         raise ImageError(f"{path} is {error}") from None
-    except Exception as error:  # each format's reader raises its own
+    except Exception as error:  # of any type, by the format's reader
         raise ImageError(f"{path} is corrupt: {reason(error)}") from error
     _check_pixel_count(*header.size, path)
     return header

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.colmap.database import colmap_camera, write_database
+from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.epipolar import essential_from_pose

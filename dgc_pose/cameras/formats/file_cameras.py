@@ -1,4 +1,4 @@
-"""What a file says of cameras, and the numbers in it."""
+"""The cameras of a file, and the numbers in it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

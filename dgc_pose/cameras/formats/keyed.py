@@ -1,5 +1,5 @@
 """Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, Kalibr's camchain.yaml,
-EuRoC's sensor.yaml, and JSON of our own.
+EuRoC's sensor.yaml, and JSON as `camera_data` writes it.
 
 cv::FileStorage does not read them here: damaged files of a few hundred bytes end the process.
 """

@@ -14,9 +14,9 @@ from dgc_pose.cameras.formats.file_cameras import FileCameras, matrix
 from dgc_pose.cameras.formats.lens import file_lens, may_matter
 from dgc_pose.errors import InputError, reason
 
-_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
-# Of these a frame's own are in place of all that the file has for the others.
-_SAME = (_KEYS[:4], ("camera_model", "is_fisheye"))
+_INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
+# Where a frame has one key of a group, the file's values for that group do not hold for it.
+_GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
 
 
 def is_transforms(data: Mapping[str, Any]) -> bool:
@@ -35,10 +35,16 @@ def transforms(data: Mapping[str, Any], where: str) -> FileCameras:
             common = replace(common, identity=where)
         by_name = {}
         for frame in data.get("frames", ()):
-            own = {key: value for key, value in frame.items() if key in _KEYS or may_matter(key)}
-            replaced = {key for keys in _SAME if not own.keys().isdisjoint(keys) for key in keys}
+            of_frame = {
+                key: value
+                for key, value in frame.items()
+                if key in _INTRINSIC_KEYS or may_matter(key)
+            }
+            replaced = {
+                key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys
+            }
             rest = {key: value for key, value in data.items() if key not in replaced}
-            camera = common if not own else _camera({**rest, **own})
+            camera = common if not of_frame else _camera({**rest, **of_frame})
             if camera is not None:
                 by_name[str(frame["file_path"])] = camera
             elif common is not None:
