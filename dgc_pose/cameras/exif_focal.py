@@ -3,12 +3,18 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain
 
-from dgc_pose.cameras.sensors import sensor_width_mm
-from dgc_pose.images.exif import Exif
+import PIL.Image
+from PIL.TiffImagePlugin import IFDRational
+
+from dgc_pose.files.outputs import scratch_folder
+from dgc_pose.images.exif import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
+from dgc_pose.system.stderr import quiet
 
 _FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
+_BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
 
 # Deviations of the logarithm of the focal length in pixels. That on 35 mm film: EXIF leaves open
 # which side of the images it holds for; cameras' makers agreed on the diagonal (CIPA DCG-001), and
@@ -125,7 +131,7 @@ def _on_sensor(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
     longer = max(whole.width, whole.height)
     focal = exif.focal_mm * exif.digital_zoom
     zoom_std = ZOOM_STD if exif.digital_zoom > 1 else 0.0
-    in_table = sensor_width_mm(exif.make, exif.model)
+    in_table = _sensor_width_mm(exif.make, exif.model)
     if exif.pixels_per_mm is not None:
         width = longer / whole.scale / exif.pixels_per_mm
         same = in_table is None or abs(math.log(width / in_table)) <= _MAX_WIDTH_DIFFERENCE
@@ -135,10 +141,32 @@ def _on_sensor(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
         yield focal / in_table * longer, math.hypot(SENSOR_TABLE_STD, zoom_std)
 
 
+@lru_cache(maxsize=256)
+def _sensor_width_mm(make: str, model: str) -> float | None:
+    """The longer side of a camera's sensor, millimetres, in COLMAP's table; None if it has no such
+    camera."""
+    if not (make and model):
+        return None
+    from dgc_pose.system.colmap_library import pycolmap
+
+    # The table itself is out of reach: COLMAP gives the focal length in pixels of an image file
+    # whose lens has 1 mm. Of a photograph it would decode all pixels, prefer the focal length on
+    # 35 mm film without its deviation, and not read HEIC.
+    exif = PIL.Image.Exif()
+    exif[MAKE], exif[MODEL] = make, model
+    exif.get_ifd(EXIF_DIRECTORY)[FOCAL_LENGTH] = IFDRational(1, 1)
+    with scratch_folder() as folder:
+        path = folder / "blank.jpg"
+        PIL.Image.new("L", (_BLANK_WIDTH, 8)).save(path, exif=exif)
+        with quiet():
+            camera = pycolmap.infer_camera_from_image(path)
+    return _BLANK_WIDTH / camera.focal_length if camera.has_prior_focal_length else None
+
+
 def _diagonal(whole: _Whole) -> tuple[float, float]:
     """The diagonal that stands for that of the film, and the deviation of its logarithm.
 
-    Of an image of another shape than a sensor's: between its diagonal and that of the sensor's image.
+    Of an image of no sensor's shape: between its diagonal and that of the sensor's image.
     """
     longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
     diagonal = math.hypot(longer, shorter)

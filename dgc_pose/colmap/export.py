@@ -11,7 +11,7 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.cells import merge_by_cells
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.options import SharingOptions
-from dgc_pose.colmap.shared import PairGeometry, SharedMatches
+from dgc_pose.colmap.shared import PairGeometry, SharedMatches, merge_by_cells
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS

@@ -8,12 +8,12 @@ from typing import Any
 import PIL.Image
 
 MAKE, MODEL, EXIF_DIRECTORY = 271, 272, 34665
-_FOCAL_LENGTH, _WIDTH, _HEIGHT = 37386, 40962, 40963
+FOCAL_LENGTH, _WIDTH, _HEIGHT = 37386, 40962, 40963
 _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
 _DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL = 41988, 41989, 42036
 # The tags that `read_exif` reads in the directory of EXIF, beside the two in the block's first.
 CAMERA_TAGS = (
-    *(_FOCAL_LENGTH, _WIDTH, _HEIGHT, _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT),
+    *(FOCAL_LENGTH, _WIDTH, _HEIGHT, _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT),
     *(_DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL),
 )
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
@@ -56,7 +56,7 @@ def read_exif(block: bytes) -> Exif:
         _text(make),
         _text(model),
         _text(read[_LENS_MODEL]),
-        _number(read[_FOCAL_LENGTH]),
+        _number(read[FOCAL_LENGTH]),
         _number(read[_FOCAL_LENGTH_35MM]),
         zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
         _size(read[_WIDTH], read[_HEIGHT]),

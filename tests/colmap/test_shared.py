@@ -9,9 +9,8 @@ from multi_view import render_views
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from dgc_pose.colmap.cells import merge_by_cells
 from dgc_pose.colmap.options import SharingOptions
-from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px, one_to_one
+from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px, merge_by_cells, one_to_one
 
 
 def _tracks(shared: SharedMatches) -> dict[int, int]:

@@ -6,11 +6,10 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dgc_pose.cameras.calibration import Calibration, parse_camera, read_calibration
+from dgc_pose.cameras.calibration import Calibration, parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import write_line
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Header
 
 SIZE = (640, 480)
 COEFFICIENTS = {
@@ -118,33 +117,6 @@ def test_a_camera_that_is_no_line(camera: Camera, said: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("image", "number"),
-    [("d/1.jpg", 1), ("/home/x/photos/d/1.jpg", 1), ("d/2.jpg", 2), ("3.jpg", 3), ("e/2.jpg", 4)],
-)
-def test_an_image_of_a_model_by_its_name_or_file_name(
-    tmp_path: Path, image: str, number: int
-) -> None:
-    model = pycolmap.Reconstruction()
-    for key, name in enumerate(("d/1.jpg", "d/2.jpg", "c/3.jpg", "e/2.jpg"), start=1):
-        camera = _theirs("PINHOLE")
-        camera.camera_id, camera.params = key, [500.0 + key, 500, 320, 240]
-        model.add_camera_with_trivial_rig(camera)
-        listed = pycolmap.Image(name=name, camera_id=key, image_id=key)
-        model.add_image_with_trivial_frame(listed, pycolmap.Rigid3d())
-    model.write_binary(tmp_path)
-    calibration = read_calibration(str(tmp_path))
-    header = Header("JPEG", SIZE)
-    camera = calibration.camera(Path(), image, header)
-    assert camera.K[0, 0] == 500 + number
-    assert camera.identity == calibration.camera(Path("x"), image, header).identity
-    assert parse_camera(f"{tmp_path}:3").K[0, 0] == 503
-    with pytest.raises(InputError, match=r"has no camera for x\.jpg: say which, as .*:4$"):
-        calibration.camera(Path(), "x.jpg", header)
-    with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
-        calibration.camera(Path(), "2.jpg", header)
-
-
-@pytest.mark.parametrize(
     ("listed", "root", "name", "found"),
     [
         (("left/1.png", "right/2.png"), "/F", "left/1.png", True),
@@ -174,6 +146,15 @@ def test_another_folder_contradicts(
     }
     camera = Calibration("sparse", cameras).named(Path(root), name)
     assert (camera is cameras[listed[0]]) if found else camera is None
+
+
+def test_a_name_of_two_images_is_refused() -> None:
+    cameras = {name: Camera(np.eye(3)) for name in ("d/2.jpg", "e/2.jpg", "c/3.jpg")}
+    calibration = Calibration("sparse", cameras)
+    assert calibration.named(Path(), "/home/x/photos/e/2.jpg") is cameras["e/2.jpg"]
+    assert calibration.named(Path(), "3.jpg") is cameras["c/3.jpg"]
+    with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
+        calibration.named(Path(), "2.jpg")
 
 
 def test_another_folder_contradicts_from_within_it(
