@@ -163,6 +163,12 @@ def test_a_wrong_line_of_names_is_named(tmp_path, text, reason):
         read_pair_list(pair_file(tmp_path, text))
 
 
+def test_a_table_with_a_field_without_end_names_the_line(tmp_path):
+    path = pair_file(tmp_path, f"a,b\n{'a' * 200_000},b\n", "pairs.csv")
+    with pytest.raises(InputError, match=":2: field larger than"):
+        read_pair_list(path)
+
+
 @pytest.mark.parametrize("read", [read_pairs, read_pair_list])
 @pytest.mark.parametrize(
     ("content", "reason"),
