@@ -11,7 +11,6 @@ import torch
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.device import choose_device
-from dgc_pose.network.stored import shipped
 from dgc_pose.network.weights import load_network
 from dgc_pose.training.evaluation.map_comparison import Comparison, compare, compare_matcher
 from dgc_pose.training.evaluation.map_scores import PairScores, score_map
@@ -70,7 +69,7 @@ def _map_method(name: str, device: torch.device) -> MapMethod:
     if options.kind.network or name in shipped():
         net = load_network(name, device)
         return lambda pairs: compare(net, pairs.to(device))
-    return partial(compare_matcher, options.load())
+    return partial(compare_matcher, kind.load(options, None, None))
 
 
 def map_outcomes(

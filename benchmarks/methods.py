@@ -118,7 +118,10 @@ def load_matchers(
             continue
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
         loaded_options = replace(options, device=device, runtime=runtime)
-        matcher = loaded_options.load(kept, engines.get(name))
+        if name in RIVALS:
+            matcher = RIVALS[name].load(loaded_options, kept, None)
+        else:
+            matcher = loaded_options.load(kept, engines.get(name))
         engines[name] = matcher.engine
         matchers[options] = matcher
     return matchers
@@ -133,8 +136,9 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     if not weights:
         raise InputError(f"the method {text!r} has no name")
     matcher = replace(defaults.matcher, weights=weights)
-    everywhere, network = name != weights, matcher.kind.network and weights not in stored
-    if everywhere and not matcher.kind.dense_map and weights not in stored:
+    kind = kind_of(matcher)
+    everywhere, network = name != weights, kind.network and weights not in stored
+    if everywhere and not kind.dense_map and weights not in stored:
         raise InputError(f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing")
     used: set[str] = set()
     try:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching.deep_matching import DeepMatcher
 from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.key_points import KeyPointCache, key_point_cache
@@ -66,8 +65,7 @@ class MatcherOptions:
     weights: str = option(
         DEFAULT_WEIGHTS,
         "Shipped weights by name; a file, .safetensors or an authors' .pth; or another matcher: "
-        "sift, dis (optical flow), rocco, deepmatching, MODEL.onnx (a detector with descriptors), "
-        "or vismatch:NAME.",
+        "sift, dis (optical flow), MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
         metavar="NAME|FILE",
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
@@ -162,8 +160,7 @@ def _network(
         cache=caches.features if caches else None,
         engine=engine,
     )
-    source = options.refinement.source
-    if source == "none" or (source == "auto" and matcher.engine.config.is_geometric):
+    if options.refinement.source == "none":
         return matcher
     native = caches.native if caches else None
     return Refiner(matcher, source, options.matching.max_matches, native)
@@ -177,8 +174,6 @@ def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:
 KINDS = (
     MatcherKind("sift", lambda options, caches, _: SiftMatcher(cache=_key_points(caches))),
     MatcherKind("dis", lambda options, *_: FlowMatcher(options.matching), dense_map=True),
-    MatcherKind("rocco", _network, dense_map=True),
-    MatcherKind("deepmatching", lambda options, *_: DeepMatcher(options.matching), dense_map=True),
     MatcherKind(
         "*.onnx", lambda options, caches, _: OnnxMatcher(options.weights, _key_points(caches))
     ),

@@ -88,10 +88,9 @@ class TrainingOptions:
 
     @property
     def encoder_is_frozen(self) -> bool:
-        """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper, or of a
-        trained network."""
+        """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper."""
         is_vgg = not isinstance(self.config.pyramid, EfficientNet)
-        return is_vgg and (self.encoder is not None or self.init is not None)
+        return is_vgg and self.encoder is not None
 
     @property
     def stages(self) -> Schedule:

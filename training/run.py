@@ -11,8 +11,9 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
+from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import load_checkpoint, save_weights
+from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.log import Row, append
@@ -75,6 +76,9 @@ class Trainer:
         )
         if options.encoder is not None:
             initialise_encoder(options.encoder, self.net, normalise(self._validation[0].image1))
+        if options.fit_decoders is not None and not path.exists():
+            trained = load_network(options.fit_decoders, self.device)
+            fit_decoders(self.net, trained, self._fitting_pairs(), options.seed)
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
-from dgc_pose.network.correspondence_net import CorrespondenceNet
+from dgc_pose.network.net import DGCNet
 from dgc_pose.training.evaluation.map_comparison import compare
 from dgc_pose.training.evaluation.map_scores import WITHIN, score_map, summarise_maps
 from dgc_pose.training.synthesis.map_pairs import MapPairs
@@ -28,7 +28,7 @@ def validation_pairs(
     ]
 
 
-def validate(net: CorrespondenceNet, batches: Iterable[MapPairs]) -> dict[str, float]:
+def validate(net: DGCNet, batches: Iterable[MapPairs]) -> dict[str, float]:
     """Figures over the pairs, in pixels of 240.
 
     `aepe` (of valid pixels, mean of a pair, then over pairs), `epe_median` (of all valid pixels),

@@ -61,12 +61,11 @@ class NetworkConfig:
 
     name: str
     pyramid: tuple[PyramidLevel, ...] | EfficientNet  # levels 0 (finest, 240) to 4 (coarsest, 15)
-    decoders: tuple[DecoderConfig, ...]  # levels 0 to 4; none of a `GeometricNet`
+    decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
     # A decoder's output: the map itself (the paper), the displacement from the identity (the
     # paper's DGC-Net-flow), or a correction of the previous map in cells, where the first map is
-    # the peak of the correlation of CORRELATED levels at two scales (ours). "transformations": no
-    # decoders, but an affine transformation and a spline (`GeometricNet`).
-    output: Literal["absolute", "displacement", "residual", "transformations"] = "absolute"
+    # the peak of the correlation of CORRELATED levels at two scales (ours).
+    output: Literal["absolute", "displacement", "residual"] = "absolute"
     # None: DGC-Net. "network": the paper's mask network on level 0. "decoder": a third channel of
     # every decoder, refined level by level like the map (ours).
     matchability: Literal["network", "decoder"] | None = None
@@ -77,14 +76,6 @@ class NetworkConfig:
     align_corners: bool = True
 
     def __post_init__(self) -> None:
-        if self.is_geometric:
-            if self.decoders or self.matchability is not None or self.correlation == "local":
-                raise InputError(
-                    "transformations need the global correlation, no decoders and no mask"
-                )
-            return
-        if not self.decoders:
-            raise InputError(f"a map that is {self.output} needs decoders")
         if self.any_shape and (
             self.correlation == "local"
             or self.matchability == "network"
@@ -103,11 +94,6 @@ class NetworkConfig:
         if isinstance(self.pyramid, EfficientNet):
             return (*map(output_channels, self.pyramid.fine), *self.pyramid.channels)
         return tuple(map(output_channels, self.pyramid))
-
-    @property
-    def is_geometric(self) -> bool:
-        """Whether this is a `GeometricNet`'s: transformations instead of a map of cells."""
-        return self.output == "transformations"
 
     @property
     def any_shape(self) -> bool:
@@ -188,9 +174,6 @@ PRESETS: dict[str, NetworkConfig] = {
         output="residual",
         matchability="decoder",
         align_corners=False,
-    ),
-    "rocco": NetworkConfig(
-        "rocco", _LITE_PYRAMID, (), output="transformations", align_corners=False
     ),
 }
 

@@ -67,24 +67,15 @@ class EfficientPyramid(nn.Module):
 
     def coarse(self, image: Tensor) -> list[Tensor]:
         """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
-        level2, level3, level4 = self._taken(image)
-        mixed3 = F.relu(self.head_3(level3) + _upsampled(self.lift_4(level4)))
-        mixed2 = F.relu(self.head_2(level2) + _upsampled(self.lift_3(mixed3)))
-        return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
-
-    def coarsest(self, image: Tensor) -> Tensor:
-        """Features of level 4 alone."""
-        features: Tensor = self.head_4(self._taken(image)[-1])
-        return features
-
-    def _taken(self, image: Tensor) -> list[Tensor]:
-        """What levels 2 to 4 take from the backbone."""
         features, taken = self.stem(image), []
         for index, block in enumerate(self.blocks):
             features = block(features)
             if index in LAST_BLOCKS:
                 taken.append(features)
-        return taken
+        level2, level3, level4 = taken
+        mixed3 = F.relu(self.head_3(level3) + _upsampled(self.lift_4(level4)))
+        mixed2 = F.relu(self.head_2(level2) + _upsampled(self.lift_3(mixed3)))
+        return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
 
     def freeze_fine_levels(self) -> None:
         """Make levels 2 to 4 trainable, and freeze levels 0 and 1."""

@@ -7,9 +7,7 @@ import torch
 from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dgc_pose.network.correspondence_net import CorrespondenceNet
-
-Net = TypeVar("Net", bound=CorrespondenceNet)
+Net = TypeVar("Net", bound=nn.Module)
 
 
 def for_inference(net: Net) -> Net:

@@ -32,11 +32,6 @@ class Pyramid(nn.Module):
         """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
         return self(image)[2:]
 
-    def coarsest(self, image: Tensor) -> Tensor:
-        """Features of level 4 alone."""
-        features: list[Tensor] = self(image)
-        return features[-1]
-
 
 def plain_level(level: PyramidLevel, inputs: int, batch_norm: bool = False) -> nn.Sequential:
     """The layers of a level with `inputs` input channels."""

@@ -13,9 +13,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.files.outputs import replaced, writing
-from dgc_pose.network.config import DEFAULT_WEIGHTS, NetworkConfig, preset
-from dgc_pose.network.correspondence_net import CorrespondenceNet
-from dgc_pose.network.geometric_net import GeometricNet
+from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import (
     COUNTER,
@@ -29,67 +27,38 @@ from dgc_pose.network.stored import (
 
 DEFAULT = DEFAULT_WEIGHTS
 _MASK = "matchability_net."
-_PYRAMID = "pyramid."
-_ENCODER = "encoder"  # in a header, the fingerprint of the pyramid
 
 
-def build_network(config: NetworkConfig) -> CorrespondenceNet:
-    """The network of a configuration, not trained; a `GeometricNet` has the encoder of DEFAULT."""
-    if not config.is_geometric:
-        return DGCNet(config)
-    net = GeometricNet(config)
-    net.pyramid.load_state_dict(load_network(DEFAULT).pyramid.state_dict())
-    return net
-
-
-def load_network(
-    weights: str | Path = DEFAULT, device: torch.device | str = "cpu"
-) -> CorrespondenceNet:
+def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cpu") -> DGCNet:
     """A network with its weights, in evaluation mode and frozen.
 
     weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;
     `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first keys that
-    differ, if it is missing, unreadable or of another network, or if it is a `GeometricNet` that
-    was trained on another encoder than that of DEFAULT.
+    differ, if it is missing, unreadable or of another network.
     """
     path = find_weights(weights)
     if path.suffix == SUFFIX:
         header, state = read_safetensors(path, "pt")
         name = header["preset"]
     else:
-        name, state, header = *_read_checkpoint(path), {}
-    net = build_network(preset(name))
-    check_tensors(path, name, state, _stored(net))
-    if isinstance(net, GeometricNet) and header.get(_ENCODER) != network_fingerprint(net.pyramid):
-        raise WeightsError(f"{path}: trained on another encoder than that of {DEFAULT}")
+        name, state = _read_checkpoint(path)
+    net = DGCNet(preset(name))
+    check_tensors(path, name, state, net.state_dict())
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
     return net.eval().requires_grad_(False).to(device)
 
 
-def save_weights(net: CorrespondenceNet, path: str | Path) -> None:
-    """Write a network as safetensors in half precision, its preset's name in the header.
-
-    Of a `GeometricNet` the regressions alone, with the fingerprint of its encoder.
-    """
+def save_weights(net: DGCNet, path: str | Path) -> None:
+    """Write a network as safetensors in half precision, its preset's name in the header."""
     state = {
         key: value.detach().cpu().half().contiguous()
-        for key, value in _stored(net).items()
+        for key, value in net.state_dict().items()
         if not key.endswith(COUNTER)
     }
     header = {"preset": net.config.name}
-    if isinstance(net, GeometricNet):
-        header[_ENCODER] = network_fingerprint(net.pyramid)
     with replaced(Path(path)) as temporary, writing(temporary):
         # Not save_file, whose files only their owner may read.
         temporary.write_bytes(save(state, metadata=header))
-
-
-def _stored(net: CorrespondenceNet) -> dict[str, Tensor]:
-    """What a file of the network holds."""
-    state = net.state_dict()
-    if isinstance(net, GeometricNet):
-        return {key: value for key, value in state.items() if not key.startswith(_PYRAMID)}
-    return state
 
 
 def network_fingerprint(net: nn.Module) -> str:

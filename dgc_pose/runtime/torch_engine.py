@@ -15,16 +15,15 @@ from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.inference import for_inference
-from dgc_pose.network.net import normalise
+from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_network, network_fingerprint
 from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
 
 
 @dataclass(frozen=True, eq=False)
 class TorchFeatures:
-    """`MapFeatures` as `CorrespondenceNet.features` gives them, of a batch of one."""
+    """`MapFeatures` as `DGCNet.features` gives them, of a batch of one."""
 
     levels: list[Tensor]
     size: tuple[int, int]  # (width, height) of the resized image
@@ -42,7 +41,7 @@ class TorchEngine:
 
     concurrent = False  # its layers use all threads, or the GPU
 
-    def __init__(self, net: CorrespondenceNet, fingerprint: str | None = None) -> None:
+    def __init__(self, net: DGCNet, fingerprint: str | None = None) -> None:
         self.net = net.eval().requires_grad_(False)
         self.config = net.config
         self._fingerprint = fingerprint

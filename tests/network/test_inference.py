@@ -39,7 +39,7 @@ def _apart_px(one: Prediction, other: Prediction) -> Tensor:
     return (one.maps[-1] - other.maps[-1]).norm(dim=1) * INPUT_SIZE / 2
 
 
-@pytest.mark.parametrize("name", ["dgcm", "dgcm-lite0", "rocco"])
+@pytest.mark.parametrize("name", ["dgcm", "dgcm-lite0"])
 def test_the_same_map(name: str) -> None:
     # Random features are all but alike, and their first correlation peak a matter of rounding.
     net = load_network(name) if name in shipped() else _net(name)
@@ -51,12 +51,9 @@ def test_the_same_map(name: str) -> None:
         wanted, found = net(*inputs), fast(*inputs)
     apart = _apart_px(found, wanted)
     assert wanted.maps[-1].std() > 1e-3  # a map that is the same everywhere would show nothing
-    # A transformation's few numbers sum over all cells: rounding moves every pixel alike.
-    assert apart.median() < (1e-2 if net.config.is_geometric else 1e-3)
+    assert apart.median() < 1e-3
     assert apart.quantile(0.99) < 0.05
     assert len(found.logits) == len(wanted.logits)
-    if not wanted.logits:
-        return
     # As probabilities: a logit of -10 carries a hundredth of rounding, which means nothing.
     found_mask, wanted_mask = found.logits[-1].sigmoid(), wanted.logits[-1].sigmoid()
     off = (found_mask - wanted_mask).abs()[:, 0]

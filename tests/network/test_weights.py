@@ -4,14 +4,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import build_network, load_network, save_weights
+from dgc_pose.network.weights import load_network, save_weights
 
 
 def _random_net(name: str) -> DGCNet:
@@ -75,34 +74,6 @@ def test_an_ablation_is_known_again_by_its_name(tmp_path: Path, name: str) -> No
     save_weights(net, tmp_path / "a.safetensors")
     assert load_network(tmp_path / "a.safetensors").config == net.config == preset(name)
     assert net.config != preset("dgcm-lite0")
-
-
-def test_transformations_leave_their_encoder_to_the_default(tmp_path: Path) -> None:
-    torch.manual_seed(7)
-    net = build_network(preset("rocco")).eval()
-    torch.nn.init.normal_(net.get_submodule("spline.final").weight)
-    path = tmp_path / "rocco.safetensors"
-    save_weights(net, path)
-    assert path.stat().st_size < 3e6
-    with safe_open(path, "pt") as file:
-        assert not any(key.startswith("pyramid.") for key in file.keys())
-    loaded = load_network(path)
-    assert loaded.config == net.config and not any(p.requires_grad for p in loaded.parameters())
-    for key, value in net.state_dict().items():
-        if not key.endswith("num_batches_tracked"):
-            assert torch.equal(loaded.state_dict()[key], value.half().float()), key
-    default = load_network()
-    for key, value in default.pyramid.state_dict().items():
-        assert torch.equal(loaded.pyramid.state_dict()[key], value)
-
-
-def test_transformations_of_another_encoder_are_refused(tmp_path: Path) -> None:
-    net = build_network(preset("rocco"))
-    with torch.no_grad():
-        net.get_parameter("pyramid.head_4.bias")[0] += 1
-    save_weights(net, tmp_path / "rocco.safetensors")
-    with pytest.raises(WeightsError, match="rocco.safetensors: trained on another encoder than"):
-        load_network(tmp_path / "rocco.safetensors")
 
 
 def test_missing_and_unreadable_files_are_named(tmp_path: Path) -> None:

@@ -1,19 +1,19 @@
 """A method's dense maps of pairs, with the true maps."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.metrics import endpoint_errors
-from dgc_pose.network.config import INPUT_SIZE
+from dgc_pose.network.config import INPUT_SIZE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.correspondence_net import CorrespondenceNet
 from dgc_pose.network.net import normalise
 from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays, level_truth
 
@@ -55,11 +55,13 @@ class Comparison:
 
 
 @torch.no_grad()
-def compare(net: CorrespondenceNet, pairs: MapPairs) -> list[Comparison]:
+def compare(net: nn.Module, pairs: MapPairs) -> list[Comparison]:
     """The net's forward pass on a batch of 240x240 pairs, split into pairs.
 
-    The net runs in evaluation mode; its own mode is restored.
+    net: a `DGCNet`, or another module with its `config` that gives a `Prediction`. It runs in
+    evaluation mode; its mode is restored.
     """
+    align_corners = cast(NetworkConfig, net.config).align_corners
     was_training = net.training
     net.eval()
     images = [
@@ -72,7 +74,7 @@ def compare(net: CorrespondenceNet, pairs: MapPairs) -> list[Comparison]:
     levels = []
     for level in prediction.maps:
         truth, valid = level_truth(pairs.map, pairs.valid, level.shape[-1])
-        points = to_pixels(level.float().movedim(1, -1), size, net.config.align_corners)
+        points = to_pixels(level.float().movedim(1, -1), size, align_corners)
         levels.append(
             [LevelMap(*map(_array, parts)) for parts in zip(points, truth, valid, strict=True)]
         )

@@ -10,9 +10,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.network.spline import TPS_KNOTS, Warp, thin_plate_spline
 from dgc_pose.training.synthesis.draw import Draw
 from dgc_pose.training.synthesis.options import WarpOptions
+from dgc_pose.training.synthesis.spline import TPS_KNOTS, Warp, thin_plate_spline
 
 FAR = 1e6  # normalised coordinate of points beyond a homography's horizon
 _CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

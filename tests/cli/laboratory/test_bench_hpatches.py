@@ -94,7 +94,7 @@ def test_out_holds_the_same_figures_and_the_pictures(folder):
 
 
 def test_matchers_without_a_network_stand_in_the_same_tables(folder, monkeypatch):
-    monkeypatch.setattr("dgc_pose.matching.deep_matching.SIDE", 64)
+    monkeypatch.setattr("dgc_pose.benchmarks.rivals.deep_matching.SIDE", 64)
     words = ("--methods", "still,deepmatching,dis", "--json", "s.json", "--out", "run")
     result = bench("--root", "data", *words)
     assert result.exit_code == 0, result.output

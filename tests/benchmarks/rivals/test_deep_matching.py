@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
+from dgc_pose.benchmarks.rivals import deep_matching
+from dgc_pose.benchmarks.rivals.deep_matching import DeepMatcher, deep_matches
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
-from dgc_pose.matching import deep_matching
-from dgc_pose.matching.deep_matching import DeepMatcher, deep_matches
 
 SIDE = 64
 
