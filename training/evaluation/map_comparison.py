@@ -11,10 +11,10 @@ from torch import Tensor, nn
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching.matcher import Matcher
-from dgc_pose.metrics import endpoint_errors
 from dgc_pose.network.config import INPUT_SIZE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import normalise
+from dgc_pose.training.evaluation.map_errors import endpoint_errors
 from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays, level_truth
 
 

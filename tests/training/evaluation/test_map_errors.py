@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.metrics import count_within, endpoint_errors, jaccard
+from dgc_pose.training.evaluation.map_errors import count_within, endpoint_errors, jaccard
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray]
 
