@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scene_pair import RenderedPair, render_scene_pair
 
 from dgc_pose import EstimationOptions, Matcher, RelativePose, estimate_relative_pose, load_matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.training.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 RECORDED = Path(__file__).with_suffix(".csv")
 SIZE = (480, 360)

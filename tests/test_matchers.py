@@ -11,10 +11,10 @@ import torch
 from dgc_pose import MatcherCaches, MatchingOptions, load_dense_matcher, load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching import DenseMatcher, deep_matching
+from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.network.weights import save_weights
 from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.runtime.torch_engine import TorchEngine
 

@@ -38,7 +38,6 @@ from dgc_pose.matching import MatchResult, PairSearch
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import pose_of_pair
-from dgc_pose.training.synthesis.render.scene_pair import RenderedPair, render_scene_pair
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from torch.optim.swa_utils import AveragedModel
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.processes import join_batch_norms, process_count
 from dgc_pose.training.schedule import STAGES, StageName, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
 

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
-from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.training.active_stage import ActiveStage

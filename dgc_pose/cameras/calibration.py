@@ -23,7 +23,7 @@ from dgc_pose.cameras.formats import colmap, plain
 from dgc_pose.cameras.formats.file_cameras import numbers_camera
 from dgc_pose.cameras.formats.keyed import keyed_camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import Photograph, Sharing, auto_camera, auto_cameras
+from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from dgc_pose.cameras.two_views import TwoViews
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.texture import Texture, texture, textured

@@ -23,9 +23,6 @@ from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
 from dgc_pose.benchmarks.homographies import find_homography_pairs, read_lists
-from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.plan import PlanEntry
-from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
 from dgc_pose.benchmarks.samples import MatchSample, read_sample, sample_text
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
