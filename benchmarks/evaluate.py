@@ -96,8 +96,8 @@ class Evaluation(Generic[Score]):
         searches: dict[MatcherOptions, _Search] = {}
         for method in self.methods:
             if method.matcher not in searches:
-                search = self.matchers[method.matcher].search(pair.image1, pair.image2)
-                searches[method.matcher] = _Search(search, {})
+                matcher = self.matchers[method.matcher]
+                searches[method.matcher] = _Search(matcher.search(pair.image1, pair.image2), {})
             search, everywhere_px = searches[method.matcher], (np.nan, np.nan)
             if "epipolar_all_px" in {of.name for of in fields(self.pairs.kind)}:
                 everywhere_px = map_errors(pair.truth, search.whole_map)

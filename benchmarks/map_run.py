@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from dgc_pose.benchmarks.rivals.table import kind_of
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.device import choose_device
@@ -64,9 +65,10 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
 
 def _map_method(name: str, device: torch.device) -> MapMethod:
     options = MatcherOptions(name)
-    if not options.kind.dense_map:
+    kind = kind_of(options)
+    if not kind.dense_map:
         raise InputError(ArgumentName("methods"), f"{name}: has key points alone and no dense map")
-    if options.kind.network or name in shipped():
+    if kind.network:
         net = load_network(name, device)
         return lambda pairs: compare(net, pairs.to(device))
     return partial(compare_matcher, kind.load(options, None, None))

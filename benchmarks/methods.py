@@ -15,8 +15,9 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.rivals.table import RIVALS, kind_of
 from dgc_pose.benchmarks.stored_matches import FileMatcher
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions
 from dgc_pose.matching import Matcher

@@ -16,7 +16,7 @@ from typing import Any, Generic, TextIO, get_type_hints
 
 from dgc_pose.benchmarks.posed_pairs import PairSet
 from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import only_writer, replaced, write_text, writing

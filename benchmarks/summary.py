@@ -9,6 +9,7 @@ import numpy as np
 from dgc_pose.benchmarks.scores import MapScore, PoseScore, Score
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.problem import THRESHOLD_FACTOR
 from dgc_pose.files.json_files import finite_data
 from dgc_pose.files.tables import decimals, table
 from dgc_pose.metrics import pose_auc
@@ -134,7 +135,7 @@ def summary_data(summaries: Sequence[MethodSummary]) -> dict[str, Any]:
 
 def heading(options: EstimationOptions) -> str:
     """What the table's columns mean, and the estimator that all methods went through."""
-    threshold = f"{options.threshold_factor:g} x the matcher's error"
+    threshold = f"{THRESHOLD_FACTOR:g} x the matcher's error"
     if options.threshold_px is not None:
         threshold = f"{options.threshold_px:g} px"
     return (

@@ -75,9 +75,6 @@ class Trainer:
         )
         if options.encoder is not None:
             initialise_encoder(options.encoder, self.net, normalise(self._validation[0].image1))
-        if options.fit_decoders is not None and not path.exists():
-            trained = load_network(options.fit_decoders, self.device)
-            fit_decoders(self.net, trained, self._fitting_pairs(), options.seed)
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds trained, over all sessions of the run
         self.step = 0

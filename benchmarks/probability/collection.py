@@ -110,10 +110,10 @@ def match_and_pool(matcher: Matcher, posed: PosedPair) -> tuple[MatchResult, Mat
     """The matches of a pair, and with those searched again if its pose is in doubt. The matcher is
     to have no quick pass."""
     images, truth = (posed.image1, posed.image2), posed.truth
-    result = matcher.match(*images)
-    cameras = truth.camera1, truth.camera2
-    _, last = pose_of_pair(matcher, *images, *cameras, EstimationOptions(), whole=lambda: result)
-    return result, None if last is result else last.matches
+    search = matcher.search(*images)
+    result = search.whole()
+    pose_of_pair(search, truth.camera1, truth.camera2, EstimationOptions(effort="thorough"))
+    return result, None if search.last is result else search.last.matches
 
 
 def _write(

@@ -25,19 +25,6 @@ from dgc_pose.images.header import Header
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
 
-# Gates that every model passes, so that its pose is known.
-ANY_POSE = VerdictOptions(
-    min_probability=None,
-    min_inliers=0,
-    min_inlier_ratio=0.0,
-    max_log10_false_alarms=math.inf,
-    chance_factor=0.0,
-    min_occupied_cells=0,
-    min_cheirality=0.0,
-    rotation_share=math.inf,
-    strict_rotation_share=math.inf,
-    max_error_deg=math.inf,
-)
 _CHUNK = 16
 CameraCase = Literal["exact", "auto", "wrong"]
 _WRONG_FACTORS = (0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0)  # of the focal lengths

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.records import Record
-from dgc_pose.estimation import VerdictOptions
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.choice import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
@@ -17,7 +17,6 @@ from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
 from dgc_pose.metrics import Reliability, pose_auc
 
-_GATES = VerdictOptions(min_probability=None)
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
 _INLIERS = (0, 60, 200, 600, math.inf)
 _DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
@@ -51,7 +50,7 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
     shares = choice_shares([utility(pose, model.choice) for pose in record.poses])
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
-    verdict = judge(evidence, VerdictOptions(), any_right, (), shares[order].tolist())
+    verdict = judge(evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist())
     known = STATUSES[verdict.status]
     return Judged(
         replace(
@@ -59,7 +58,7 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
             rotation_error_deg=best.rotation_error_deg,
             translation_error_deg=best.translation_error_deg,
         ),
-        STATUSES[judge(evidence, _GATES).status].has_t,
+        STATUSES[judge(evidence, None).status].has_t,
         known.has_t,
         0.0 if known.rotation_alone else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),

@@ -56,7 +56,7 @@ def medians(
     """
     images = load_image(path1), load_image(path2)
     pair_cameras(speed.k, speed.k, *images, ("--K", "--K"))  # refused before a matcher is loaded
-    from dgc_pose.pose import match_and_estimate  # heavy
+    from dgc_pose.pose import estimate_relative_pose  # heavy
 
     loaded, sift = matcher.load(), replace(matcher, weights=SIFT).load()
     ways = {effort: (loaded, EstimationOptions(effort=effort)) for effort in get_args(Effort)}

@@ -86,14 +86,9 @@ def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[Plan
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
     from dgc_pose.benchmarks.probability.planned import planned, require_data
     from dgc_pose.matchers import load_matcher
-    from dgc_pose.refinement import FeatureOptions, RefinementOptions
 
     start = time.monotonic()
-    # A quick pass would take the place of the matches that are to be stored.
-    whole = RefinementOptions(features=FeatureOptions(quick_side=0))
-    matchers = {
-        name: load_matcher(name, device=choice.device, refinement=whole) for name in methods
-    }
+    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
     require_data(entries, choice.data)
     for name, matcher in matchers.items():
         require_engine(choice.out, name, matcher)

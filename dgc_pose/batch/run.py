@@ -26,7 +26,7 @@ from dgc_pose.batch.store import ESTIMATED, MATCHED, PairStore
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Estimate, Job, Match, Matched
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.files.json_files import write_json

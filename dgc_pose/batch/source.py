@@ -11,7 +11,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import with_orientation
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.images.folder import left_out_line, search_images
 from dgc_pose.images.image import image_header
 
