@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
+from dgc_pose.network.weights import load_checkpoint, save_weights
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.log import Row, append

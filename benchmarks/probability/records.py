@@ -17,10 +17,13 @@ from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import Part
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.estimation import EstimationOptions, RelativePose, VerdictOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.relative_pose import Assessment, assess, fitted_cameras
+from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
@@ -98,28 +101,27 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     """The record of one pair."""
     truth = pair.truth
     camera1, camera2 = _cameras(pair, cameras)
-    pose = estimate_pose(
-        pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled,
-        camera1,
-        camera2,
-        replace(options, verdict=ANY_POSE),
-        map_matches=pair.map_matches,
-    )
-    poses = tuple(_pose_record(choice, truth) for choice in pose.hypotheses if choice.likely)
-    known = pose.R is not None and pose.t is not None and poses
-    rotation = poses[0].rotation_error_deg if known else math.inf
-    translation = poses[0].translation_error_deg if known else math.inf
+    matches = pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled
+    stated = camera1, camera2
+    problem = TwoViewProblem.of(matches, *stated, options)
+    assessed = None
+    if len(problem) >= MIN_MATCHES:
+        assessed = assess(problem, matches, stated, options, pair.map_matches)
+    choices = () if assessed is None else assessed.hypotheses
+    poses = tuple(_pose_record(choice, truth) for choice in choices if choice.likely)
+    rotation = poses[0].rotation_error_deg if poses else math.inf
+    translation = poses[0].translation_error_deg if poses else math.inf
     return Record(
         pair.entry,
         pair.scene,
         pair.part,
         pair.exact,
-        pose.evidence,
+        None if assessed is None else assessed.evidence,
         rotation,
         translation,
         poses,
         cameras,
-        _focal_error(pose, truth),
+        _focal_error(assessed, truth),
         _exact(truth),
     )
 
@@ -165,9 +167,12 @@ def _draw(name: str, count: int) -> int:
     return zlib.crc32(f"{count} {name}".encode()) % count
 
 
-def _focal_error(pose: RelativePose, truth: Truth) -> float:
-    fitted = [(pose.camera1, truth.camera1), (pose.camera2, truth.camera2)]
-    pairs = [(camera, true) for camera, true in fitted if camera is not None and camera.focal_std]
+def _focal_error(assessed: Assessment | None, truth: Truth) -> float:
+    if assessed is None:
+        return math.nan
+    cameras = fitted_cameras(assessed) if assessed.fitted else assessed.cameras
+    fitted = zip(cameras, (truth.camera1, truth.camera2), strict=True)
+    pairs = [(camera, true) for camera, true in fitted if camera.focal_std]
     if not pairs:
         return math.nan
     camera, true = max(pairs, key=lambda item: item[0].focal_std)

@@ -50,7 +50,9 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
     shares = choice_shares([utility(pose, model.choice) for pose in record.poses])
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
-    verdict = judge(evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist())
+    verdict = judge(
+        evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
+    )
     known = STATUSES[verdict.status]
     return Judged(
         replace(

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.result import Batch
-from dgc_pose.colmap.cells import merge_by_cells
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches, merge_by_cells

@@ -250,7 +250,7 @@ def _result(
     poses = _explaining(assessed)
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if facts.has_t else ())
-    cameras = _fitted_cameras(assessed) if assessed.fitted else assessed.cameras
+    cameras = fitted_cameras(assessed) if assessed.fitted else assessed.cameras
     pose_covariance = camera_covariance = None
     if facts.has_t and covariance is not None:
         pose_covariance = covariance.pose
@@ -298,7 +298,7 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
     return [replace(h, probability=any_right * h.share) for h in explaining]
 
 
-def _fitted_cameras(assessed: Assessment) -> tuple[Camera, Camera]:
+def fitted_cameras(assessed: Assessment) -> tuple[Camera, Camera]:
     """Fitted cameras with the standard deviations that are left; exact ones as they are."""
     fitted = []
     for number, camera in enumerate(assessed.cameras):
