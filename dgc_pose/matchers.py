@@ -163,7 +163,7 @@ def _network(
     if options.refinement.source == "none":
         return matcher
     native = caches.native if caches else None
-    return Refiner(matcher, source, options.matching.max_matches, native)
+    return Refiner(matcher, options.refinement.source, options.matching.max_matches, native)
 
 
 def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:

@@ -25,8 +25,7 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
     ("words", "told"),
     [
         (("train", "--photos", ".", "--out", "run", "--steps", "1"), f"train needs {_TORCH}"),
-        (("bench-synthetic", "--photos", "."), f"bench-synthetic needs {_TORCH}"),
-        (("bench-hpatches", "--root", "."), f"bench-hpatches needs {_TORCH}"),
+        (("bench-speed",), f"bench-speed needs {_TORCH}"),
         (("bench-pairs", "--rendered", "1", "--photos", "."), f"--rendered needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--weights", "{}/dgcm.pth"), f"dgcm.pth needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--runtime", "torch"), f"runtime torch needs {_TORCH}"),
@@ -41,7 +40,7 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
                 *("batch", "{}", *_K, "--pairs", "exhaustive", "--out", "x"),
                 *("--engine", "ray"),
             ),
-            "--engine ray needs ray, which is not installed: pip install '.[ray]'",
+            "engine ray needs ray, which is not installed: pip install '.[ray]'",
         ),
         (
             ("fit-probability", "--data", ".", "--out", "x", "--plan", "{}/plan.json"),

@@ -25,9 +25,7 @@ class ActiveStage:
     A pretrained backbone learns at a quarter of the rate.
     """
 
-    def __init__(
-        self, name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor
-    ) -> None:
+    def __init__(self, name: StageName, net: DGCNet, options: TrainingOptions) -> None:
         self.name = name
         self._net = net
         self.module: Stage
@@ -108,15 +106,6 @@ def moving_average(module: nn.Module, decay: float) -> AveragedModel:
     average = AveragedModel(module, multi_avg_fn=update, use_buffers=True)
     average.n_averaged += 1  # the initial weights count
     return average.eval().requires_grad_(False)
-
-
-def _module(name: StageName, net: DGCNet, options: TrainingOptions, images: Tensor) -> Stage:
-    if name == "encoder":
-        stage = EncoderStage(net).to(images.device)
-        if options.init is not None:
-            initialise_stage(stage, net, images)
-        return stage
-    return DecoderStage(net, end_to_end=name == "polish")
 
 
 def _rate_groups(module: nn.Module) -> list[dict[str, Any]]:

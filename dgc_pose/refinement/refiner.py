@@ -52,7 +52,7 @@ class Refiner(Matcher):
         self.features: FeatureMatches | None = None
         self.coarser: DenseMatcher | None = None  # makes the map of the quick pass
         if source in ("auto", "features"):
-            if matcher.engine is None or matcher.engine.config.is_geometric:
+            if matcher.engine is None:
                 raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
             self.features = FeatureMatches(matcher.engine, cache=cache)
             if isinstance(matcher, DenseMatcher):

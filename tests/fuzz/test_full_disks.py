@@ -52,8 +52,8 @@ def test_a_batch_onto_a_full_disk_goes_on_when_there_is_room(tmp_path: Path) -> 
     view_folder(tmp_path / "views", 2)
     words = (*BATCH, "--K", K_text())
     ended = full(tmp_path, 3000, *words)
-    assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr.startswith("error: out/matched.bin: ") and ended.stderr.count("\n") == 1
+    assert (ended.returncode, ended.stdout) == (2, ""), ended.stderr
+    assert ended.stderr.startswith("error: out/parts/") and ended.stderr.count("\n") == 1
     again = full(tmp_path, 10**8, *words, "--resume")
     assert again.returncode == 0, again.stderr
     names = {"plan.json", "pairs.jsonl", "matches.h5", "summary.json"}

@@ -18,7 +18,7 @@ from fuzz.readers import make_batch
 from safetensors.torch import load_file, save_file
 
 from dgc_pose import load_image
-from dgc_pose.batch.result import read_batch
+from dgc_pose.batch.run import read_batch
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
