@@ -18,7 +18,7 @@ from evaluation_pairs import (
 )
 
 from dgc_pose.benchmarks.evaluate import Evaluation, score_pairs
-from dgc_pose.benchmarks.methods import load_passes, parse_methods
+from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.samples import read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.scoring import pair_seed
@@ -65,7 +65,7 @@ def test_pairs_are_scored_by_a_call(tmp_path) -> None:
     scores = score_pairs(pairs, names)
     assert list(scores) == names
     methods = parse_methods(names)
-    rows = Evaluation(pairs, methods, load_passes(methods, device="cpu")).run()
+    rows = Evaluation(pairs, methods, load_matchers(methods, device="cpu")).run()
     for name, records in zip(names, zip(*rows, strict=True), strict=True):
         assert [record.key for record in scores[name]] == [record.key for record in records]
         angles = [record.rotation_error_deg for record in scores[name]]
@@ -174,7 +174,7 @@ def test_a_pose_in_doubt_is_that_of_an_estimate(tmp_path, monkeypatch) -> None:
     (pair,) = pairs.read()
     names = ["", ":hypotheses=0:squeezed=false", ":K_scale=1.2", ":threshold_px=8"]
     methods = parse_methods([f"dgcm-lite0{name}" for name in names], None, ESTIMATION)
-    loaded = load_passes(methods, device="cpu", keep_features=True)
+    loaded = load_matchers(methods, device="cpu", keep_features=True)
     assert len(loaded) == 1
     searches = []
 

@@ -1,19 +1,17 @@
 """Methods by specification, and what each takes of a map."""
 
 import cv2
-import dense_scene
 import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.methods import MatchingPass, load_passes, parse_methods
+from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap, MatchingOptions, MatchResult
+from dgc_pose.matching import MatchingOptions
 from dgc_pose.refinement import FeatureOptions, RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
@@ -100,73 +98,23 @@ def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
     assert methods[1].estimation.runs == 2
 
 
-def test_methods_that_differ_after_the_map_share_its_pass() -> None:
-    names = ["n", "n/all", "n:matchability=0.2", "n:runs=2", "n:refine=map", "n:K=auto"]
-    passes = {method.matching_pass for method in parse_methods(names)}
-    assert len(passes) == 1
-    others = ["n:finest=60", "n:cycle_px=2", "n:search_below=0"]
-    assert len(passes | {method.matching_pass for method in parse_methods(others)}) == 4
-
-
-def _map() -> CorrespondenceMap:
-    """10 x 10 cells of 20 pixels onto themselves; half of them trusted, a corner outside."""
-    grid = np.stack(np.meshgrid(np.arange(10.0), np.arange(10.0)), -1).astype(np.float32)
-    grid = 20 * grid + 9.5
-    place = grid.copy()
-    place[:2, :2] -= 100
-    trust = np.zeros((10, 10), np.float32)
-    trust[:, :5] = 0.8
-    return CorrespondenceMap(place, grid, trust, IMAGE.size, IMAGE.size, None)
-
-
-def _taken(name: str, found: CorrespondenceMap | Matches, options: MatchingOptions) -> Matches:
-    (method,) = parse_methods([name], MatcherOptions(matching=options, refinement=UNREFINED))
-    none = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
-    result = MatchResult(none, found)
-    if isinstance(found, Matches):
-        result = MatchResult(found, None)
-    loaded = MatchingPass(dense_scene.MapMatcher(dense_scene.true_map()))
-    return loaded.selected(method, IMAGE, IMAGE, result).matches
-
-
-def test_a_method_takes_what_it_trusts_or_everything() -> None:
-    options = MatchingOptions(min_share=0.9)  # more than the mask leaves
-    trusting = MatchingOptions(matchability=0.5)
-    everywhere = _taken("n/all", _map(), options)
-    assert len(everywhere) == 96
-    assert len(_taken("n", _map(), trusting)) == 46
-    assert len(_taken("n", _map(), MatchingOptions(matchability=0.9))) == 0
-    assert len(_taken("n", _map(), options)) == 0
-    few = MatchingOptions(max_matches=10)
-    assert len(_taken("n/all", _map(), few)) <= 10
-
-
-def test_points_have_no_everywhere() -> None:
-    points = Matches(np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3), 1.0)
-    assert _taken("p", points, MatchingOptions()) is points
-    with pytest.raises(InputError, match="points and no map"):
-        _taken("p/all", points, MatchingOptions())
-
-
 def test_a_matcher_is_loaded_once(tmp_path) -> None:
     methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
     mine = FileMatcher(tmp_path, lambda *names: "pair")
-    loaded = load_passes(methods, device="cpu", stored={"mine": mine})
-    assert [options.weights for options in loaded] == ["dis", "mine"]
-    assert loaded[methods[2].matching_pass].matcher is mine
+    loaded = load_matchers(methods, device="cpu", stored={"mine": mine})
+    assert [options.weights for options in loaded] == ["dis", "dis", "mine"]
+    assert loaded[methods[2].matcher].folder == mine.folder
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
-        load_passes(parse_methods(["nowhere"]), device="cpu")
+        load_matchers(parse_methods(["nowhere"]), device="cpu")
 
 
 def test_a_network_is_read_once_for_all_its_passes() -> None:
     names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
     methods = parse_methods(names)
-    loaded = load_passes(methods, device="cpu", keep_features=True)
-    assert len(loaded) == 2
-    refined, coarse, plain = (loaded[method.matching_pass] for method in methods)
-    assert coarse is plain is not refined
-    assert coarse.matcher.engine is refined.matcher.engine is not None
-    assert coarse.caches is refined.caches
+    loaded = load_matchers(methods, device="cpu", keep_features=True)
+    assert len(loaded) == 3
+    refined, coarse, plain = (loaded[method.matcher] for method in methods)
+    assert coarse.engine is plain.engine is refined.engine is not None
 
 
 def test_refinement_by_features_needs_a_network() -> None:

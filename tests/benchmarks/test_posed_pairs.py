@@ -9,7 +9,7 @@ from photos import write_photos
 
 from dgc_pose.benchmarks import posed_pairs
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MatchingPass, Method
+from dgc_pose.benchmarks.methods import Method
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     PlanePairs,
@@ -46,8 +46,8 @@ def run(pairs, matchers, options):
     methods = [
         Method(name, MatcherOptions(name, refinement=unrefined), options) for name in matchers
     ]
-    passes = {one.matching_pass: MatchingPass(matchers[one.name]) for one in methods}
-    for scores in Evaluation(ListedPairs(pairs), methods, passes).run():
+    loaded = {method.matcher: matchers[method.name] for method in methods}
+    for scores in Evaluation(ListedPairs(pairs), methods, loaded).run():
         yield from scores
 
 

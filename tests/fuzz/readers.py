@@ -1,4 +1,4 @@
-"""Every reader of the product, with good files that the tests make themselves."""
+"""Every reader of the package, with good files that the tests make themselves."""
 
 import base64
 import json
@@ -8,6 +8,8 @@ from pathlib import Path
 
 import cv2
 import dense_scene
+import dtu_layout
+import homography_scene
 import numpy as np
 import PIL.Image
 import pycolmap
@@ -15,11 +17,21 @@ import torch
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.batch.matches_file import Again, PairMatches
-from dgc_pose.batch.plan import Plan, write_plan
+from dgc_pose.batch.plan import Plan, read_plan, write_plan
+from dgc_pose.batch.result import read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import BAD_INPUT, AlternativeRow, PairRow
-from dgc_pose.batch.run import read_batch
-from dgc_pose.batch.store import PartStore, read_part
+from dgc_pose.batch.store import MATCHED, PairStore
 from dgc_pose.batch.work import Matched
+from dgc_pose.benchmarks.dtu.dataset import open_dataset
+from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
+from dgc_pose.benchmarks.homographies import find_homography_pairs, read_lists
+from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
+from dgc_pose.benchmarks.samples import MatchSample, read_sample, sample_text
+from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import RunStore
+from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -27,13 +39,15 @@ from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.files.inputs import read_text
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
-from dgc_pose.matching.files import FileMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
+from dgc_pose.training.synthesis.photos import load_photos
+from dgc_pose.training.synthesis.posed_depth import read_rgbd
 
 Make = Callable[[Path], object]  # writes good files into a folder
 Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
@@ -153,12 +167,45 @@ def _make_batch_lists(folder: Path) -> None:
     _make_pair_list(folder)
 
 
+def _make_layout(layout: str) -> Make:
+    def make(folder: Path) -> None:
+        dtu_layout.WRITERS[layout](folder, dtu_layout.grey_scan([-10.0, 0.0, 12.0]))
+        (folder / "pairs.csv").write_text("scene,view1,view2\n65,1,2\n65,1,3\n")
+        names = "scan65/rect_001_3_r5000.png scan65/rect_002_3_r5000.png"
+        numbers = " ".join(["300 0 80 0 300 60 0 0 1"] * 2 + ["1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1"])
+        (folder / "glue.txt").write_text(f"{names} 0 0 {numbers}\n")
+
+    return make
+
+
+def _read_layout(folder: Path, path: Path) -> None:
+    dataset = open_dataset(folder)
+    if path.parent == folder:
+        read_pair_file(path, dataset)
+
+
+def _make_homographies(folder: Path) -> None:
+    homography_scene.write_sequence(folder / "v_wall", 3)
+    homography_scene.write_lists(folder, ["v_wall"])
+
+
+def _read_homographies(folder: Path, path: Path) -> None:
+    read_lists(folder, folder) if path.suffix == ".csv" else find_homography_pairs(folder)
+
+
 def _make_weights(folder: Path) -> None:
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite0")), folder / "a.safetensors")
     state = {"pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3), "x": torch.ones(3)}
     torch.save({"state_dict": state}, folder / "a.pth")
     torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
+
+
+def _make_checkpoints(folder: Path) -> None:
+    state = {"preset": "dgcm-lite0", "elapsed": 1.5, "step": 3, "stage": "encoder", "net": {}}
+    state["net"]["weight"] = torch.ones(3, 4)
+    torch.save(state, folder / "checkpoint.pt")
+    torch.save(state, folder / "legacy.pt", _use_new_zipfile_serialization=False)
 
 
 def _make_matches(folder: Path) -> None:
@@ -183,22 +230,48 @@ def _read_matches(folder: Path, path: Path) -> None:
     FileMatcher(path.parent, lambda *_: "pair").match(*images)
 
 
+_KEYS = [[("sift", "a", "b")], [("sift", "a", "c")]]
+
+
+def _make_run(folder: Path) -> None:
+    RunStore(folder, PairScore, _KEYS, {"batch": 1})
+    values = dict.fromkeys(PairScore.tables["results.csv"], "1")
+    values |= {"method": "sift", "image1": "a", "image2": "b", "success": "True", "status": "ok"}
+    rows = [",".join(PairScore.headings.get(n, n) for n in values), ",".join(values.values())]
+    (folder / "results.csv").write_text("\n".join(rows) + "\n")
+
+
+def _make_sample(folder: Path) -> None:
+    points = np.random.default_rng(0).uniform(0, 30, (20, 2))
+    text = sample_text(MatchSample(points, points, np.ones(20, bool)))
+    (folder / "sample.txt").write_text(text)
+
+
+def _make_rgbd(folder: Path) -> None:
+    for name, pixels in (("images", _pixels()), ("depth", np.full((30, 40), 1500, np.uint16))):
+        (folder / name).mkdir()
+        for k in range(2):
+            cv2.imwrite(str(folder / name / f"{k}.png"), pixels)
+    (folder / "K.txt").write_text("40 0 19.5\n0 40 14.5\n0 0 1\n")
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 2)
+
+
+def _make_photos(folder: Path) -> None:
+    for k in range(24):
+        cv2.imwrite(str(folder / f"{k}.{'jpg' if k % 2 else 'png'}"), _pixels((8, 6)))
+
+
 def make_batch(folder: Path) -> None:
     """A finished batch: a pose of two images, and a pair with a bad image."""
-    store = _store(folder)
-    store.assemble()
-    store.close()
-    summary = {"images": 3, "bad_images": store.bad, "cameras": [], "pairs": 2, "poses": 1}
-    summary |= {"by_status": {"ok": 1, "bad_input": 1}, "matched_now": 2, "seconds": 0.5}
+    plan, store = make_unfinished_batch(folder)
+    write_pairs(folder, store)
+    store.remove()
+    summary = summary_of(plan, store.rows, store.bad, []) | {"matched_now": 2, "seconds": 0.5}
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
-def _make_parts(folder: Path) -> None:
-    _store(folder)
-
-
-def _store(folder: Path) -> PartStore:
-    """The parts of a batch that has matched all and is not assembled."""
+def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
+    """The pairs of a batch that has matched all and has no result."""
     names = ("a.png", "b.png", "c.png")
     K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
     cameras = {
@@ -206,18 +279,18 @@ def _store(folder: Path) -> PartStore:
         "b.png": Camera(K, (10, 8), Distortion("OPENCV", (0.1, 0.0, 0.0, 0.0))),
     }
     states = {name: (100, 10**18) for name in names}
-    settings = {"format": "jsonl", "runtime": "auto"}
+    settings = {"runtime": "auto"}
     indices = np.array([[0, 1], [1, 2]])
     plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
     write_plan(folder, plan)
-    store = PartStore(folder, plan)
+    store = PairStore(folder, MATCHED, plan)
     values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
     values |= {"alternatives": (AlternativeRow(values["R"], (0, 0, 1), 7, 0.25),)}
     values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
     good = PairRow(*names[:2], "ok", True, "a pose", **values)
     rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]
     store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {"c.png": "too small"}))
-    return store
+    return plan, store
 
 
 def _matches(count: int) -> PairMatches:
@@ -227,9 +300,33 @@ def _matches(count: int) -> PairMatches:
     return PairMatches(points, points + 1, scores, every, again)
 
 
-def _read_part(folder: Path, path: Path) -> None:
-    if path.parent != folder:
-        read_part(path, matches=True)
+def _read_store(folder: Path, path: Path) -> None:
+    if path.stem == MATCHED:
+        list(PairStore(folder, MATCHED, read_plan(folder)).blocks())
+
+
+def _make_collection(folder: Path) -> None:
+    engine = folder / "matches" / "sift"
+    (engine / "scene").mkdir(parents=True)
+    (engine / "engine.json").write_text(json.dumps({"name": "sift", "fingerprint": None}))
+    points = np.random.default_rng(0).uniform(0, 9, (6, 2)).astype(np.float32)
+    arrays = {"scene": "scene", "R": np.eye(3), "t": np.array([1.0, 0, 0])}
+    for number in (1, 2):
+        arrays |= {f"K{number}": np.diag([9.0, 9, 1]), f"size{number}": (10, 8)}
+    for prefix in ("", "map_"):
+        arrays |= {f"{prefix}points1": points, f"{prefix}points2": points}
+        arrays |= {f"{prefix}confidence": np.ones(6, np.float32), f"{prefix}error_px": 1.0}
+        arrays |= {f"{prefix}key_points": True}
+    np.savez_compressed(engine / "scene" / "0000.npz", **arrays)
+    parts = [("x", "fit"), ("z", "report")]
+    plan = [{"name": name, "part": part, "kind": "list", "path": "a"} for name, part in parts]
+    (folder / "plan.json").write_text(json.dumps(plan))
+
+
+def _read_collection(folder: Path, path: Path) -> None:
+    read_sources(folder / "plan.json")
+    read_engine(folder, "sift")
+    list(read_collection(folder, "sift", [PlanEntry("scene", part="fit", kind="list")]))
 
 
 def _make_requests(folder: Path) -> None:
@@ -261,9 +358,21 @@ READERS: dict[str, tuple[Make, Read]] = {
     "databases": (_make_database, lambda _, path: read_database(path)),
     "pair lists": (_make_pair_list, lambda _, path: read_pairs(path)),
     "batch lists": (_make_batch_lists, lambda _, path: read_pair_list(path)),
+    "DTU raw": (_make_layout("raw"), _read_layout),
+    "DTU MVSNet": (_make_layout("mvsnet"), _read_layout),
+    "homographies": (_make_homographies, _read_homographies),
     "weights": (_make_weights, lambda _, path: load_network(path)),
+    "checkpoints": (_make_checkpoints, lambda _, path: load_checkpoint(path)),
     "matches": (_make_matches, _read_matches),
+    "results": (
+        _make_run,
+        lambda folder, _: RunStore(folder, PairScore, _KEYS, {"batch": 1}, resume=True),
+    ),
+    "samples": (_make_sample, lambda _, path: read_sample(read_text(path), path)),
+    "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
+    "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
-    "batch parts": (_make_parts, _read_part),
+    "unfinished batches": (make_unfinished_batch, _read_store),
+    "collections": (_make_collection, _read_collection),
     "requests": (_make_requests, _read_request),
 }

@@ -2,6 +2,7 @@
 
 import faulthandler
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +16,6 @@ from hypothesis import strategies as st
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SUBCOMMANDS, main
-
-pytestmark = pytest.mark.slow
 
 HANG_S = 120  # of a command, on a busy machine
 ESTIMATE = ("estimate", "one.png", "two.png", "--refine", "none", "--runs", "1")
@@ -71,10 +70,16 @@ def test_every_number_option_has_a_range() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
+        (*ESTIMATE, *K, "--matches", "one.png"),
+        (*ESTIMATE, *K, "--json", "two.png"),
         (*ESTIMATE, *K, "--plot", "one.png"),
         (*ESTIMATE, *K, "--json", "./link"),
         (*ESTIMATE, "--K", "K.txt", "--json", "K.txt"),
+        (*ESTIMATE, *K, "--weights", "w.pth", "--json", "w.pth"),
+        ("match", "one.png", "two.png", "--out", "one.png"),
+        ("match", "one.png", "two.png", "--out", "link"),
         ("match", "one.png", "two.png", "--weights", "w.pth", "--out", "w.pth"),
+        (*BENCH, "--json", "pairs.txt"),
         (*BENCH, "--methods", "w.pth:runs=1", "--json", "w.pth"),
         (*BENCH, "--json", "hard.json"),
         (*BENCH, "--json", "one.png", "--overwrite"),
@@ -109,13 +114,15 @@ def test_an_output_that_exists_is_replaced_with_overwrite_alone(
     [
         ((*ESTIMATE, *K, "--matches", "-"), "a file called - is ./-"),
         ((*ESTIMATE, *K, "--json", "o.json/"), "must be a file"),
+        (("estimate", "-b.png", "two.png", *K), "./-b.png"),
         (("train", "--photos", ".", "--out", "new", "--split", "nan,50,50"), "sum to 1"),
-        ((*BENCH, "--out", ""), "a path is needed"),
+        ((*BENCH, "--out", ""), "needs a name"),
         ((*BENCH, "--photos", "."), "one of them"),
     ],
     ids=lambda value: " ".join(value[-3:]) if isinstance(value, tuple) else "",
 )
 def test_words(folder: Path, arguments: tuple, words: str) -> None:
+    shutil.copy("one.png", "-b.png")
     before = contents(folder)
     assert_refused(run(*arguments), words)
     assert contents(folder) == before
@@ -125,6 +132,13 @@ def test_max_pixels_bounds_what_is_decoded(folder: Path) -> None:
     assert_refused(run(*ESTIMATE, *K, "--max-pixels", "76799"), "320 x 240", "--max-pixels")
     assert run(*ESTIMATE, *K, "--max-pixels", "76800").exit_code == 0
     assert "DGC_POSE_MAX_PIXELS" not in os.environ
+
+
+def test_a_method_may_be_called_as_a_formula(folder: Path) -> None:
+    """Its name is in the figure's legend, where matplotlib reads formulas."""
+    shutil.copytree(folder, folder / "$x_")
+    words = ["sift:runs=1" if word == "sift" else word for word in BENCH]
+    assert run(*words, "--out", "$\\frac{$").exit_code == 0
 
 
 def test_every_output_of_every_command_is_declared() -> None:

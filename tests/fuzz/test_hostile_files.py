@@ -1,6 +1,7 @@
 """What a stranger's file may not do: run code, lead elsewhere, take memory or time without end."""
 
 import io
+import json
 import os
 import signal
 import sqlite3
@@ -18,7 +19,9 @@ from fuzz.readers import make_batch
 from safetensors.torch import load_file, save_file
 
 from dgc_pose import load_image
-from dgc_pose.batch.run import read_batch
+from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.result import read_batch
+from dgc_pose.benchmarks.probability.plan import read_plan
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
@@ -28,6 +31,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network, save_weights
 from dgc_pose.serve.cameras import command
+from dgc_pose.training.initialise import initialise_encoder
 
 
 @pytest.fixture(autouse=True)
@@ -91,6 +95,9 @@ def test_a_foreign_checkpoint_is_refused(content: object, tmp_path: Path) -> Non
     torch.save(content, path)
     with pytest.raises(WeightsError, match=r"w\.pth"):
         load_network(path)
+    net = DGCNet(preset("dgcm-lite0"))
+    with pytest.raises(WeightsError, match=r"w\.pth"):
+        initialise_encoder(path, net, torch.zeros(1, 3, 240, 240))
 
 
 @pytest.mark.parametrize(
@@ -183,5 +190,18 @@ def test_a_database_that_computes_is_refused(tmp_path: Path, statement: str) -> 
         read_database(path)
 
 
+@pytest.mark.parametrize("name", ["../x", "/tmp/x", "a/b", "..", "", "a\0b", 5])
+def test_a_plan_names_no_files_elsewhere(tmp_path: Path, name: object) -> None:
+    plan = [{"name": name, "part": "fit", "kind": "list", "path": "a"}]
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    with pytest.raises(InputError, match=r"plan\.json: not a plan \(name must be"):
+        read_plan(tmp_path / "plan.json")
+
+
 def test_a_name_in_the_pages_command_is_no_option() -> None:
     assert "estimate ./--json=x b.png" in command(("--json=x", "b.png"), ("auto", "auto"), [])
+
+
+def test_a_number_of_thousands_of_digits_is_refused() -> None:
+    with pytest.raises(InputError, match="--pairs must be"):
+        parse_pair_choice("auto:" + "9" * 5000)

@@ -3,13 +3,16 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import assert_refused, contents, run
-from fuzz.readers import make_batch
+from fuzz.readers import make_batch, make_unfinished_batch
 from photos import write_photos
 
-from dgc_pose.batch.plan import read_plan
-from dgc_pose.batch.store import PartStore
+from dgc_pose.batch.store import MATCHED, PairStore
+from dgc_pose.benchmarks.posed_views import PosedViews
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import only_writer, replaced_folder
 
 
@@ -22,16 +25,19 @@ def batch(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_batch_removes_its_own_parts_alone(batch: Path) -> None:
-    parts = batch / "parts"
-    parts.mkdir()
-    for name in ("drawing.h5", "letter.txt", "000000001.h5"):
-        (parts / name).write_text("half")
-    (batch / "summary.json").unlink()
-    store = PartStore(batch, read_plan(batch))
-    assert store.left == [0, 1]
-    store.close()
-    assert sorted(os.listdir(parts)) == ["drawing.h5", "letter.txt"]
+def test_what_cannot_be_read_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of the system while a batch is resumed costs no pair."""
+    plan, _ = make_unfinished_batch(tmp_path)
+    before = contents(tmp_path)
+
+    def fail(*arguments: object) -> None:
+        raise PermissionError(13, "Permission denied", "matched.jsonl")
+
+    with monkeypatch.context() as patch, pytest.raises(PermissionError):
+        patch.setattr("dgc_pose.batch.store.open_regular", fail)
+        PairStore(tmp_path, MATCHED, plan)
+    assert contents(tmp_path) == before
+    assert PairStore(tmp_path, MATCHED, plan).left == []
 
 
 @pytest.mark.parametrize("present", ["sparse/0/cameras.bin", "picture.png", "points.ply"])
@@ -74,6 +80,13 @@ def test_export_never_replaces_its_batch(
     before = contents(batch)
     assert_refused(run("export-colmap", ".", "--sharing", "cells", *arguments, *overwrite))
     assert contents(batch) == before
+
+
+def test_copies_for_a_benchmark_never_replace_the_images(tmp_path: Path) -> None:
+    views = PosedViews(tmp_path, {"a.png": Camera(np.eye(3))}, {"a.png": np.eye(4)[:3]})
+    (tmp_path / "a.png").write_bytes(b"image")
+    with pytest.raises(InputError, match="would be lost"):
+        views.resized(0.5, tmp_path)
 
 
 def test_a_second_writer_of_a_batch_is_refused(tmp_path: Path) -> None:

@@ -8,37 +8,53 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import dtu_layout
 import pytest
-from batch_runs import view_folder
-from multi_view import K_text
-
-pytestmark = pytest.mark.slow
 
 LIMIT_S = 300.0  # for what takes seconds on an idle machine
 QUICK = ("--workers", "2", "--runs", "2", "--iterations", "100", "--resume")
 
 
-def _parts(out: Path) -> int:
-    return len(list(out.glob("batch/parts/*.h5")))
+def _dtu(folder: Path) -> Sequence[str]:
+    dtu_layout.write_raw(folder, dtu_layout.rendered_scan())
+    words = ("--pairs", "10", "--methods", "dis,sift", "--protocol", "native")
+    return ("bench-dtu", "--root", str(folder), *words, *QUICK)
 
 
-def test_kills_leave_no_trace(tmp_path: Path) -> None:
+def _rows(out: Path) -> int:
+    path = out / "results.csv"
+    return path.read_bytes().count(b"\n") - 1 if path.exists() else 0
+
+
+@pytest.mark.parametrize(
+    ("make", "done", "most", "results"),
+    [
+        (_dtu, _rows, 20, ("results.csv", "pairs.csv", "run.json")),
+    ],
+    ids=["bench-dtu"],
+)
+def test_kills_leave_no_trace(
+    tmp_path: Path,
+    make: Callable[[Path], Sequence[str]],
+    done: Callable[[Path], int],
+    most: int,
+    results: Sequence[str],
+) -> None:
     """One kill comes before there is a result, others among them; the processes of the pool end
     with their command."""
-    view_folder(tmp_path / "inputs")
-    words = ("reconstruct", str(tmp_path / "inputs"), "--K", K_text(), "--weights", "sift", *QUICK)
+    words = make(tmp_path / "inputs")
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     _finish(_start(words, whole))
-    for count in (0, 1, 3):
+    for count in (0, 1, most // 2):
         process = _start(words, killed)
-        _wait(lambda: killed.exists() and _parts(killed) >= count or process.poll() == 0)  # noqa: B023
+        _wait(lambda: killed.exists() and done(killed) >= count or process.poll() == 0)  # noqa: B023
         process.send_signal(signal.SIGKILL)
         process.communicate()
         _wait(lambda: not _is_there(process.pid))  # noqa: B023
     _finish(_start(words, killed))
     files = [sorted(path.relative_to(out) for path in out.rglob("*")) for out in (whole, killed)]
     assert files[0] == files[1]
-    for name in ("batch/pairs.jsonl", "batch/plan.json"):
+    for name in results:
         assert (killed / name).read_bytes() == (whole / name).read_bytes()
 
 

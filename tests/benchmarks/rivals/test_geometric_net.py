@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from procedural import procedural_textures
 from scipy.interpolate import RBFInterpolator
 from torch import Tensor
 
@@ -13,7 +14,6 @@ from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import load_network, network_fingerprint
-from dgc_pose.training.synthesis.render.procedural import procedural_textures
 from dgc_pose.training.synthesis.spline import TPS_KNOTS
 
 _AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])
