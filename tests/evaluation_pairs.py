@@ -8,7 +8,7 @@ import numpy as np
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol, protocol_options
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import MatchingPass, Method, Passes, parse_methods
+from dgc_pose.benchmarks.methods import Matchers, Method, parse_methods
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
@@ -70,16 +70,16 @@ def posed_pairs(folder: Path, count: int, protocol: Protocol = "native") -> DtuP
     return DtuPairs(views, pairs, protocol)
 
 
-def passes(net: Matcher | None = None) -> Passes:
+def passes(net: Matcher | None = None) -> Matchers:
     """What `METHODS` match with."""
     matchers = (METHODS[0], net or Net()), (METHODS[2], Some())
-    return {method.matching_pass: MatchingPass(matcher) for method, matcher in matchers}
+    return {method.matcher: matcher for method, matcher in matchers}
 
 
 def evaluation(
     pairs: DtuPairs,
     methods: list[Method] | None = None,
-    loaded: Passes | None = None,
+    loaded: Matchers | None = None,
     **numbers: int,
 ) -> Evaluation:
     """`METHODS` on pairs; in the paper's protocol with its options."""

@@ -14,7 +14,6 @@ from evaluation_pairs import (
     Net,
     evaluation,
     posed_pairs,
-    view_of,
 )
 
 from dgc_pose.benchmarks.evaluate import Evaluation, score_pairs
@@ -23,12 +22,9 @@ from dgc_pose.benchmarks.samples import read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.scoring import pair_seed
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.texture import texture
-from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.pose import match_and_estimate
 from dgc_pose.refinement import RefinementOptions
 
 
@@ -100,35 +96,17 @@ def test_all_takes_what_the_mask_leaves_out(tmp_path) -> None:
     assert 40 < some <= 60  # points, those with structure
 
 
-@pytest.mark.parametrize("numbers", [{"batch": 2}, {"workers": 2, "batch": 4}])
-def test_the_records_are_independent_of_workers_and_batches(tmp_path, numbers) -> None:
+def test_the_records_are_independent_of_workers(tmp_path) -> None:
     pairs = posed_pairs(tmp_path, 5)
-    expected = _results(_rows(pairs))
-    np.testing.assert_equal(_results(_rows(pairs, **numbers)), expected)
+    np.testing.assert_equal(_results(_rows(pairs, workers=2)), _results(_rows(pairs)))
 
 
-@pytest.mark.parametrize("batch", [1, 3])
-def test_a_run_that_goes_on_gives_the_remaining_rows(tmp_path, batch: int) -> None:
+def test_a_run_that_goes_on_gives_the_remaining_rows(tmp_path) -> None:
     pairs = posed_pairs(tmp_path, 5)
-    whole = _rows(pairs, batch=batch)
+    whole = _rows(pairs)
     for first in range(6):
-        rest = _rows(pairs, first, batch=batch)
+        rest = _rows(pairs, first)
         np.testing.assert_equal(_results(rest), _results(whole[first:]))
-
-
-def test_a_batch_begins_where_it_would_have_begun(tmp_path) -> None:
-    """After a kill in the middle of a batch, the network sees the same batch again."""
-    seen: list[list[int]] = []
-
-    class Remembering(Net):
-        def match_batch(self, pairs):
-            seen.append([view_of(image2) for _, image2 in pairs])
-            return super().match_batch(pairs)
-
-    found = evaluation_pairs.passes(Remembering())
-    pairs = posed_pairs(tmp_path, 5)
-    list(evaluation(pairs, METHODS[:1], found, batch=2).run(first=3))
-    assert seen == [[4, 5], [6]]
 
 
 def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
@@ -165,42 +143,6 @@ def test_a_refiner_sees_the_trusted_matches_alone(tmp_path, monkeypatch) -> None
     (halved,) = evaluation(pairs, refined).run()
     counts = [[one.num_matches for one in scored] for scored in (plain, halved)]
     assert counts[1] == [-(-counts[0][0] // 2), *counts[0][1:]]
-
-
-def test_a_pose_in_doubt_is_that_of_an_estimate(tmp_path, monkeypatch) -> None:
-    """The matches are those of the last answer, by the cameras and the options of each method; a
-    method without a search keeps its first."""
-    pairs = posed_pairs(tmp_path, 1)
-    (pair,) = pairs.read()
-    names = ["", ":hypotheses=0:squeezed=false", ":K_scale=1.2", ":threshold_px=8"]
-    methods = parse_methods([f"dgcm-lite0{name}" for name in names], None, ESTIMATION)
-    loaded = load_matchers(methods, device="cpu", keep_features=True)
-    assert len(loaded) == 1
-    searches = []
-
-    def in_doubt(pose, *cameras) -> bool:
-        searches.append(cameras)
-        return True
-
-    monkeypatch.setattr("dgc_pose.pose.in_doubt", in_doubt)
-    (scored,) = evaluation(pairs, methods, loaded).run()
-    assert len(searches) == 2 * 4  # with squeezed images, and near lines
-    matcher = MatcherOptions(device="cpu").load()
-    expected = []
-    for method, one in zip(methods, scored, strict=True):
-        trace = match_and_estimate(
-            pair.image1,
-            pair.image2,
-            *method.cameras.cameras(pair),
-            matcher if method is not methods[1] else method.matcher.load(),
-            replace(method.estimation, seed=pair_seed(0, *pair.truth.seed)),
-        )
-        expected.append(len(trace.matches))
-        assert one.num_inliers == trace.pose.num_inliers
-        error = rotation_error_deg(trace.pose.R, dense_scene.R)
-        assert one.rotation_error_deg == pytest.approx(error, abs=1e-4)
-    assert [one.num_matches for one in scored] == expected
-    assert len(set(expected)) > 2 and min(expected) == expected[1]
 
 
 def test_another_seed_gives_other_poses(tmp_path) -> None:

@@ -12,7 +12,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import MatchingOptions
-from dgc_pose.refinement import FeatureOptions, RefinementOptions
+from dgc_pose.refinement import RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
 IMAGE = Image(cv2.resize(BLOTS, (200, 200)))
@@ -65,8 +65,6 @@ def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
     (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
     assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
     assert other.matcher.matching == MatchingOptions(finest=60, cycle_px=3.0)
-    (first,) = parse_methods(["net:hypotheses=0"])
-    assert first.matcher.refinement.features == FeatureOptions(hypotheses=0)
     (none,) = parse_methods(
         ["net:cycle_px=none"], MatcherOptions(matching=MatchingOptions(cycle_px=3.0))
     )
