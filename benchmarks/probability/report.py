@@ -1,4 +1,4 @@
-"""What a probability is worth on scenes that nothing was fitted on, beside the old gates."""
+"""What a probability is worth on scenes that nothing was fitted on."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,6 @@ class Judged:
     """A record with what is claimed of it."""
 
     record: Record
-    by_gates: bool
     by_probability: bool
     probability: float  # 0 if the evidence says that the translation is not determined
     rotation_90_deg: float
@@ -42,10 +41,10 @@ class Judged:
 
 
 def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> Judged:
-    """The verdicts on a record, by the gates and by the probability."""
+    """The verdict on a record, by the probability."""
     evidence = record.evidence
     if evidence is None:
-        return Judged(record, False, False, 0.0, math.nan, math.nan)
+        return Judged(record, False, 0.0, math.nan, math.nan)
     any_right = model.probability(evidence)
     shares = choice_shares([utility(pose, model.choice) for pose in record.poses])
     order = np.argsort(-shares, kind="stable")
@@ -60,7 +59,6 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
             rotation_error_deg=best.rotation_error_deg,
             translation_error_deg=best.translation_error_deg,
         ),
-        STATUSES[judge(evidence, None).status].has_t,
         known.has_t,
         0.0 if known.rotation_alone else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
@@ -102,17 +100,15 @@ def report_text(poses: Sequence[Judged]) -> str:
 
 def claims_table(poses: Sequence[Judged]) -> str:
     """A row a data set, and all of them."""
-    headings = ("pairs", "number", "right", "gates claim", "wrong", "right refused")
-    last = ("probability claims", "wrong", "right refused", "ambiguous", "mean of claims")
-    rows: list[tuple[str, ...]] = [(*headings, *last)]
+    headings = ("pairs", "number", "right", "claimed", "wrong", "right refused", "ambiguous")
+    rows: list[tuple[str, ...]] = [(*headings, "mean of claims")]
     for name, members in _groups(poses).items():
         right = _values(members, "right")
-        cells = []
-        for claims in (_values(members, "by_gates"), _values(members, "by_probability")):
-            claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
-            share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
-            cells += [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
-        probability = _values(members, "probability")[_values(members, "by_probability")]
+        claims = _values(members, "by_probability")
+        claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
+        share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
+        cells = [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
+        probability = _values(members, "probability")[claims]
         cells += [str(_values(members, "ambiguous").sum())]
         cells += [f"{100 * probability.mean():.1f} %" if len(probability) else "-"]
         rows.append((name, str(len(members)), str(right.sum()), *cells))
@@ -120,17 +116,13 @@ def claims_table(poses: Sequence[Judged]) -> str:
 
 
 def auc_table(poses: Sequence[Judged]) -> str:
-    """With the gates, with the probability, and without a verdict."""
-    rows: list[tuple[str, ...]] = [("pairs", "gates", "probability", "all answered")]
+    """With the verdict, and without one."""
+    rows: list[tuple[str, ...]] = [("pairs", "probability", "all answered")]
     for name, members in _groups(poses).items():
         errors = np.array([pose.record.pair_error_deg for pose in members])
         if not np.isfinite(errors).any():
             continue
-        claims = (
-            _values(members, "by_gates"),
-            _values(members, "by_probability"),
-            np.ones(len(members), bool),
-        )
+        claims = (_values(members, "by_probability"), np.ones(len(members), bool))
         cells = (pose_auc(np.where(claim, errors, np.inf)) for claim in claims)
         rows.append((name, *("/".join(f"{a:.1f}" for a in auc) for auc in cells)))
     return aligned(rows)
@@ -155,14 +147,16 @@ def reliability_table(poses: Sequence[Judged]) -> str:
 
 
 def levels_table(poses: Sequence[Judged]) -> str:
-    """Precision and recall at several least probabilities, and of the gates."""
+    """Precision and recall at several least probabilities."""
     rows = [("least probability", "claimed", "precision", "recall")]
     right, probability = _values(poses, "right"), _values(poses, "probability")
-    claims = {f"{level:g}": probability >= level for level in _LEVELS}
-    for name, claimed in {**claims, "gates": _values(poses, "by_gates")}.items():
+    for level in _LEVELS:
+        claimed = probability >= level
         true = int((claimed & right).sum())
         precision = f"{100 * true / claimed.sum():.1f} %" if claimed.any() else "-"
-        rows.append((name, str(claimed.sum()), precision, f"{100 * true / right.sum():.1f} %"))
+        rows.append(
+            (f"{level:g}", str(claimed.sum()), precision, f"{100 * true / right.sum():.1f} %")
+        )
     return aligned(rows)
 
 
@@ -204,8 +198,7 @@ def focal_table(poses: Sequence[Judged]) -> str:
 
 
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
-    """The reliability diagram and precision against recall, a curve a kind of matches; the gates
-    are a point each."""
+    """The reliability diagram and precision against recall, a curve a kind of matches."""
     from dgc_pose.viz.curves import draw_reliability
     from dgc_pose.viz.figure import new_figure
 
@@ -215,14 +208,13 @@ def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     draw_reliability(left, curves, right="within 10 degrees")
     left.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     for number, (name, poses) in enumerate(kinds.items()):
-        right, gates, colour = _values(poses, "right"), _values(poses, "by_gates"), f"C{number}"
+        right = _values(poses, "right")
         order = np.argsort(-_values(poses, "probability"), kind="stable")
         true = np.cumsum(right[order])
         total = max(int(right.sum()), 1)
-        other.plot(true / total, true / np.arange(1, len(poses) + 1), color=colour, label=name)
-        if gates.any():
-            hits = int((gates & right).sum())
-            other.plot(hits / total, hits / gates.sum(), "o", color=colour, label=f"{name}, gates")
+        other.plot(
+            true / total, true / np.arange(1, len(poses) + 1), color=f"C{number}", label=name
+        )
     other.set(xlabel="recall of right poses", ylabel="precision", xlim=(0, 1.02), ylim=(0.5, 1.01))
     other.grid(alpha=0.3)
     other.legend(loc="lower left", fontsize=9)
