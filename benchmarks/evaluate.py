@@ -136,7 +136,8 @@ class _Search:
         if method.everywhere:
             if (dense := self.whole_map) is None:
                 raise InputError(f"{method.name}: {self.search.matcher.name} makes no map")
-            every = select_matches(dense, method.matcher.matching, min_share=0.0)
+            everywhere = replace(method.matcher.matching, matchability=0.0, cycle_px=None)
+            every = select_matches(dense, everywhere, min_share=0.0)
             result, steps = MatchResult(every, dense), {"everywhere": time.perf_counter() - start}
         elif method.matcher.refinement.source == "none":
             result = self.search.whole()

@@ -155,9 +155,6 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
             raise InputError(f"{text}: no option {key}")
     if not network and refinement.source != "none":
         raise InputError(f"{text}: refine={refinement.source} needs the features of a network")
-    if everywhere:
-        matching = replace(matching, matchability=0.0, cycle_px=None)
-        refinement = _UNREFINED
     matcher = replace(matcher, matching=matching, refinement=refinement)
     return Method(text, matcher, estimation, everywhere, cameras)
 

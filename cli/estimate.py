@@ -117,15 +117,16 @@ def run_pipeline(
     image1, image2 = load_image(path1), load_image(path2)
     camera1, camera2 = resolve(image1, image2)
     read_seconds = time.perf_counter() - start
-    from dgc_pose.pose import estimate_relative_pose  # heavy; bad input is refused without it
+    from dgc_pose.pose import pose_of_pair  # heavy; unusable input is refused without it
+    from dgc_pose.trace import Trace
 
     start = time.perf_counter()
     loaded = matcher.load()
     seconds = read_seconds + time.perf_counter() - start
-    trace = estimate_relative_pose(
-        image1, image2, camera1, camera2, matcher=loaded, options=estimation, trace=True
-    )
-    return replace(trace, pose=replace(trace.pose, seconds={**trace.pose.seconds, "load": seconds}))
+    search = loaded.search(image1, image2)
+    pose = pose_of_pair(search, camera1, camera2, estimation)
+    pose = replace(pose, seconds={"load": seconds, **pose.seconds})
+    return Trace.of(search, camera1, camera2, pose)
 
 
 def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:

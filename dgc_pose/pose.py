@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
@@ -112,7 +111,6 @@ def estimate_relative_pose(
     first, second = in_threads(lambda image: load_image(*image), named)
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     prior1, prior2 = pair_cameras(K1, K, first, second, ("K1", name))
-    prior1, prior2 = with_orientation(prior1, first), with_orientation(prior2, second)
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
     matcher = load_matcher() if matcher is None else matcher
@@ -122,12 +120,7 @@ def estimate_relative_pose(
     search = matcher.search(first, second)
     pose = pose_of_pair(search, prior1, prior2, options)
     pose = replace(pose, seconds={"load": load_seconds, **pose.seconds})
-    if not trace:
-        return pose
-    result = search.last
-    cameras = pose.camera1 or prior1, pose.camera2 or prior2
-    dense, matches = result.correspondence_map, result.matches
-    return Trace(first, second, *cameras, prior1, prior2, dense, matches, pose)
+    return Trace.of(search, prior1, prior2, pose) if trace else pose
 
 
 def pose_of_pair(

@@ -1,5 +1,7 @@
 """A pose with what it was computed from, and what follows from both: points in space, residuals."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +12,7 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching import CorrespondenceMap, PairSearch
 from dgc_pose.metrics.epipolar import epipolar_residuals_px
 
 
@@ -39,6 +41,13 @@ class Trace:
     correspondence_map: CorrespondenceMap | None
     matches: Matches
     pose: RelativePose
+
+    @classmethod
+    def of(cls, search: PairSearch, prior1: Camera, prior2: Camera, pose: RelativePose) -> Trace:
+        """The trace of a pose by `pose_of_pair`, of the cameras before it."""
+        cameras, last = (pose.camera1 or prior1, pose.camera2 or prior2), search.last
+        images, dense = (search.image1, search.image2), last.correspondence_map
+        return cls(*images, *cameras, prior1, prior2, dense, last.matches, pose)
 
     def __repr__(self) -> str:
         return f"Trace: {self.image1}, {self.image2}\n{self.matches}\n{self.pose}"

@@ -15,7 +15,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
 from dgc_pose.refinement import RefinementOptions
 
 NAMES = ["net", "net/all", "some"]
@@ -27,18 +27,20 @@ METHODS = parse_methods(NAMES, MATCHER, ESTIMATION)
 
 
 class Net(Matcher):
-    """Finds the true map with an error that depends on the view of image 2."""
+    """Matches by the true map with an error that depends on the view of image 2."""
 
     name = "net"
 
+    def __init__(self, options: MatchingOptions) -> None:
+        self.options = options
+
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         found = dense_scene.true_map(error_px=0.05 * view_of(image2))
-        none = np.zeros((0, 2))
-        return MatchResult(Matches(none, none, np.zeros(0), 1.0), found)
+        return MatchResult(select_matches(found, self.options), found)
 
 
 class Some(Matcher):
-    """Finds 60 points of the true map, and no map."""
+    """Matches 60 points of the true map, and no map."""
 
     name = "some"
 
@@ -70,10 +72,12 @@ def posed_pairs(folder: Path, count: int, protocol: Protocol = "native") -> DtuP
     return DtuPairs(views, pairs, protocol)
 
 
-def passes(net: Matcher | None = None) -> Matchers:
-    """What `METHODS` match with."""
-    matchers = (METHODS[0], net or Net()), (METHODS[2], Some())
-    return {method.matcher: matcher for method, matcher in matchers}
+def matchers_of(methods: list[Method], net: type[Net] = Net) -> Matchers:
+    """What methods named as `METHODS` match with."""
+    return {
+        method.matcher: Some() if method.matcher.weights == "some" else net(method.matcher.matching)
+        for method in methods
+    }
 
 
 def evaluation(
@@ -85,4 +89,4 @@ def evaluation(
     """`METHODS` on pairs; in the paper's protocol with its options."""
     if methods is None:
         methods = parse_methods(NAMES, *protocol_options(pairs.protocol, MATCHER, ESTIMATION))
-    return Evaluation(pairs, methods, loaded or passes(), **numbers)
+    return Evaluation(pairs, methods, loaded or matchers_of(methods), **numbers)

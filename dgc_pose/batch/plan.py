@@ -134,15 +134,18 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     where = out / PLAN
     for name in sorted({*before.names} ^ {*now.names}):
         verb = "had" if name in before.names else "lacked"
-        raise InputError(f"{where}: that batch {verb} {name}: --resume needs the same photographs")
+        raise InputError(
+            f"{where}: that batch {verb} {name}:",
+            _RESUME,
+            "needs the same photographs",
+        )
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     for what in {**old, **new}:
         if old.get(what) != new.get(what):
             had, has = (shortened(json.dumps(facts.get(what))) for facts in (old, new))
-            raise InputError(
-                f"{where}: that batch had {what} {had}, not {has}: --resume needs the same"
-            )
+            differs = f"{where}: that batch had {what} {had}, not {has}:"
+            raise InputError(differs, _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
 

@@ -44,7 +44,9 @@ def open_source(path: Path, root: Path | None = None) -> Source:
     """
     if path.is_dir():
         if root is not None:
-            raise InputError(f"--root is for a list or a database, and {path} is a folder")
+            raise InputError(
+                ArgumentName("root"), f"is for a list or a database, and {path} is a folder"
+            )
         source = _of_folder(path)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")

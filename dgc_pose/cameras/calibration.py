@@ -23,7 +23,7 @@ from dgc_pose.cameras.formats import colmap, plain
 from dgc_pose.cameras.formats.file_cameras import numbers_camera
 from dgc_pose.cameras.formats.keyed import keyed_camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras
+from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras, with_orientation
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
 if TYPE_CHECKING:
@@ -225,10 +225,9 @@ def pair_cameras(
     details1, details2 = (
         KDetails() if sharing is not None else details for sharing in (sharing1, sharing2)
     )
-    return (
-        camera_for(K1, image1, names[0], details1, "K1"),
-        camera_for(K2, image2, names[1], details2, "K2"),
-    )
+    camera1 = camera_for(K1, image1, names[0], details1, "K1")
+    camera2 = camera_for(K2, image2, names[1], details2, "K2")
+    return with_orientation(camera1, image1), with_orientation(camera2, image2)
 
 
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:

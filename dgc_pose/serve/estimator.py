@@ -7,12 +7,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
-from dgc_pose.pose import estimate_relative_pose
+from dgc_pose.pose import pose_of_pair
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.images import StoredImage, picture_url, shrunk
 from dgc_pose.trace import Trace
@@ -50,7 +50,9 @@ class Estimator:
         cameras = request.resolve(image1, image2)
 
         report("matching and estimating the pose")
-        trace = estimate_relative_pose(image1, image2, *cameras, matcher=self.matcher, trace=True)
+        search = self.matcher.search(image1, image2)
+        pose = pose_of_pair(search, *cameras, EstimationOptions())
+        trace = Trace.of(search, *cameras, pose)
         report("drawing")
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]

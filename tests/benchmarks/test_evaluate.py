@@ -3,7 +3,6 @@
 from dataclasses import asdict, replace
 
 import dense_scene
-import evaluation_pairs
 import numpy as np
 import pytest
 from evaluation_pairs import (
@@ -13,6 +12,7 @@ from evaluation_pairs import (
     NAMES,
     Net,
     evaluation,
+    matchers_of,
     posed_pairs,
 )
 
@@ -22,10 +22,7 @@ from dgc_pose.benchmarks.samples import read_sample
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.scoring import pair_seed
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.texture import texture
-from dgc_pose.refinement import RefinementOptions
 
 
 def _rows(pairs, first=0, methods=None, **numbers) -> list[list[DtuScore]]:
@@ -109,7 +106,7 @@ def test_a_run_that_goes_on_gives_the_remaining_rows(tmp_path) -> None:
         np.testing.assert_equal(_results(rest), _results(whole[first:]))
 
 
-def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
+def test_methods_of_one_matcher_share_its_search(tmp_path) -> None:
     calls = []
 
     class Counting(Net):
@@ -117,32 +114,10 @@ def test_methods_of_one_engine_share_its_pass(tmp_path) -> None:
             calls.append(1)
             return super()._match(image1, image2)
 
-    found = evaluation_pairs.passes(Counting())
-    methods = parse_methods(["net", "net/all", "net:matchability=0.5:runs=2"], MATCHER, ESTIMATION)
-    rows = list(evaluation(posed_pairs(tmp_path, 2), methods, loaded=found).run())
+    methods = parse_methods(["net", "net/all", "net:runs=2"], MATCHER, ESTIMATION)
+    loaded = matchers_of(methods, Counting)
+    rows = list(evaluation(posed_pairs(tmp_path, 2), methods, loaded=loaded).run())
     assert len(calls) == 2 and len(rows[0]) == 3
-
-
-def test_a_refiner_sees_the_trusted_matches_alone(tmp_path, monkeypatch) -> None:
-    """Of two methods of one engine the one without a mask keeps its matches."""
-
-    class Halves(Matcher):
-        def refine(self, image1, image2, given):
-            found, matches = given.correspondence_map, given.matches
-            assert image1.size == found.size1 and len(matches) <= 400
-            halved = Matches(
-                matches.points1[::2], matches.points2[::2], matches.confidence[::2], 0.25
-            )
-            return MatchResult(halved, found)
-
-    pairs = posed_pairs(tmp_path, 1)
-    monkeypatch.setattr("dgc_pose.benchmarks.methods.refined", lambda *arguments: Halves())
-    refining = replace(MATCHER, refinement=RefinementOptions())
-    refined = parse_methods(NAMES, refining, ESTIMATION, ["some"])
-    (plain,) = evaluation(pairs).run()
-    (halved,) = evaluation(pairs, refined).run()
-    counts = [[one.num_matches for one in scored] for scored in (plain, halved)]
-    assert counts[1] == [-(-counts[0][0] // 2), *counts[0][1:]]
 
 
 def test_another_seed_gives_other_poses(tmp_path) -> None:
@@ -165,11 +140,10 @@ def test_a_sample_is_of_the_matches_and_tells_inliers(tmp_path) -> None:
 
 def test_what_cannot_be_used_is_refused(tmp_path) -> None:
     pairs = posed_pairs(tmp_path, 1)
-    with pytest.raises(InputError, match="points and no map"):
+    with pytest.raises(InputError, match="some/all: some makes no map"):
         _rows(posed_pairs(tmp_path, 1), methods=parse_methods(["some/all"]))
     (tmp_path / "two_2.png").write_bytes(b"no image")
     with pytest.raises(ImageError, match="two_2.png"):
         _rows(pairs, workers=2)
-    for name in ("workers", "batch"):
-        with pytest.raises(InputError, match=name):
-            evaluation(pairs, **{name: 0})
+    with pytest.raises(InputError, match="workers"):
+        evaluation(pairs, workers=0)

@@ -43,9 +43,9 @@ def test_names_stand_for_methods() -> None:
         (["dis"], ["dgcm-lite0"], "there already"),
         (["dis:magic=1"], [], "dis:magic=1: no option magic"),
         (["dis:runs=many"], [], "runs cannot be 'many'"),
-        (["dis:align=maybe"], [], "align cannot be 'maybe'|no option align"),
         (["net:refine=sift"], [], "refine cannot be 'sift'"),
-        (["net:refine=map:align=maybe"], [], "align cannot be 'maybe'"),
+        (["net:refine=map:align=no"], [], "no option align"),
+        (["sift:refine=map"], [], "refine=map needs the features of a network"),
         (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
         (["net:K_scale=0"], [], "k_scale must be above 0"),
         (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
@@ -57,11 +57,10 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
 
 
 def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
-    (method,) = parse_methods(["net:refine=features:max_matches=300:align=false:runs=2"])
+    (method,) = parse_methods(["net:refine=features:max_matches=300:runs=2"])
     assert method.matcher.matching == MatchingOptions(max_matches=300)
     assert method.estimation == EstimationOptions(runs=2)
-    refinement = method.matcher.refinement
-    assert refinement.source == "features" and not refinement.alignment.align
+    assert method.matcher.refinement.source == "features"
     (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
     assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
     assert other.matcher.matching == MatchingOptions(finest=60, cycle_px=3.0)
@@ -72,10 +71,10 @@ def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
-    names = ["net", "net:refine=none", "net/all", "dis", "sift", "rocco", "raft", "sift:refine=map"]
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "rocco", "raft"]
     methods = parse_methods(names, stored=["raft"])
     sources = [method.matcher.refinement.source for method in methods]
-    assert sources == ["auto", "none", "none", "none", "none", "none", "none", "map"]
+    assert sources == ["auto", "none", "auto", "none", "none", "none", "none"]
 
 
 def test_a_path_may_hold_colons_and_equals_signs() -> None:
@@ -100,7 +99,7 @@ def test_a_matcher_is_loaded_once(tmp_path) -> None:
     methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
     mine = FileMatcher(tmp_path, lambda *names: "pair")
     loaded = load_matchers(methods, device="cpu", stored={"mine": mine})
-    assert [options.weights for options in loaded] == ["dis", "dis", "mine"]
+    assert [options.weights for options in loaded] == ["dis", "mine"]
     assert loaded[methods[2].matcher].folder == mine.folder
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
         load_matchers(parse_methods(["nowhere"]), device="cpu")

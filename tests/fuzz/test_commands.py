@@ -114,9 +114,9 @@ def test_an_output_that_exists_is_replaced_with_overwrite_alone(
     [
         ((*ESTIMATE, *K, "--matches", "-"), "a file called - is ./-"),
         ((*ESTIMATE, *K, "--json", "o.json/"), "must be a file"),
-        (("estimate", "-b.png", "two.png", *K), "./-b.png"),
+        (("estimate", "-b.png", "two.png", *K), "No such option '-b'"),
         (("train", "--photos", ".", "--out", "new", "--split", "nan,50,50"), "sum to 1"),
-        ((*BENCH, "--out", ""), "needs a name"),
+        ((*BENCH, "--out", ""), "a path is needed"),
         ((*BENCH, "--photos", "."), "one of them"),
     ],
     ids=lambda value: " ".join(value[-3:]) if isinstance(value, tuple) else "",

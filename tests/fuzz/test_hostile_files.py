@@ -203,5 +203,5 @@ def test_a_name_in_the_pages_command_is_no_option() -> None:
 
 
 def test_a_number_of_thousands_of_digits_is_refused() -> None:
-    with pytest.raises(InputError, match="--pairs must be"):
+    with pytest.raises(InputError, match="pairs must be"):
         parse_pair_choice("auto:" + "9" * 5000)

@@ -273,7 +273,7 @@ def test_the_command_and_the_python_give_the_same(
     monkeypatch.setattr(dgc_pose, "load_matcher", serve_parts.map_matcher, raising=False)
     names: dict = {}
     exec(result["python"], names)
-    pose = names["trace"].pose
+    pose = names["pose"]
     assert pose.success and pose.R.tolist() == result["pose"]["R"]
     assert pose.K2.tolist() == result["pose"]["camera2"]["K"]
     assert pose.focal_std1 == result["pose"]["camera1"]["focal_std"]

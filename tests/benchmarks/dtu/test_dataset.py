@@ -233,7 +233,7 @@ def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
 def test_of_several_layouts_one_must_be_named(tmp_path):
     write_raw(tmp_path, grey_scan([0, 10]))
     write_mvsnet(tmp_path, grey_scan([0, 10, 20]))
-    with pytest.raises(InputError, match="layouts raw and mvsnet: say which by --layout"):
+    with pytest.raises(InputError, match="layouts raw and mvsnet"):
         open_dataset(tmp_path)
     assert len(open_dataset(tmp_path, layout="raw").scenes[0].views) == 2
     assert len(open_dataset(tmp_path, layout="mvsnet").scenes[0].views) == 3
