@@ -25,7 +25,6 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
     ("words", "told"),
     [
         (("train", "--photos", ".", "--out", "run", "--steps", "1"), f"train needs {_TORCH}"),
-        (("bench-speed",), f"bench-speed needs {_TORCH}"),
         (("bench-pairs", "--rendered", "1", "--photos", "."), f"--rendered needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--weights", "{}/dgcm.pth"), f"dgcm.pth needs {_TORCH}"),
         (("estimate", *_PAIR, *_K, "--runtime", "torch"), f"runtime torch needs {_TORCH}"),
