@@ -13,7 +13,6 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.cameras.exif_focal import exif_focal
-from dgc_pose.images.exif import read_exif
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -36,7 +35,7 @@ def auto_camera(image: Image | Header) -> Camera:
     """
     width, height = image.size
     longer, shorter = max(width, height), min(width, height)
-    exif = read_exif(image.exif)
+    exif = image.exif
     prior = exif_focal(exif, image.size)
     names = (exif.make, exif.model, exif.lens, exif.focal_mm, exif.focal_35mm)
     identity = f"auto {longer} x {shorter}"

@@ -1,7 +1,7 @@
 """The camera of a photograph by its EXIF block."""
 
 import math
-import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,6 @@ MAKE, MODEL, EXIF_DIRECTORY = 271, 272, 34665
 FOCAL_LENGTH, _WIDTH, _HEIGHT = 37386, 40962, 40963
 _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
 _DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL = 41988, 41989, 42036
-# The tags that `read_exif` reads in the directory of EXIF, beside the two in the block's first.
-CAMERA_TAGS = (
-    *(FOCAL_LENGTH, _WIDTH, _HEIGHT, _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT),
-    *(_DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL),
-)
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
 _MAX_ZOOM = 200.0
 _MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
@@ -39,28 +34,30 @@ class Exif:
 
 def read_exif(block: bytes) -> Exif:
     """Read an EXIF block, with or without `Exif\\0\\0` before it; a damaged one as an empty one."""
-    if not block:
-        return Exif()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about damaged directories
-            exif = PIL.Image.Exif()
-            exif.load(block)
-            tags = exif.get_ifd(EXIF_DIRECTORY)
-            read = {tag: tags.get(tag) for tag in CAMERA_TAGS}
-            make, model = exif.get(MAKE), exif.get(MODEL)
+        exif = PIL.Image.Exif()
+        exif.load(block)
+        return camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY))
     except Exception:  # a damaged block raises almost anything
         return Exif()
-    zoom = _number(read[_DIGITAL_ZOOM])
+
+
+def camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
+    """The camera by the tags of the first directory and of that of EXIF.
+
+    Raises any exception for a tag that is damaged.
+    """
+    zoom = _number(more.get(_DIGITAL_ZOOM))
+    plane = (more.get(tag) for tag in (_FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT))
     return Exif(
-        _text(make),
-        _text(model),
-        _text(read[_LENS_MODEL]),
-        _number(read[FOCAL_LENGTH]),
-        _number(read[_FOCAL_LENGTH_35MM]),
+        _text(first.get(MAKE)),
+        _text(first.get(MODEL)),
+        _text(more.get(_LENS_MODEL)),
+        _number(more.get(FOCAL_LENGTH)),
+        _number(more.get(_FOCAL_LENGTH_35MM)),
         zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
-        _size(read[_WIDTH], read[_HEIGHT]),
-        _pixels_per_mm(*(read[tag] for tag in (_FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT))),
+        _size(more.get(_WIDTH), more.get(_HEIGHT)),
+        _pixels_per_mm(*plane),
     )
 
 
@@ -83,10 +80,8 @@ def _text(value: Any) -> str:
 
 
 def _size(width: Any, height: Any) -> tuple[int, int] | None:
-    sides = _number(width), _number(height)
-    if sides[0] is None or sides[1] is None or not all(1 <= side < 2**31 for side in sides):  # type: ignore[operator]
-        return None
-    return int(sides[0]), int(sides[1])
+    sides = [int(side) for side in map(_number, (width, height)) if side and 1 <= side < 2**31]
+    return (sides[0], sides[1]) if len(sides) == 2 else None
 
 
 def _pixels_per_mm(along_x: Any, along_y: Any, unit: Any) -> float | None:

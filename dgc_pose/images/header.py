@@ -14,7 +14,7 @@ from typing import Any
 import PIL.Image
 
 from dgc_pose.errors import is_installed
-from dgc_pose.images.exif import CAMERA_TAGS, EXIF_DIRECTORY, MAKE, MODEL
+from dgc_pose.images.exif import EXIF_DIRECTORY, MAKE, MODEL, Exif, camera_tags, read_exif
 
 START_BYTES = 4096  # of a file, which its format is recognised by
 _RAW = "RAW"
@@ -49,7 +49,7 @@ class Header:
     format: str  # a key of `_FORMATS`
     size: tuple[int, int]  # (width, height) as it is decoded
     orientation: int = 1  # by EXIF, 1 to 8; 1 is upright. HEIF's own rotation is part of decoding
-    exif: bytes = b""  # the EXIF block; of a TIFF, a block with its tags that are of the camera
+    exif: Exif = Exif()
 
 
 def image_format(start: bytes) -> str:
@@ -85,13 +85,10 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
             return _heif_header(data)
         if name == "TIFF":
             tags = _tiff_tags(data)
-            for tag, what in ((_WIDTH, "ImageWidth"), (_HEIGHT, "ImageLength")):
-                if tag not in tags:
-                    raise ValueError(f"it has no {what} (tag {tag})")
+            if not complete and any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL)):
+                raise ValueError("the EXIF data may lie behind the start")
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
-            has_camera = any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL))
-            exif = _tiff_exif(data, tags, complete) if has_camera else b""
-            return Header(name, size, _known(tags.get(_ORIENTATION, 1)), exif)
+            return Header(name, size, _known(tags.get(_ORIENTATION, 1)), _tiff_exif(data, tags))
         return _pillow_header(data, name, complete)
 
 
@@ -121,36 +118,24 @@ def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
     return directory
 
 
-def _tiff_exif(data: bytes, tags: Any, complete: bool) -> bytes:
-    """An EXIF block with the tags of a TIFF that are of the camera, empty if they are damaged.
-
-    Raises ValueError if there may be more of it behind `data`.
-    """
-    if not complete:
-        raise ValueError("the EXIF data may lie behind the start")
+def _tiff_exif(data: bytes, tags: Any) -> Exif:
     try:
-        exif = PIL.Image.Exif()
-        exif.update({tag: tags[tag] for tag in (MAKE, MODEL) if tag in tags})
-        if EXIF_DIRECTORY in tags:
-            more = _tiff_tags(data, tags[EXIF_DIRECTORY])
-            exif.get_ifd(EXIF_DIRECTORY).update({t: more[t] for t in CAMERA_TAGS if t in more})
-        return bytes(exif.tobytes())
+        more = _tiff_tags(data, tags[EXIF_DIRECTORY]) if EXIF_DIRECTORY in tags else {}
+        return camera_tags(tags, more)
     except Exception:  # the pixels may be intact
-        return b""
+        return Exif()
 
 
 def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
     """Not by PIL.Image.open, which refuses 179 million pixels: telephones take such images."""
-    PIL.Image.preinit()  # the frequent formats, in a tenth of the time of all
-    if name not in PIL.Image.OPEN:
-        PIL.Image.init()
+    PIL.Image.init()
     if name not in PIL.Image.OPEN:
         raise UnreadableFormatError(f"{name}, which this Pillow does not read")
     factory, _ = PIL.Image.OPEN[name]
     if name == "JPEG":  # the registered factory also reads blocks of several images
         from PIL.JpegImagePlugin import JpegImageFile as factory
     image: PIL.Image.Image = factory(io.BytesIO(data), "")
-    header = Header(name, image.size, _orientation(image), image.info.get("exif", b""))
+    header = Header(name, image.size, _orientation(image), read_exif(image.info.get("exif", b"")))
     if complete:
         image.verify()
     return header
@@ -162,7 +147,7 @@ def _heif_header(data: bytes) -> Header:
 
     image = pillow_heif.open_heif(data)  # decodes nothing
     pillow_heif.set_orientation(image.info)
-    return Header("HEIF", image.size, exif=image.info.get("exif") or b"")
+    return Header("HEIF", image.size, exif=read_exif(image.info.get("exif") or b""))
 
 
 def _orientation(image: PIL.Image.Image) -> int:

@@ -20,6 +20,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras, with_orientation
+from dgc_pose.images.exif import Exif, read_exif
 from dgc_pose.images.header import Header
 
 SIZE = (4000, 3000)  # a diagonal of 5000
@@ -33,7 +34,7 @@ def photo(
     model: str = "X1",
     orientation: int = 1,
 ) -> Header:
-    exif = b"" if tags is None else exif_of(tags, make, model).tobytes()
+    exif = Exif() if tags is None else read_exif(exif_of(tags, make, model).tobytes())
     return Header("JPEG", size, orientation, exif)
 
 

@@ -141,7 +141,7 @@ def test_a_truncated_file_is_refused(
         (b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + b"\0" * 99, "is not an image of a known format"),
         (b"\xff\xd8\xff", "is corrupt: "),
         (b"\x89PNG\r\n\x1a\n", "is corrupt: "),
-        (b"II*\0\x08" + bytes(12), "is corrupt: it has no ImageWidth (tag 256)"),
+        (b"II*\0\x08" + bytes(12), "is corrupt: "),
         (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
     ],
 )
@@ -233,7 +233,7 @@ def test_heic_without_its_package_is_not_corrupt(
 
 
 def test_missing_empty_folder_and_too_large(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match=r"gone\.png does not exist"):
+    with pytest.raises(ImageError, match=r"gone\.png cannot be read: No such file"):
         load_image(tmp_path / "gone.png")
     (tmp_path / "empty.png").touch()
     with pytest.raises(ImageError, match=r"empty\.png is empty"):
