@@ -18,9 +18,9 @@ from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any, get_args
 
 from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
-from dgc_pose.cameras.checks import checked_camera
-from dgc_pose.cameras.formats import colmap, plain
-from dgc_pose.cameras.formats.file_cameras import numbers_camera
+from dgc_pose.cameras.checks import checked_camera, times
+from dgc_pose.cameras.formats import colmap
+from dgc_pose.cameras.formats.file_cameras import numbers, numbers_camera
 from dgc_pose.cameras.formats.keyed import keyed_camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras, with_orientation
@@ -162,11 +162,11 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
     else:
         if camera.size is not None and camera.size != of_K:
             raise InputError(
-                f"{name} states {_times(camera.size)}, and", ArgumentName("K_size"), _times(of_K)
+                f"{name} states {times(camera.size)}, and", ArgumentName("K_size"), times(of_K)
             )
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
-                f"{name} is for {_times(of_K)} pixels and the image has {_times(size)}, of another "
+                f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
                 "aspect ratio: it is no resized image, and K cannot be scaled to it"
             )
         camera = checked_camera(replace(camera, size=None), of_K, name)
@@ -289,8 +289,9 @@ def read_calibration(
 
 def _parse_text(text: str, name: str) -> Camera:
     """The camera of numbers or of a line of COLMAP's. Raises InputError, naming `name`."""
-    if (numbers := plain.numbers_of(text)) is not None and len(numbers) in (4, 9):
-        return numbers_camera(numbers, name)
+    values = numbers(text)
+    if values is not None and len(values) in (4, 9):
+        return numbers_camera(values, name)
     if not colmap.is_line(text):
         raise InputError(
             f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
@@ -303,7 +304,7 @@ def _parse_text(text: str, name: str) -> Camera:
 
 
 def _looks_like_path(text: str) -> bool:
-    is_camera = colmap.is_line(text) or plain.numbers_of(text) is not None
+    is_camera = colmap.is_line(text) or numbers(text) is not None
     return text.isprintable() and _FOLDER_OR_ENDING.search(text) is not None and not is_camera
 
 
@@ -334,10 +335,6 @@ def _common_tail(first: tuple[str, ...], second: tuple[str, ...]) -> int:
 
 def _are_equal(cameras: Iterable[Camera]) -> bool:
     return len({(*camera.K.ravel().tolist(), camera.distortion) for camera in cameras}) == 1
-
-
-def _times(size: tuple[int, int]) -> str:
-    return f"{size[0]}x{size[1]}"
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

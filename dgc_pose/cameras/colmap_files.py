@@ -1,88 +1,57 @@
-"""COLMAP's databases as inputs: cameras, images and pairs, through pycolmap."""
+"""COLMAP's databases as inputs: cameras, images and pairs.
 
-from __future__ import annotations
+Read as SQLite: pycolmap changes a database of an older COLMAP, and ends the process where a column
+is of another type.
+"""
 
-import shutil
 import sqlite3
-from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from struct import unpack_from
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import PairList
-from dgc_pose.errors import InputError, reason
-from dgc_pose.files.inputs import require_regular
-from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.system.stderr import quiet
+from dgc_pose.files.inputs import read_as, require_regular
 
-if TYPE_CHECKING:
-    import pycolmap
-
-_FAILURES = (RuntimeError, ValueError, KeyError, TypeError, ArithmeticError, MemoryError)
-
-
-def camera_of(camera: pycolmap.Camera) -> Camera:
-    """COLMAP's camera as ours. Raises InputError for a model without a focal length."""
-    K, distortion = colmap_camera.intrinsics(camera.model.name, camera.params.tolist())
-    return Camera(K, (int(camera.width), int(camera.height)), distortion)
+# Views, triggers, virtual tables and generated columns are programs, which may run for ever.
+_PROGRAMS = """
+    SELECT name FROM sqlite_master
+    WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'
+    UNION ALL
+    SELECT tables.name FROM sqlite_master AS tables JOIN pragma_table_xinfo(tables.name)
+    WHERE tables.type = 'table' AND hidden
+"""
+_IMAGES = """
+    SELECT image_id, CAST(name AS TEXT), model, width, height, params FROM images
+    LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
+"""
+_MAX_IMAGES = 2**31 - 1  # COLMAP's number of a pair is id1 * _MAX_IMAGES + id2
 
 
 def read_database(path: Path) -> PairList:
-    """The images, cameras and matched pairs of a COLMAP database, which stays as it is.
+    """The images, cameras with a known focal length and matched pairs of a COLMAP database.
 
-    Raises InputError, with the path, if it is none that this version of pycolmap reads.
+    Raises InputError, with the path, if it is none that can be read.
     """
-    from dgc_pose.system.colmap_library import pycolmap
-
     require_regular(path)
-    with scratch_folder() as folder:
-        # Opening a database of an older COLMAP changes it, so a copy is opened.
-        copy = folder / "database.db"
-        shutil.copyfile(path, copy)
-        try:
-            _require_plain(copy)
-            with quiet(), pycolmap.Database.open(copy) as database:
-                cameras = {camera.camera_id: camera for camera in database.read_all_cameras()}
-                images = database.read_all_images()
-            # pycolmap's reader of matches ends the process where a column is of another type.
-            with closing(sqlite3.connect(copy)) as plain:
-                rows = plain.execute("SELECT pair_id FROM matches WHERE rows > 0")
-                keys = [key for (key,) in rows]
-            return _content(cameras, images, keys)
-        except (*_FAILURES, sqlite3.Error) as error:
-            why = reason(error)
-            raise InputError(f"{path} is not a COLMAP database that can be read ({why})") from None
-
-
-def _require_plain(path: Path) -> None:
-    """Raise ValueError unless a database holds tables of stored columns alone: views, virtual
-    tables and generated columns are programs, which may run for ever."""
-    with closing(sqlite3.connect(path)) as database:
-        for kind, name, sql in database.execute("SELECT type, name, sql FROM sqlite_master"):
-            if kind not in ("table", "index") or str(sql).upper().startswith("CREATE VIRTUAL"):
-                raise ValueError(f"a {kind} {name} that computes")
-            if kind == "table":
-                columns = database.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
-                if any(hidden for (hidden,) in columns):
-                    raise ValueError(f"a column of {name} that is computed")
-
-
-def _content(cameras: Mapping[int, Any], images: Sequence[Any], keys: Sequence[int]) -> PairList:
-    from dgc_pose.system.colmap_library import pycolmap
-
-    names = {image.image_id: image.name for image in images}
-    for image in images:
-        if image.camera_id not in cameras:
-            raise ValueError(f"{image.name} has the camera {image.camera_id}, which is not there")
-    pairs = [pycolmap.pair_id_to_image_pair(key) for key in keys]
-    if missing := {number for pair in pairs for number in pair} - names.keys():
-        raise ValueError(f"matches of the image {min(missing)}, which is not there")
-    cameras_by_name = {
-        image.name: camera_of(cameras[image.camera_id])
-        for image in images
-        if cameras[image.camera_id].has_prior_focal_length
-    }
-    listed = sorted((names[first], names[second]) for first, second in pairs)
-    return PairList(tuple(sorted(names.values())), tuple(listed), cameras_by_name)
+    uri = f"{path.absolute().as_uri()}?immutable=1"
+    with (
+        read_as("a COLMAP database", path),
+        closing(sqlite3.connect(uri, uri=True)) as database,
+    ):
+        for (program,) in database.execute(_PROGRAMS):
+            raise ValueError(f"{program} computes")
+        names: dict[int, str] = {}
+        cameras: dict[str, Camera] = {}
+        for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
+            names[image_id] = name
+            if model_id is not None:
+                model, count = colmap_camera.model_of_id(model_id)
+                values = unpack_from(f"<{count}d", parameters)
+                K, distortion = colmap_camera.intrinsics(model, list(values))
+                cameras[name] = Camera(K, (int(width), int(height)), distortion)
+        keys = database.execute("SELECT pair_id FROM matches WHERE rows > 0")
+        ids = [divmod(key, _MAX_IMAGES) for (key,) in keys]
+        pairs = sorted((names[first], names[second]) for first, second in ids)
+        return PairList(tuple(sorted(names.values())), tuple(pairs), cameras)

@@ -84,15 +84,15 @@ def test_a_single_colmap_camera_serves_all(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("cameras.txt", "1 NONSENSE 1 2 3\n", "not COLMAP's cameras"),
+        ("cameras.txt", "1 NONSENSE 1 2 3\n", "cameras.txt: 'NONSENSE' is not a COLMAP model"),
         ("cameras.txt", "", "no cameras"),
         ("cameras.bin", "xx", "not COLMAP's cameras"),
-        ("c.csv", "name,fx\na,1\n", ":2: expected the columns"),
+        ("c.csv", "name,fx\na,1\n", "c.csv: no column 'fy'"),
         ("c.csv", "name,fx,fy,cx,cy\na,1,-1,1,1\n", ":2: K must have positive focal"),
         ("c.csv", "name,fx,fy,cx,cy\n", "no cameras"),
-        ("t.json", "{", "t.json is not JSON that can be read"),
+        ("t.json", "{", "t.json is not a file of cameras that can be read"),
         ("t.json", '{"frames": [{"file_path": "a.png"}]}', "no fl_x, and no camera_angle_x with w"),
-        ("calib.txt", "P0: 1 2 3\n", ":1: not a 3x4 projection"),
+        ("calib.txt", "P0: 1 2 3\n", "calib.txt is not a file of cameras that can be read"),
         ("k.txt", "1 2 3\n", "k.txt: K has 3 numbers"),
     ],
 )

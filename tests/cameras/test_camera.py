@@ -78,7 +78,6 @@ def test_camera_for_takes_what_callers_have(value: object) -> None:
         (np.diag([0.0, 500, 1]), "positive focal"),
         (np.diag([500.0, 0, 1]), "positive focal"),
         (np.diag([-500.0, 500, 1]), "positive focal"),
-        (np.diag([1e-30, 500, 1]), "singular"),
         (K + [[0, 0, 0], [5, 0, 0], [0, 0, 0]], "upper triangular"),
     ],
 )
@@ -167,7 +166,7 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
         ("K.txt", b"1 2 3\n4 5 6\n", "K.txt: K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
         ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
         ("K.txt", bytes(range(256)), "K.txt: a file of cameras is text, and this is not"),
-        ("K.txt", b"1 " * 9000, "K.txt: no 3x3 matrix, no fx fy cx cy, and no other file"),
+        ("K.txt", b"1 " * 9000, "K.txt: K has 9000 numbers, not fx fy cx cy and no 3x3 matrix"),
         ("K.txt", b"", "K.txt is empty"),
         ("K.txt", b"  \n", "K.txt is empty"),
         ("K.npy", b"\x93NUMPY\x01\x00", "K.npy is not an .npy that can be read"),

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.file_cameras import FileCameras
+from dgc_pose.cameras.formats.file_cameras import FileCameras, Size
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, read_text
+from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
@@ -33,18 +33,15 @@ def parse_line(text: str) -> Camera:
     Raises InputError.
     """
     words = re.split(r"[\s,]+", text.strip())
-    return _parse_words(words[1:] if words[0].isdecimal() else words, text)
-
-
-def write_line(camera: Camera) -> str:
-    """The camera as `MODEL,width,height,parameters...`, which `parse_line` reads.
-
-    Raises InputError for a camera without a size, and as `colmap_camera.parameters` does.
-    """
-    if camera.size is None:
-        raise InputError("a camera without a size is no line of COLMAP's")
-    model, parameters = colmap_camera.parameters(camera.K, camera.distortion)
-    return ",".join([model, *map(str, camera.size), *map(repr, parameters)])
+    model, *numbers = words[1:] if words[0].isdecimal() else words
+    try:
+        width, height = map(int, numbers[:2])
+        parameters = list(map(float, numbers[2:]))
+    except ValueError:
+        raise InputError(
+            f"expected MODEL,width,height,parameters, not {shortened(text.strip())!r}"
+        ) from None
+    return _camera(model.upper(), (width, height), parameters)
 
 
 def read_model(folder: Path, name: str) -> FileCameras:
@@ -62,7 +59,10 @@ def read_cameras(path: Path) -> FileCameras:
     Raises InputError, with the path, if a file cannot be read.
     """
     ending = path.suffix.lower()
-    cameras = _text_cameras(path) if ending == ".txt" else _binary_cameras(path)
+    is_text = ending == ".txt"
+    with read_as("COLMAP's cameras", path):
+        data = read_bytes(path, TEXT_BYTES)
+        cameras = _text_cameras(data) if is_text else _binary_cameras(data)
     if not cameras:
         raise InputError(f"{path}: no cameras in this file")
     cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
@@ -71,7 +71,7 @@ def read_cameras(path: Path) -> FileCameras:
     if images is not None:
         data = read_bytes(images)
         with read_as("COLMAP's images", images):
-            ids = _text_images(data) if ending == ".txt" else _binary_images(data)
+            ids = _text_images(data) if is_text else _binary_images(data)
         by_name = {name: cameras[key] for name, key in ids.items() if key in cameras}
         if by_name:
             return FileCameras(by_name, parts)
@@ -84,48 +84,26 @@ def find_file(folder: Path, name: str) -> Path | None:
     return next((path for path in reversed(alike) if path.is_file()), None)
 
 
-def _parse_words(words: list[str], text: str) -> Camera:
-    try:
-        width, height = int(words[1]), int(words[2])
-        parameters = [float(word) for word in words[3:]]
-    except (ValueError, IndexError):
-        raise InputError(
-            f"expected MODEL,width,height,parameters, not {shortened(text.strip())!r}"
-        ) from None
-    K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
-    return Camera(K, (width, height), distortion)
+def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
+    K, distortion = colmap_camera.intrinsics(model, parameters)
+    return Camera(K, size, distortion)
 
 
-def _text_cameras(path: Path) -> dict[int, Camera]:
+def _text_cameras(data: bytes) -> dict[int, Camera]:
+    lines = [line for line in data.decode("utf-8-sig").splitlines() if not line.startswith("#")]
+    return {int(line.split()[0]): parse_line(line) for line in lines if line.strip()}
+
+
+def _binary_cameras(data: bytes) -> dict[int, Camera]:
     cameras: dict[int, Camera] = {}
-    for number, line in enumerate(read_text(path, "a cameras.txt").splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            if not words[0].isdecimal():
-                raise InputError(f"expected the id of a camera, not {shortened(words[0])!r}")
-            cameras[int(words[0])] = _parse_words(words[1:], line)
-        except InputError as error:
-            raise InputError(f"{path}:{number}: not COLMAP's cameras ({error})") from None
-    return cameras
-
-
-def _binary_cameras(path: Path) -> dict[int, Camera]:
-    data = read_bytes(path, TEXT_BYTES)
-    cameras: dict[int, Camera] = {}
-    try:
-        (count,) = _COUNT.unpack_from(data)
-        start = _COUNT.size
-        for _ in range(count):
-            key, model_id, width, height = _CAMERA.unpack_from(data, start)
-            model, parameter_count = colmap_camera.model_of_id(model_id)
-            numbers = struct.unpack_from(f"<{parameter_count}d", data, start + _CAMERA.size)
-            K, distortion = colmap_camera.intrinsics(model, list(numbers))
-            cameras[key] = Camera(K, (width, height), distortion)
-            start += _CAMERA.size + 8 * parameter_count
-    except (struct.error, InputError) as error:
-        raise InputError(f"{path}: not COLMAP's cameras ({error})") from None
+    (count,) = _COUNT.unpack_from(data)
+    start = _COUNT.size
+    for _ in range(count):
+        key, model_id, width, height = _CAMERA.unpack_from(data, start)
+        model, parameter_count = colmap_camera.model_of_id(model_id)
+        numbers = struct.unpack_from(f"<{parameter_count}d", data, start + _CAMERA.size)
+        cameras[key] = _camera(model, (width, height), list(numbers))
+        start += _CAMERA.size + 8 * parameter_count
     return cameras
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.file_cameras import FileCameras, matrix
-from dgc_pose.cameras.formats.lens import file_lens, may_matter
-from dgc_pose.errors import InputError, reason
+from dgc_pose.cameras.formats.keyed import file_lens, may_matter
+from dgc_pose.errors import InputError
 
 _INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
 # Where a frame has one key of a group, the file's values for that group do not hold for it.
@@ -27,32 +27,22 @@ def is_transforms(data: Mapping[str, Any]) -> bool:
 def transforms(data: Mapping[str, Any], where: str) -> FileCameras:
     """The cameras of a transforms.json by the names of its frames, which may lack their ending.
 
-    where: the path, for the identity of the cameras. Raises InputError.
+    where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
+    AttributeError, ValueError or ArithmeticError for what is none.
     """
-    try:
-        common = _camera(data)
-        if common is not None:
-            common = replace(common, identity=where)
-        by_name = {}
-        for frame in data.get("frames", ()):
-            of_frame = {
-                key: value
-                for key, value in frame.items()
-                if key in _INTRINSIC_KEYS or may_matter(key)
-            }
-            replaced = {
-                key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys
-            }
-            rest = {key: value for key, value in data.items() if key not in replaced}
-            camera = common if not of_frame else _camera({**rest, **of_frame})
-            if camera is not None:
-                by_name[str(frame["file_path"])] = camera
-            elif common is not None:
-                raise ValueError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
-    except InputError:
-        raise
-    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
-        raise InputError(f"not a transforms.json ({reason(error)})") from None
+    common = _camera(data)
+    if common is not None:
+        common = replace(common, identity=where)
+    by_name = {}
+    for frame in data.get("frames", ()):
+        of_frame = {k: v for k, v in frame.items() if k in _INTRINSIC_KEYS or may_matter(k)}
+        replaced = {key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys}
+        rest = {key: value for key, value in data.items() if key not in replaced}
+        camera = common if not of_frame else _camera({**rest, **of_frame})
+        if camera is not None:
+            by_name[str(frame["file_path"])] = camera
+        elif common is not None:
+            raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
     if common is None and not by_name:
         raise InputError("no fl_x, and no camera_angle_x with w, in this transforms.json")
     return FileCameras(by_name, common=common)
@@ -67,7 +57,7 @@ def _camera(data: Mapping[str, Any]) -> Camera | None:
     if fx is None or fy is None:
         return None
     if size is None and not ("cx" in data and "cy" in data):
-        raise ValueError("neither cx and cy nor w and h")
+        raise InputError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
     cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
     return Camera(matrix(fx, fy, cx, cy), size, file_lens(data))

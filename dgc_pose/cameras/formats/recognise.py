@@ -17,18 +17,26 @@
 """
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from dgc_pose.cameras.formats import colmap, keyed, kitti, nerf, plain
-from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers_camera
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats import colmap, keyed, nerf
+from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers, numbers_camera, rig
 from dgc_pose.errors import InputError, shortened
+from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.yaml_files import yaml_data
 
-_MAX_NUMBERS = 4096  # characters of a file with nine numbers
 _COLMAP = ("cameras.txt", "cameras.bin")
+# KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
+_PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
+_SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
+_OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
 
 
 def read_file(path: Path, name: str) -> FileCameras:
@@ -39,7 +47,8 @@ def read_file(path: Path, name: str) -> FileCameras:
     if path.is_dir():
         return colmap.read_model(path, name)
     try:
-        return _read_file(path)
+        with read_as("a file of cameras", path):
+            return _read_file(path)
     except InputError as error:
         if str(error).startswith(str(path)):
             raise
@@ -49,58 +58,64 @@ def read_file(path: Path, name: str) -> FileCameras:
 def _read_file(path: Path) -> FileCameras:
     ending = path.suffix.lower()
     if ending == ".npy":
-        return plain.read_npy(path)
+        return FileCameras(common=numbers_camera(read_array(path)))
     if ending == ".bin" or path.name.lower() in _COLMAP:
         return colmap.read_cameras(path)
     text = read_text(path, "a file of cameras")
     if not text.strip():
         raise InputError(f"{path} is empty")
     if "<opencv_storage>" in text:
-        with read_as("XML", path):
-            return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
+        return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
     if ending == ".json" or text.lstrip().startswith("{"):
-        with read_as("JSON", path):
-            return _of_mapping(json.loads(text), path)
+        return _of_mapping(json.loads(text), path)
     if ending in (".yaml", ".yml") or text.startswith("%YAML"):
         return _of_mapping(yaml_data(text, path), path)
-    if kitti.is_kitti(text):
-        return kitti.read_kitti(text, path)
+    if _PROJECTION.search(text):
+        return _kitti_cameras(text, path)
     lines = [line.split("#")[0] for line in text.splitlines()]
-    lines = [line for line in lines if line.strip()]
-    if lines and colmap.is_line(lines[0]):
+    lines = [line for line in lines if line.strip()] or [""]
+    if colmap.is_line(lines[0]):
         if lines[0].split()[0].isdecimal():
             return colmap.read_cameras(path)
         if len(lines) == 1:
             return FileCameras(common=colmap.parse_line(lines[0]))
-    return _of_numbers(text, lines, path)
+    if ending == ".csv" and numbers(lines[0]) is None:
+        return keyed.read_table(text, path)
+    if (values := numbers(" ".join(lines))) is not None:
+        return FileCameras(common=numbers_camera(values))
+    raise InputError(
+        "no 3x3 matrix, no fx fy cx cy, and no other file of cameras "
+        f"(it begins with {shortened(lines[0].strip())!r})"
+    )
 
 
 def _of_mapping(data: Any, path: Path) -> FileCameras:
     """The cameras of what JSON, YAML or XML holds."""
-    with read_as("a file of cameras", path):
-        if not isinstance(data, dict):
-            return FileCameras(common=numbers_camera(data))
-        if keyed.is_camera_info(data) and "intrinsics" not in data:
-            return keyed.keyed_cameras(data)
-        if keyed.camchain_cameras(data):
-            return keyed.camchain(data, path)
-        if nerf.is_transforms(data):
-            return nerf.transforms(data, str(path))
-        if keyed.is_keyed(data):
-            return keyed.keyed_cameras(data)
+    if not isinstance(data, dict):
+        return FileCameras(common=numbers_camera(data))
+    if keyed.is_camera_info(data) and "intrinsics" not in data:
+        return keyed.keyed_cameras(data)
+    if keyed.camchain_cameras(data):
+        return keyed.camchain(data, path)
+    if nerf.is_transforms(data):
+        return nerf.transforms(data, str(path))
+    if keyed.is_keyed(data):
+        return keyed.keyed_cameras(data)
     raise InputError(
         f"no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys "
         f"({shortened(', '.join(map(str, data)))})"
     )
 
 
-def _of_numbers(text: str, lines: list[str], path: Path) -> FileCameras:
-    numbers = plain.numbers_of("\n".join(lines)) if len(text) <= _MAX_NUMBERS else None
-    if numbers is not None:
-        return FileCameras(common=numbers_camera(numbers))
-    if path.suffix.lower() == ".csv":
-        return plain.read_table(text, path)
-    raise InputError(
-        "no 3x3 matrix, no fx fy cx cy, and no other file of cameras "
-        f"(it begins with {shortened(lines[0].strip() if lines else '')!r})"
-    )
+def _kitti_cameras(text: str, path: Path) -> FileCameras:
+    """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
+    calib_cam_to_cam.txt of raw drives."""
+    keyed.require_read({match[1]: match[2] for match in _OTHERS.finditer(text)})
+    sizes = {
+        match[1]: (int(float(match[2])), int(float(match[3]))) for match in _SIZE.finditer(text)
+    }
+    parts = {}
+    for match in _PROJECTION.finditer(text):
+        P = np.array(match[2].split(), dtype=np.float64).reshape(3, 4)
+        parts[f"image_{int(match[1])}"] = Camera(P[:, :3], sizes.get(match[1]))
+    return rig(parts, path, {})

@@ -116,7 +116,7 @@ def test_frames_of_common_intrinsics_have_one_identity(tmp_path: Path) -> None:
             {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
             "a has no fl_x, and no camera_angle_x with w",
         ),
-        ({**ALL, "frames": 3}, "not a transforms.json"),
+        ({**ALL, "frames": 3}, "not a file of cameras that can be read"),
     ],
 )
 def test_what_cannot_be_read_is_named(tmp_path: Path, data: dict[str, object], said: str) -> None:
