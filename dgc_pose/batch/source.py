@@ -114,7 +114,7 @@ def survey(
             continue
         of_image = calibration
         listed = source.cameras.get(name)
-        if listed is not None and calibration.says_nothing_of(source.root, name):
+        if listed is not None and calibration.lacks(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
         elif calibration.common is not None:

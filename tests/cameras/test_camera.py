@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.cameras.calibration import camera_for, parse_camera
+from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
@@ -55,8 +55,9 @@ def test_a_camera_keeps_its_own_matrix() -> None:
 @pytest.mark.parametrize(
     "value", [K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K)], ids=type
 )
-def test_camera_for_takes_what_callers_have(value: object) -> None:
-    camera = camera_for(value, Image(np.zeros((480, 640, 3), np.uint8)), "K")
+def test_a_pair_takes_what_callers_have(value: object) -> None:
+    image = Image(np.zeros((480, 640, 3), np.uint8))
+    camera, _ = pair_cameras(value, K, image, image)
     np.testing.assert_array_equal(camera.K, K)
     assert camera.focal == 800
 

@@ -44,11 +44,11 @@ def parse_line(text: str) -> Camera:
     return _camera(model.upper(), (width, height), parameters)
 
 
-def read_model(folder: Path, name: str) -> FileCameras:
-    """The cameras of the folder of a model. Raises InputError, also with the option `name`."""
+def read_model(folder: Path) -> FileCameras:
+    """The cameras of the folder of a model. Raises InputError."""
     path = find_file(folder, "cameras.bin") or find_file(folder, "cameras.txt")
     if path is None:
-        raise InputError(f"{name}: {folder} holds no cameras.txt and no cameras.bin")
+        raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
     return read_cameras(path)
 
 

@@ -39,13 +39,13 @@ _SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
 _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
 
 
-def read_file(path: Path, name: str) -> FileCameras:
+def read_file(path: Path) -> FileCameras:
     """The cameras of a file, or of the folder of a COLMAP model.
 
-    Raises InputError, with the path or the option `name`; OSError if a file cannot be read.
+    Raises InputError, with the path; OSError if a file cannot be read.
     """
     if path.is_dir():
-        return colmap.read_model(path, name)
+        return colmap.read_model(path)
     try:
         with read_as("a file of cameras", path):
             return _read_file(path)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.cameras.calibration import camera_for, parse_camera, read_calibration
+from dgc_pose.cameras.calibration import pair_cameras, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.header import Header
@@ -242,7 +242,7 @@ def test_which_camera_of_a_rig(tmp_path: Path) -> None:
     assert second.distortion is not None
     assert (second.distortion.model, second.distortion.coefficients) == ("EUCM", (0.6, 1.1))
     image = Image(np.zeros((480, 640, 3), np.uint8))
-    assert camera_for(f"{path}:cam1", image, "K").warnings == ()
+    assert pair_cameras(path, f"{path}:cam1", image, image)[1].warnings == ()
     with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
         parse_camera(f"{path}:cam2")
 

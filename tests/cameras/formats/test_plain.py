@@ -102,7 +102,7 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path, keys: tuple[str, str]) ->
         assert (camera1.focal_std, camera1.centre_std, camera2.distortion) == (0.02, 3.0, lens)
     assert parse_camera(f"{path}:K2").K[0, 0] == 1000
     with pytest.raises(
-        InputError, match=r"has no camera for a\.jpg: say which, as .*pose\.json:K2$"
+        InputError, match=r"has no camera for a\.jpg: another of its cameras is .*pose\.json:K2$"
     ):
         read_calibration(str(path)).camera(Path(), "a.jpg", Header("JPEG", SIZE))
 
