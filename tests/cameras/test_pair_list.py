@@ -94,8 +94,8 @@ BAD_LINES = {
     "nan": (line(k2="nan 0 320 0 510 240 0 0 1"), "must be finite"),
     "negative focal": (line(k1="-500 0 320 0 510 240 0 0 1"), "K1 "),
     "K of K2": (line(k2="500 0 320 0 510 240 0 0 2"), "K2 "),
-    "mirror": (line(pose=mirrored()), "not a rotation"),
-    "last row": (line(pose=changed(3, 2, 1.0)), "last row of T must be 0 0 0 1"),
+    "mirror": (line(pose=mirrored()), "T is no rotation"),
+    "last row": (line(pose=changed(3, 2, 1.0)), "the last row 0 0 0 1"),
     "no translation": (
         line(pose=np.block([[R, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])),
         "no translation",
