@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
 from dgc_pose.cameras.checks import checked_camera, times
 from dgc_pose.cameras.formats import colmap
-from dgc_pose.cameras.formats.file_cameras import numbers, numbers_camera
-from dgc_pose.cameras.formats.keyed import keyed_camera
+from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras, with_orientation
 from dgc_pose.errors import ArgumentName, InputError, shortened

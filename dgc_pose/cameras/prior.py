@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.images.exif import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
+from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ import numpy as np
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.files.inputs import read_as, read_bytes, read_start
-from dgc_pose.images.exif import Exif
-from dgc_pose.images.header import Header, UnreadableFormatError, read_header
+from dgc_pose.images.header import Exif, Header, UnreadableFormatError, read_header
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:

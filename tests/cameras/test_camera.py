@@ -43,9 +43,9 @@ def test_points_that_are_none_not_finite_or_of_another_shape(distortion: Distort
             camera.normalise(np.zeros(shape))
 
 
-def test_a_camera_keeps_its_own_matrix() -> None:
+def test_a_camera_copies_its_matrix() -> None:
     mine = K.copy()
-    camera = matrix_camera(mine)
+    camera = Camera(mine)
     mine[0, 0] = 1
     assert camera.K[0, 0] == 810
     with pytest.raises(ValueError, match="read-only"):
@@ -65,20 +65,11 @@ def test_a_pair_takes_what_callers_have(value: object) -> None:
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (np.eye(4), "shape"),
         (K[:2], "shape"),
-        (K.ravel(), "shape"),
-        (None, "not an array"),
         ([["a"] * 3] * 3, "not an array"),
-        ([[1, 2, 3], [4]], "not an array"),
-        (K * np.nan, "not finite"),
         (np.where(K == 810, np.inf, K), "not finite"),
-        (np.zeros((3, 3)), "last row"),
         (K.T, "last row"),
-        (2 * K, "last row"),
-        (np.diag([0.0, 500, 1]), "positive focal"),
         (np.diag([500.0, 0, 1]), "positive focal"),
-        (np.diag([-500.0, 500, 1]), "positive focal"),
         (K + [[0, 0, 0], [5, 0, 0], [0, 0, 0]], "upper triangular"),
     ],
 )
@@ -90,28 +81,17 @@ def test_a_matrix_that_is_no_K_names_the_argument(value: object, message: str) -
 # --- size -----------------------------------------------------------------------------------------
 
 
-def resize_by_areas(image: np.ndarray, factor: int) -> np.ndarray:
-    height, width = image.shape
-    return image.reshape(height // factor, factor, width // factor, factor).mean((1, 3))
-
-
-def centre_of_mass(image: np.ndarray) -> np.ndarray:
-    rows, columns = np.indices(image.shape)
-    return np.array([(columns * image).sum(), (rows * image).sum()]) / image.sum()
-
-
 def test_resized_follows_a_spot_in_a_resized_image() -> None:
     """A spot at the principal point is still there in the image averaged over blocks of pixels."""
     camera = Camera(np.array([[100.0, 0, 41], [0, 100, 26], [0, 0, 1]]), (80, 64))
     spot = np.zeros((64, 80))
     spot[26, 41] = 1
-    blurred = cv2.GaussianBlur(spot, (0, 0), 4)
+    averaged = cv2.GaussianBlur(spot, (0, 0), 4).reshape(16, 4, 20, 4).mean((1, 3))
+    rows, columns = np.indices(averaged.shape)
+    moved = np.array([(columns * averaged).sum(), (rows * averaged).sum()]) / averaged.sum()
     small = camera.resized((20, 16))
-    spot_in_small = centre_of_mass(resize_by_areas(blurred, 4))
-    np.testing.assert_allclose(small.K[:2, 2], spot_in_small, atol=1e-3)
+    np.testing.assert_allclose(small.K[:2, 2], moved, atol=1e-3)
     assert (small.K[0, 0], small.size) == (25, (20, 16))
-    naive = camera.K[:2, 2] / 4
-    assert np.abs(naive - small.K[:2, 2]).min() > 0.3
 
 
 def test_resized_keeps_the_distortion_and_the_warnings() -> None:
@@ -129,26 +109,22 @@ def test_a_camera_without_a_proper_size_cannot_be_resized(size: tuple[int, int] 
         Camera(K, size).resized((10, 10))
 
 
-# --- text -----------------------------------------------------------------------------------------
+# --- text ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "text",
     [
         "",
-        "gone.txt",
-        "500",
-        "1,2,3,4,5",
+        "gone/K.txt",
+        "camchain.yaml:cam1",
         "500,500,a,240",
         "PINHOLE,640,480,700,720,330",
-        "PINHOLE,640,480",
+        "PINHOLE,640",
         "PINHOLE,640.5,480,700,720,330,250",
         "PINHOLE,0,480,700,720,330,250",
-        "PINHOLE,640,480,700,x,330,250",
-        "OPENCV,640,480,700,720,330,250",
         "OPENCV,640,480,700,720,330,250,nan,0,0,0",
         "PINEHOLE,640,480,700,720,330,250",
-        "INVALID,640,480,700,720,330,250",
         "EQUIRECTANGULAR,640,480,640,480",
         "x" * 5000,
         "a\nb",
@@ -156,38 +132,47 @@ def test_a_camera_without_a_proper_size_cannot_be_resized(size: tuple[int, int] 
     ],
 )
 def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) -> None:
-    with pytest.raises(InputError, match="^K1") as caught:
-        parse_camera(text, "K1")
-    assert "\n" not in str(caught.value)
+    for files in (True, False):
+        with pytest.raises(InputError, match="^K1") as caught:
+            parse_camera(text, "K1", files=files)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "error"),
     [
         ("K.txt", b"1 2 3\n4 5 6\n", "K.txt: K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
         ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
         ("K.txt", bytes(range(256)), "K.txt: a file of cameras is text, and this is not"),
-        ("K.txt", b"1 " * 9000, "K.txt: K has 9000 numbers, not fx fy cx cy and no 3x3 matrix"),
-        ("K.txt", b"", "K.txt is empty"),
         ("K.txt", b"  \n", "K.txt is empty"),
-        ("K.npy", b"\x93NUMPY\x01\x00", "K.npy is not an .npy that can be read"),
-        ("K.npy", b"1 0 0\n0 1 0\n0 0 1\n", "K.npy is not an .npy that can be read"),
         ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY is not an .npy that can be read"),
+        ("cameras.txt", b"1 NONSENSE 1 2 3\n", "cameras.txt: 'NONSENSE' is not a COLMAP model"),
+        ("cameras.txt", b"# none\n1 PINHOLE 9\n", "expected MODEL,width,height,parameters, not"),
+        ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
+        ("cameras.bin", bytes(8), "cameras.bin: no cameras in this file"),
+        ("c.csv", b"name,fx\na,1\n", "c.csv: no column 'fy'"),
+        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv:2: K must have positive focal"),
+        ("c.csv", b"name,fx,fy,cx,cy\n", "c.csv: no cameras in this table"),
+        ("t.json", b"{", "t.json is not a file of cameras that can be read"),
+        ("calib.txt", b"P0: 1 2 3\n", "calib.txt is not a file of cameras that can be read"),
+        ("c.yaml", b"a: [1", "c.yaml is not YAML that can be read"),
+        ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read (an alias"),
+        ("c.yaml", b"[" * 10000, "is not YAML that can be read"),
+        ("c.yaml", b"a: 1\nb: 2\n", "no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's"),
     ],
 )
 def test_a_file_without_a_K_is_refused_with_what_it_is(
-    tmp_path: Path, name: str, content: bytes, said: str
+    tmp_path: Path, name: str, content: bytes, error: str
 ) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
         parse_camera(str(path), "K1")
-    assert str(caught.value).startswith("K1: ") and said in str(caught.value)
+    assert str(caught.value).startswith(f"K1: {tmp_path}") and error in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
-def test_what_the_system_says_of_a_K_file_goes_through(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_of_the_system_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="^K1: .* holds no cameras.txt and no cameras.bin"):
         parse_camera(str(tmp_path), "K1")
     loop = tmp_path / "loop"

@@ -20,8 +20,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras, with_orientation
-from dgc_pose.images.exif import Exif, read_exif
-from dgc_pose.images.header import Header
+from dgc_pose.images.header import Exif, Header, read_exif
 
 SIZE = (4000, 3000)  # a diagonal of 5000
 FILM_DIAGONAL = np.hypot(36, 24)

@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.images.exif import Exif, read_exif
+from dgc_pose.images.header import Exif, read_exif
 from dgc_pose.images.image import image_header, load_image
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of Pillow, about damaged blocks

@@ -1,25 +1,42 @@
-"""COLMAP's cameras: a line of cameras.txt, the files, and the folder of a model.
+"""COLMAP's cameras: a line of cameras.txt, the files, the folder of a model, and databases.
 
 The principal point has (0.5, 0.5) at the centre of the top-left pixel, half a pixel more than ours.
 pycolmap's own reader needs all files of a model, takes a cameras.bin that is cut within a camera,
-and never ends in an images.bin that is cut within a name.
+and never ends in an images.bin that is cut within a name. It changes a database of an older COLMAP,
+and ends the process where a column is of another type.
 """
 
 import re
+import sqlite3
 import struct
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.file_cameras import FileCameras, Size
+from dgc_pose.cameras.formats.keyed import FileCameras, Size
+from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes
+from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
 _POINT_BYTES = 24
+# Views, triggers, virtual tables and generated columns are programs, which may run for ever.
+_PROGRAMS = """
+    SELECT name FROM sqlite_master
+    WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'
+    UNION ALL
+    SELECT tables.name FROM sqlite_master AS tables JOIN pragma_table_xinfo(tables.name)
+    WHERE tables.type = 'table' AND hidden
+"""
+_IMAGES = """
+    SELECT image_id, CAST(name AS TEXT), model, width, height, params FROM images
+    LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
+"""
+_MAX_IMAGES = 2**31 - 1  # COLMAP's number of a pair is id1 * _MAX_IMAGES + id2
 
 
 def is_line(text: str) -> bool:
@@ -46,10 +63,10 @@ def parse_line(text: str) -> Camera:
 
 def read_model(folder: Path) -> FileCameras:
     """The cameras of the folder of a model. Raises InputError."""
-    path = find_file(folder, "cameras.bin") or find_file(folder, "cameras.txt")
-    if path is None:
-        raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
-    return read_cameras(path)
+    for name in ("cameras.bin", "cameras.txt"):
+        if (folder / name).is_file():
+            return read_cameras(folder / name)
+    raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
 
 
 def read_cameras(path: Path) -> FileCameras:
@@ -58,8 +75,7 @@ def read_cameras(path: Path) -> FileCameras:
 
     Raises InputError, with the path, if a file cannot be read.
     """
-    ending = path.suffix.lower()
-    is_text = ending == ".txt"
+    is_text = path.suffix.lower() != ".bin"
     with read_as("COLMAP's cameras", path):
         data = read_bytes(path, TEXT_BYTES)
         cameras = _text_cameras(data) if is_text else _binary_cameras(data)
@@ -67,8 +83,8 @@ def read_cameras(path: Path) -> FileCameras:
         raise InputError(f"{path}: no cameras in this file")
     cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
     parts = {str(key): camera for key, camera in cameras.items()}
-    images = find_file(path.parent, f"images{ending}")
-    if images is not None:
+    images = path.with_name("images.txt" if is_text else "images.bin")
+    if images.is_file():
         data = read_bytes(images)
         with read_as("COLMAP's images", images):
             ids = _text_images(data) if is_text else _binary_images(data)
@@ -76,12 +92,6 @@ def read_cameras(path: Path) -> FileCameras:
         if by_name:
             return FileCameras(by_name, parts)
     return FileCameras(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
-
-
-def find_file(folder: Path, name: str) -> Path | None:
-    """The file of a folder that has a name in small letters, or the same in capitals."""
-    alike = sorted(path for path in folder.iterdir() if path.name.lower() == name)
-    return next((path for path in reversed(alike) if path.is_file()), None)
 
 
 def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
@@ -135,3 +145,30 @@ def _text_images(data: bytes) -> dict[str, int]:
             camera_ids[words[9].strip()] = int(words[8])
             next(lines, None)
     return camera_ids
+
+
+def read_database(path: Path) -> PairList:
+    """The images, cameras with a known focal length and matched pairs of a COLMAP database.
+
+    Raises InputError, with the path, if it is none that can be read.
+    """
+    require_regular(path)
+    uri = f"{path.absolute().as_uri()}?immutable=1"
+    with (
+        read_as("a COLMAP database", path),
+        closing(sqlite3.connect(uri, uri=True)) as database,
+    ):
+        for (program,) in database.execute(_PROGRAMS):
+            raise ValueError(f"{program} computes")
+        names: dict[int, str] = {}
+        cameras: dict[str, Camera] = {}
+        for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
+            names[image_id] = name
+            if model_id is not None:
+                model, count = colmap_camera.model_of_id(model_id)
+                values = struct.unpack_from(f"<{count}d", parameters)
+                cameras[name] = _camera(model, (int(width), int(height)), list(values))
+        keys = database.execute("SELECT pair_id FROM matches WHERE rows > 0")
+        ids = [divmod(key, _MAX_IMAGES) for (key,) in keys]
+        pairs = sorted((names[first], names[second]) for first, second in ids)
+        return PairList(tuple(sorted(names.values())), tuple(pairs), cameras)

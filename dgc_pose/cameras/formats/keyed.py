@@ -10,22 +10,18 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from dgc_pose.cameras.camera import Camera
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.formats.file_cameras import (
-    FileCameras,
-    Size,
-    matrix,
-    numbers,
-    numbers_camera,
-    rig,
-)
-from dgc_pose.errors import InputError, reason
+from dgc_pose.errors import InputError, reason, shortened
+
+Size = tuple[int, int]  # (width, height), pixels
 
 # Names of the matrix and the size as OpenCV's programs and ROS write them. The `camera_matrix` of
 # ROS is that of the raw image, which its distortion belongs to.
@@ -35,8 +31,6 @@ _SIZES = (
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
 )
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
-_MAX_FOCAL_STD = 1.0  # relative
-
 _MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye")
 _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
     **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "opencv"),
@@ -57,19 +51,20 @@ _MAY_MATTER = re.compile(
 )
 
 
+@dataclass(frozen=True)
+class FileCameras:
+    """The cameras of a file."""
+
+    by_name: Mapping[str, Camera] = field(default_factory=dict)  # of images, names as written
+    # Of a rig or a pair: "cam1" of Kalibr, "image_2" of KITTI, "K2" of the second image.
+    parts: Mapping[str, Camera] = field(default_factory=dict)
+    common: Camera | None = None  # of all other images
+    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
+
+
 def xml_data(node: ElementTree.Element) -> Any:
     """The values of an XML of cv::FileStorage, as its YAML and JSON have them."""
     return {child.tag: xml_data(child) for child in node} if len(node) else node.text
-
-
-def is_keyed(data: Mapping[str, Any]) -> bool:
-    """Whether a camera matrix, a focal length or a pair of cameras is among the keys."""
-    return not {*_MATRICES, "fx", *_CAMERAS_OF_A_PAIR}.isdisjoint(data)
-
-
-def is_camera_info(data: Mapping[str, Any]) -> bool:
-    """Whether this is a camera_info: the YAML of ROS's calibrators, or the message as printed."""
-    return "distortion_model" in data and not {"camera_matrix", "K", "k"}.isdisjoint(data)
 
 
 def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
@@ -79,17 +74,18 @@ def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
 
     Raises as `keyed_camera` does.
     """
+    if {*_MATRICES, "fx", *_CAMERAS_OF_A_PAIR}.isdisjoint(data):
+        keys = shortened(", ".join(map(str, data)))
+        raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
         require_read(data, *present)
         parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
         return FileCameras(parts=parts)
-    camera = keyed_camera(data)
     parts = {}
-    if not is_camera_info(data):
-        with suppress(InputError):  # of other coefficients than four
-            parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
-    return FileCameras(parts=parts, common=camera)
+    with suppress(InputError):  # of other coefficients than four
+        parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
+    return FileCameras(parts=parts, common=keyed_camera(data))
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
@@ -103,8 +99,7 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
     if not isinstance(data, Mapping):
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
-    if is_camera_info(data):
-        _require_whole(data)
+    _require_whole(data)
     lens: Distortion | None
     if data.get("model"):
         require_read(data, key, "model", "coefficients")
@@ -115,15 +110,12 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         K = numbers_camera(numbers(data[key]) or (), key).K
     else:
         K = matrix(*(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
-    focal_std = float(data.get("focal_std") or 0)
-    if focal_std > _MAX_FOCAL_STD:
-        raise InputError(f"focal_std is {focal_std:g}, more than {_MAX_FOCAL_STD:g}: no K at all")
     identity = data.get("identity")
     return Camera(
         K,
         _size(data),
         lens,
-        focal_std=focal_std,
+        focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         identity=None if identity is None else str(identity),
     )
@@ -140,11 +132,11 @@ def _size(data: Mapping[str, Any]) -> Size | None:
 
 
 def _require_whole(data: Mapping[str, Any]) -> None:
-    """Raise InputError if the message's image is a part of the sensor's, or of fewer pixels."""
+    """Raise InputError if the image of a message of ROS is a part of the sensor's, or binned."""
+    binning = [int(data.get(key) or 0) for key in ("binning_x", "binning_y")]
     roi = data.get("roi") or {}
-    if any(int(data.get(key) or 0) > 1 for key in ("binning_x", "binning_y")) or any(
-        int(roi.get(key) or 0) for key in ("x_offset", "y_offset")
-    ):
+    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
+    if max(binning) > 1 or any(offsets):
         raise InputError("binning or roi is set, and K is of the whole sensor's image")
 
 
@@ -287,10 +279,45 @@ def _opencv_lens(coefficients: Sequence[float], key: str) -> Distortion | None:
         raise InputError(f"{key} has {count} distortion coefficients, not 4, 5, 8, 12 or 14")
     values = (*coefficients, *[0.0] * (14 - len(coefficients)))
     if any(values[8:]):
-        raise InputError(
-            f"{key} has a thin prism or a tilted sensor, which no COLMAP model has: "
-            "calibrate without CALIB_THIN_PRISM_MODEL and CALIB_TILTED_MODEL"
-        )
+        raise InputError(f"{key} has a thin prism or a tilted sensor, which no COLMAP model has")
     if any(values[4:]):
         return Distortion("FULL_OPENCV", values[:8])
     return Distortion("OPENCV", values[:4]) if any(values) else None
+
+
+def matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    """K (3, 3) of four numbers."""
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+def numbers(value: Any) -> list[float] | None:
+    """The numbers of a text, a list, or a matrix of cv::FileStorage or ROS, row by row; None if it
+    holds anything else."""
+    if isinstance(value, Mapping):
+        value = value.get("data", "none")
+    if isinstance(value, str):
+        value = value.replace(",", " ").split()
+    try:
+        return [] if value is None else np.array(value, np.float64).ravel().tolist()
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def numbers_camera(values: Any, name: str = "K") -> Camera:
+    """The camera of fx fy cx cy, or of the nine numbers of a matrix.
+
+    Raises InputError, naming `name`.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.size == 4:
+        return matrix_camera(matrix(*array.ravel().tolist()), name)
+    if array.size != 9:
+        raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
+    return matrix_camera(array.reshape(3, 3), name)
+
+
+def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:
+    """The cameras of a rig, each of the images below a folder of its name; the first is that of
+    other images. refused: of the rig's further cameras, why they are not read."""
+    parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
+    return FileCameras(parts=parts, common=next(iter(parts.values()), None), refused=refused)

@@ -17,7 +17,10 @@
 """
 
 import json
+import math
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -25,18 +28,21 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats import colmap, keyed, nerf
-from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers, numbers_camera, rig
+from dgc_pose.cameras.formats import colmap, keyed
+from dgc_pose.cameras.formats.keyed import FileCameras, numbers, numbers_camera
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.yaml_files import yaml_data
 
-_COLMAP = ("cameras.txt", "cameras.bin")
 # KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
 _PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
 _SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
 _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
+# NeRF's keys, of instant-ngp and nerfstudio.
+_INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
+# Where a frame has one key of a group, the file's values for that group do not hold for it.
+_GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
 
 
 def read_file(path: Path) -> FileCameras:
@@ -59,7 +65,7 @@ def _read_file(path: Path) -> FileCameras:
     ending = path.suffix.lower()
     if ending == ".npy":
         return FileCameras(common=numbers_camera(read_array(path)))
-    if ending == ".bin" or path.name.lower() in _COLMAP:
+    if ending == ".bin":
         return colmap.read_cameras(path)
     text = read_text(path, "a file of cameras")
     if not text.strip():
@@ -93,18 +99,11 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
     """The cameras of what JSON, YAML or XML holds."""
     if not isinstance(data, dict):
         return FileCameras(common=numbers_camera(data))
-    if keyed.is_camera_info(data) and "intrinsics" not in data:
-        return keyed.keyed_cameras(data)
     if keyed.camchain_cameras(data):
         return keyed.camchain(data, path)
-    if nerf.is_transforms(data):
-        return nerf.transforms(data, str(path))
-    if keyed.is_keyed(data):
-        return keyed.keyed_cameras(data)
-    raise InputError(
-        f"no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys "
-        f"({shortened(', '.join(map(str, data)))})"
-    )
+    if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
+        return _nerf_cameras(data, str(path))
+    return keyed.keyed_cameras(data)
 
 
 def _kitti_cameras(text: str, path: Path) -> FileCameras:
@@ -118,4 +117,51 @@ def _kitti_cameras(text: str, path: Path) -> FileCameras:
     for match in _PROJECTION.finditer(text):
         P = np.array(match[2].split(), dtype=np.float64).reshape(3, 4)
         parts[f"image_{int(match[1])}"] = Camera(P[:, :3], sizes.get(match[1]))
-    return rig(parts, path, {})
+    return keyed.rig(parts, path, {})
+
+
+def _nerf_cameras(data: Mapping[str, Any], where: str) -> FileCameras:
+    """The cameras of a transforms.json by the names of its frames, which may lack their ending.
+
+    where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
+    AttributeError, ValueError or ArithmeticError for what is none.
+    """
+    common = _nerf_camera(data)
+    if common is not None:
+        common = replace(common, identity=where)
+    by_name = {}
+    for frame in data.get("frames", ()):
+        of_frame = {k: v for k, v in frame.items() if k in _INTRINSIC_KEYS or keyed.may_matter(k)}
+        replaced = {key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys}
+        rest = {key: value for key, value in data.items() if key not in replaced}
+        camera = common if not of_frame else _nerf_camera({**rest, **of_frame})
+        if camera is not None:
+            by_name[str(frame["file_path"])] = camera
+        elif common is not None:
+            raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
+    if common is None and not by_name:
+        raise InputError("no fl_x, and no camera_angle_x with w, in this transforms.json")
+    return FileCameras(by_name, common=common)
+
+
+def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
+    """Intrinsics of a file or frame."""
+    width, height = data.get("w"), data.get("h")
+    size = None if width is None or height is None else (int(width), int(height))
+    fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
+    fx, fy = fx or fy, fy or fx
+    if fx is None or fy is None:
+        return None
+    if size is None and not ("cx" in data and "cy" in data):
+        raise InputError("neither cx and cy nor w and h")
+    middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
+    cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
+    return Camera(keyed.matrix(fx, fy, cx, cy), size, keyed.file_lens(data))
+
+
+def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:
+    """The focal length along an axis, pixels; side: of the image."""
+    if data.get(f"fl_{axis}") is not None:
+        return float(data[f"fl_{axis}"])
+    angle = data.get(f"camera_angle_{axis}")
+    return None if angle is None or side is None else side / 2 / math.tan(float(angle) / 2)

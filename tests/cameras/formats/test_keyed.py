@@ -8,6 +8,7 @@ import pytest
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import Image
@@ -130,54 +131,21 @@ def test_opencv_in_each_syntax_and_length(tmp_path: Path, ending: str, count: in
 
 def test_opencv_fisheye(tmp_path: Path) -> None:
     """`fisheye_model` as OpenCV's sample camera_calibration.cpp writes it."""
-    coefficients = np.array([-0.03, 0.005, -0.001, 0.0002])
-    path = _write_storage(
-        tmp_path / "fisheye.yml",
-        fisheye_model=1,
-        camera_matrix=K,
-        distortion_coefficients=coefficients,
-    )
-    camera = parse_camera(path)
-    expected = cv2.fisheye.undistortPoints(_pixels()[:, None], K, coefficients)[:, 0]
+    values = {"camera_matrix": K, "D": np.array(FISHEYE)}
+    camera = parse_camera(_write_storage(tmp_path / "a.yml", fisheye_model=1, **values))
+    expected = cv2.fisheye.undistortPoints(_pixels()[:, None], K, values["D"])[:, 0]
     np.testing.assert_allclose(camera.normalise(_pixels()), expected, atol=1e-6)
-    assert camera.distortion is not None and camera.distortion.model == "OPENCV_FISHEYE"
-    path = _write_storage(tmp_path / "silent.yml", K=K, D=coefficients)
+    path = _write_storage(tmp_path / "silent.yml", **values)
     assert parse_camera(f"{path}:fisheye").distortion == camera.distortion
-    silent = parse_camera(path)
-    assert silent.distortion is not None and silent.distortion.model == "OPENCV"
-    assert silent.warnings == ()
+    assert parse_camera(path).distortion == Distortion("OPENCV", tuple(FISHEYE))
 
 
-@pytest.mark.parametrize(
-    "names", [("cameraMatrix", "dist_coeffs"), ("K", "D"), ("camera_matrix", "distCoeffs")]
-)
-def test_other_names(tmp_path: Path, names: tuple[str, str]) -> None:
-    path = _write_storage(tmp_path / "c.yml", **{names[0]: K, names[1]: np.array(LENS[:4])})
+def test_other_names(tmp_path: Path) -> None:
+    path = _write_storage(tmp_path / "c.yml", cameraMatrix=K, dist_coeffs=np.array(LENS[:4]))
     camera = parse_camera(path)
     np.testing.assert_array_equal(camera.K, K)
-    assert camera.distortion is not None and camera.distortion.coefficients == tuple(LENS[:4])
+    assert camera.distortion == Distortion("OPENCV", tuple(LENS[:4]))
     assert camera.size is None
-
-
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ({"camera_matrix": K, "distortion_coefficients": np.full(12, 0.1)}, "a thin prism"),
-        ({"camera_matrix": K, "distortion_coefficients": np.full(3, 0.1)}, "3 distortion coeff"),
-        (
-            {"camera_matrix": K, "D": np.full(4, 0.1), "xi": np.ones((1, 1))},
-            ": xi may be of the lens",
-        ),
-        ({"rotation": np.eye(3)}, "no camera of OpenCV's"),
-        ({"camera_matrix": np.eye(2)}, "camera_matrix must have positive focal"),
-    ],
-)
-def test_what_is_no_camera_of_ours_is_named(
-    tmp_path: Path, values: dict[str, np.ndarray], said: str
-) -> None:
-    with pytest.raises(InputError, match=said) as caught:
-        parse_camera(_write_storage(tmp_path / "c.yml", **values))
-    assert "c.yml" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -238,16 +206,14 @@ def test_which_camera_of_a_rig(tmp_path: Path) -> None:
         (warning,) = camera.warnings
         assert camera.K[0, 0] == 500
         assert "has 2 cameras" in warning and f"cam0 is taken; {path}:cam1 is another" in warning
-    second = parse_camera(f"{path}:cam1")
-    assert second.distortion is not None
-    assert (second.distortion.model, second.distortion.coefficients) == ("EUCM", (0.6, 1.1))
+    assert parse_camera(f"{path}:cam1").distortion == Distortion("EUCM", (0.6, 1.1))
     image = Image(np.zeros((480, 640, 3), np.uint8))
     assert pair_cameras(path, f"{path}:cam1", image, image)[1].warnings == ()
     with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
         parse_camera(f"{path}:cam2")
 
 
-def test_only_the_camera_that_is_asked_for_must_be_one_of_ours(tmp_path: Path) -> None:
+def test_only_the_chosen_camera_must_be_of_colmap(tmp_path: Path) -> None:
     text = KALIBR.format(model="omni", coefficients=[]) + "cam2:\n  camera_model: omni\n"
     text += "  intrinsics: [1.5, 500, 500, 320, 240]\n"
     path = _write(tmp_path / "camchain.yaml", text)
@@ -259,12 +225,6 @@ def test_only_the_camera_that_is_asked_for_must_be_one_of_ours(tmp_path: Path) -
             read_calibration(source)
     with pytest.raises(InputError, match=r"has cam1, cam0, cam2, and no cam3$"):
         parse_camera(f"{path}:cam3")
-
-
-def test_a_lens_of_eucm_besides_its_own_is_refused(tmp_path: Path) -> None:
-    text = KALIBR.format(model="none", coefficients=[]).replace("[]\n  T_cn", "[0.1]\n  T_cn")
-    with pytest.raises(InputError, match="cam1: distortion_coeffs may be of the lens"):
-        parse_camera(_write(tmp_path / "camchain.yaml", text))
 
 
 def test_eurocs_sensor(tmp_path: Path) -> None:
@@ -279,30 +239,22 @@ def test_eurocs_sensor(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "error"),
     [
         (ROS.format(model="thin_prism", count=0, coefficients=[]), "'thin_prism' has no COLMAP"),
-        (
-            ROS.format(model="", count=0, coefficients=[]).replace(
-                "[500.0, 0., 321.25, 0., 5.1e+02, 238.5, 0., 0., 1.]", str([0] * 9)
-            ),
-            "camera_matrix is all zeros: the camera is not calibrated",
-        ),
-        (
-            "distortion_model: ''\nheight: 480\nwidth: 640\nK: [0, 0, 0, 0, 0, 0, 0, 0, 0]\n",
-            "K is all zeros: the camera is not calibrated",
-        ),
         (ROS.format(model="equidistant", count=2, coefficients=[0, 1]), "2 fisheye coefficients"),
+        (ROS.format(model="plumb_bob", count=12, coefficients=[0.1] * 12), "a thin prism"),
         (KALIBR.format(model="radtan", coefficients=[1]), "1 distortion coefficients"),
         (KALIBR.replace("eucm", "ds").format(model="none", coefficients=[]), "'ds' has no COLMAP"),
         (KALIBR.format(model="poly", coefficients=[1]), "cam0: the distortion_model 'poly'"),
-        ("a: [1", "is not YAML that can be read"),
-        ("a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read .an alias"),
-        ("[" * 10000, "is not YAML that can be read"),
-        ("a: 1\nb: 2\n", "no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its"),
+        (
+            KALIBR.format(model="none", coefficients=[]).replace("[]\n  T_cn", "[0.1]\n  T_cn"),
+            "cam1: distortion_coeffs may be of the lens",
+        ),
+        ("distortion_model: ''\nheight: 480\nK: [0, 0, 0, 0, 0, 0, 0, 0, 0]\n", "K must have"),
+        ("camera_matrix: [[5, 0], [0, 5]]", "camera_matrix must have positive focal"),
     ],
 )
-def test_what_has_no_model_is_named(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as caught:
+def test_a_camera_that_colmap_has_not_is_refused(tmp_path: Path, text: str, error: str) -> None:
+    with pytest.raises(InputError, match=f"c.yaml: .*{error}"):
         parse_camera(_write(tmp_path / "c.yaml", text))
-    assert "c.yaml" in str(caught.value) and "\n" not in str(caught.value)

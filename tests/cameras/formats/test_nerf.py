@@ -46,7 +46,7 @@ def test_the_fields_of_view_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("own", "focals"),
+    ("of_frame", "focals"),
     [
         ({"camera_angle_x": 2 * math.atan(0.5)}, [640, 640]),
         ({"camera_angle_x": 2 * math.atan(0.5), "fl_y": 600}, [640, 600]),
@@ -56,42 +56,32 @@ def test_the_fields_of_view_alone(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("common", [{}, {"camera_angle_x": 1.0, "camera_angle_y": 0.8}])
-def test_a_frames_own_focal_lengths(
-    tmp_path: Path, own: dict[str, float], focals: list[float], common: dict[str, float]
+def test_focal_lengths_of_a_frame(
+    tmp_path: Path, of_frame: dict[str, float], focals: list[float], common: dict[str, float]
 ) -> None:
-    frames = [{"file_path": "a", **own}]
+    frames = [{"file_path": "a", **of_frame}]
     camera = _read(tmp_path, {**ALL, **common, "frames": frames})
     np.testing.assert_allclose(camera.K.diagonal()[:2], focals)
 
 
-def test_a_frames_own_model(tmp_path: Path) -> None:
+def test_a_frame_names_its_model(tmp_path: Path) -> None:
     data = {**ALL, "is_fisheye": True, "k1": 0.1}
-    assert _read(tmp_path, {**data, "frames": [{"file_path": "a"}]}).distortion is not None
-    for own in ({"is_fisheye": False}, {"camera_model": "OPENCV"}):
-        lens = _read(tmp_path, {**data, "frames": [{"file_path": "a", **own}]}).distortion
-        assert lens is not None and lens.model == "OPENCV"
+    for of_frame, model in (
+        ({}, "OPENCV_FISHEYE"),
+        ({"is_fisheye": False}, "OPENCV"),
+        ({"camera_model": "OPENCV"}, "OPENCV"),
+    ):
+        lens = _read(tmp_path, {**data, "frames": [{"file_path": "a", **of_frame}]}).distortion
+        assert lens is not None and lens.model == model
 
 
-@pytest.mark.parametrize(
-    ("model", "lens"),
-    [
-        ({"camera_model": "OPENCV"}, {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001}),
-        ({}, {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01, "k4": 0}),
-        ({"camera_model": "OPENCV_FISHEYE"}, {"k1": -0.03, "k2": 0.005, "k3": 0.001, "k4": 0.002}),
-        ({"is_fisheye": True}, {"k1": -0.03, "k2": 0.005}),
-    ],
-)
-def test_lenses(tmp_path: Path, model: dict[str, object], lens: dict[str, float]) -> None:
-    camera = _read(tmp_path, {**ALL, **model, **lens, "frames": [{"file_path": "a.jpg"}]})
+def test_a_lens_of_opencv(tmp_path: Path) -> None:
+    """Lenses by each of their keys are in test_lens.py."""
+    lens = {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01}
+    camera = _read(tmp_path, {**ALL, **lens, "k4": 0, "frames": [{"file_path": "a.jpg"}]})
     pixels = np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
-    points = camera.normalise(pixels)
-    if model in ({}, {"camera_model": "OPENCV"}):
-        coefficients = np.array([lens.get(key, 0) for key in ("k1", "k2", "p1", "p2", "k3")])
-        rays = np.column_stack([points, np.ones(30)])
-        again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, coefficients)
-    else:
-        coefficients = np.array([lens.get(key, 0.0) for key in ("k1", "k2", "k3", "k4")])
-        again = cv2.fisheye.distortPoints(points[:, None], K, coefficients)
+    rays = np.column_stack([camera.normalise(pixels), np.ones(30)])
+    again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, np.array([*lens.values()]))
     np.testing.assert_allclose(again[:, 0], pixels, atol=1e-3)
 
 
@@ -102,15 +92,10 @@ def test_frames_of_common_intrinsics_have_one_identity(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "error"),
     [
         ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
         ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
-        (
-            {**ALL, "camera_model": "EQUIRECTANGULAR", "frames": []},
-            "'EQUIRECTANGULAR' has no COLMAP",
-        ),
-        ({**ALL, "k4": 0.1, "frames": []}, ": k4 may be of the lens"),
         ({**ALL, "frames": [{}]}, "file_path"),
         (
             {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
@@ -119,9 +104,8 @@ def test_frames_of_common_intrinsics_have_one_identity(tmp_path: Path) -> None:
         ({**ALL, "frames": 3}, "not a file of cameras that can be read"),
     ],
 )
-def test_what_cannot_be_read_is_named(tmp_path: Path, data: dict[str, object], said: str) -> None:
+def test_what_cannot_be_read_is_named(tmp_path: Path, data: dict[str, object], error: str) -> None:
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=f"transforms.json.*{error}"):
         parse_camera(str(path))
-    assert "transforms.json" in str(caught.value)

@@ -16,21 +16,19 @@ from dgc_pose.images.image import Image
 
 SIZE = (640, 480)
 K = np.array([[500.0, 0, 320.25], [0, 510, 240], [0, 0, 1]])
-FOUR = ("500", "510", "320.25", "240")
-NINE = ("500", "0", "320.25", "0", "510", "240", "0", "0", "1")
+FOUR = ("500.", "510.", "320.25", "240.")
+NINE = ("500.", "0.", "320.25", "0.", "510.", "240.", "0.", "0.", "1.")
 
 
 @pytest.mark.parametrize("words", [FOUR, NINE], ids=["four", "nine"])
-@pytest.mark.parametrize("between", [",", " ", ", ", "\t", " ,"])
-@pytest.mark.parametrize("inline", [True, False])
+@pytest.mark.parametrize("between", [",", " ", "\t", " ,"])
 def test_numbers_split_by_commas_or_blanks(
-    tmp_path: Path, words: tuple[str, ...], between: str, inline: bool
+    tmp_path: Path, words: tuple[str, ...], between: str
 ) -> None:
-    text = between.join(words)
-    if not inline:
-        (tmp_path / "K.txt").write_text(f"# of the left camera\n{text}\n\n")
-        text = str(tmp_path / "K.txt")
-    np.testing.assert_array_equal(parse_camera(text).K, K)
+    path = tmp_path / "K.txt"
+    path.write_text(f"# of the left camera\n{between.join(words)}\n\n")
+    for text in (between.join(words), str(path), between.join(word + "0" * 80 for word in words)):
+        np.testing.assert_array_equal(parse_camera(text).K, K)
 
 
 @pytest.mark.parametrize("name", ["K.npy", "K.csv", "K", "k.mat"])
@@ -108,23 +106,19 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path, keys: tuple[str, str]) ->
 
 
 @pytest.mark.parametrize(
-    ("data", "said"),
+    ("data", "error"),
     [
         ({"K": [1, 2]}, "K has 2 numbers"),
         ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
-        ({"K": K.tolist(), "focal_std": 1e9}, r"focal_std is 1e\+09"),
         ({"K": K.tolist(), "focal_std": -0.1}, "focal_std must be finite and at least 0"),
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
         ({"K": K.tolist(), "centre_std_px": math.inf}, "centre_std must be finite and at least 0"),
         ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
-        ({"fx": 1}, "not a file of cameras that can be read"),
         ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
-        ({"other": 1}, "no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys"),
     ],
 )
-def test_json_that_has_no_camera(tmp_path: Path, data: dict[str, object], said: str) -> None:
+def test_json_that_has_no_camera(tmp_path: Path, data: dict[str, object], error: str) -> None:
     path = tmp_path / "K.json"
     path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=f"K.json.*{error}"):
         parse_camera(str(path))
-    assert "K.json" in str(caught.value)
