@@ -2,7 +2,6 @@
 
 import os
 import struct
-import sys
 from pathlib import Path
 
 import cv2
@@ -17,17 +16,6 @@ from hypothesis.extra import numpy as st_numpy
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.image import Image, image_size, load_image, read_pixels, resize
-
-
-class PathLike:
-    """A path of another library, which `open` takes."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __fspath__(self) -> str:
-        return str(self.path)
-
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
 
@@ -60,25 +48,23 @@ def test_a_file_gives_its_pixels_in_rgb(tmp_path: Path, rgb: np.ndarray, suffix:
     assert image.pixels.dtype == np.uint8 and image.pixels.flags.c_contiguous
     difference = np.abs(image.pixels.astype(int) - rgb)
     assert difference.max() == 0 if suffix != "jpg" else difference.mean() < 3
-    for same in (str(path), PathLike(path)):
-        np.testing.assert_array_equal(load_image(same).pixels, image.pixels)
+    np.testing.assert_array_equal(load_image(str(path)).pixels, image.pixels)
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "png", "webp"])
-@pytest.mark.parametrize("orientation", range(2, 9))
+@pytest.mark.parametrize("orientation", [2, 3, 6, 8])
 def test_exif_orientation_is_not_applied_and_kept(
-    tmp_path: Path, rgb: np.ndarray, suffix: str, orientation: int
+    tmp_path: Path, rgb: np.ndarray, orientation: int
 ) -> None:
-    upright = load_image(save(tmp_path / f"upright.{suffix}", rgb, 1))
-    turned = load_image(save(tmp_path / f"turned.{suffix}", rgb, orientation))
-    np.testing.assert_array_equal(turned.pixels, upright.pixels)
-    assert (upright.orientation, turned.orientation) == (1, orientation)
-
-
-def test_a_tiff_that_a_reader_may_turn_is_refused(tmp_path: Path, rgb: np.ndarray) -> None:
+    for suffix in ("jpg", "png", "webp"):
+        upright = load_image(save(tmp_path / f"upright.{suffix}", rgb, 1))
+        turned = load_image(save(tmp_path / f"turned.{suffix}", rgb, orientation))
+        np.testing.assert_array_equal(turned.pixels, upright.pixels)
+        assert (upright.orientation, turned.orientation) == (1, orientation)
     assert load_image(save(tmp_path / "upright.tiff", rgb, 1)).size == (70, 50)
-    with pytest.raises(ImageError, match=r"turned\.tiff is a TIFF with orientation tag 6"):
-        load_image(save(tmp_path / "turned.tiff", rgb, 6))
+    with pytest.raises(
+        ImageError, match=rf"turned\.tiff is a TIFF with orientation tag \d:"
+    ):
+        load_image(save(tmp_path / "turned.tiff", rgb, orientation))
 
 
 @pytest.mark.parametrize("suffix", ["png", "tiff"])
@@ -96,15 +82,14 @@ def test_16_bits_are_stretched_from_their_own_range(
     assert pixels.min() == 0 and pixels.max() == 255
 
 
-def test_alpha_has_no_say_in_the_range(tmp_path: Path, rgb: np.ndarray) -> None:
+def test_alpha_does_not_count_in_the_range(tmp_path: Path, rgb: np.ndarray) -> None:
     deep = rgb.astype(np.uint16) * 16
     alpha = np.full((*rgb.shape[:2], 1), 65535, np.uint16)
     path = tmp_path / "alpha.png"
     assert cv2.imwrite(str(path), np.concatenate([deep[:, :, ::-1], alpha], axis=2))
-    np.testing.assert_array_equal(load_image(path).pixels, load_image(deep).pixels)
+    for source in (path, np.concatenate([deep, alpha], axis=2)):
+        np.testing.assert_array_equal(load_image(source).pixels, load_image(deep).pixels)
     assert load_image(path).pixels.max() == 255
-    array = np.concatenate([deep, alpha], axis=2)
-    np.testing.assert_array_equal(load_image(array).pixels, load_image(deep).pixels)
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])
@@ -121,22 +106,19 @@ def test_grey_alpha_and_palette_files_become_rgb(
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.95])
-def test_a_truncated_file_is_refused(
-    tmp_path: Path, rgb: np.ndarray, suffix: str, share: float
-) -> None:
+def test_a_truncated_file_is_refused(tmp_path: Path, rgb: np.ndarray, suffix: str) -> None:
     path = save(tmp_path / f"short.{suffix}", rgb)
     data = path.read_bytes()
-    path.write_bytes(data[: max(2, int(len(data) * share))])
-    with pytest.raises(ImageError, match=r"short\."):
-        load_image(path)
+    for share in (0.02, 0.5, 0.95):
+        path.write_bytes(data[: max(2, int(len(data) * share))])
+        with pytest.raises(ImageError, match=r"short\."):
+            load_image(path)
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "error"),
     [
         (b"hello", "is not an image of a known format"),
-        (b"BM, a motorway", "is not an image of a known format"),
         (b"P2: 718.9 0 607.2 0", "is not an image of a known format"),  # KITTI's calib.txt
         (b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + b"\0" * 99, "is not an image of a known format"),
         (b"\xff\xd8\xff", "is corrupt: "),
@@ -145,13 +127,13 @@ def test_a_truncated_file_is_refused(
         (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
     ],
 )
-def test_what_a_file_is_that_cannot_be_read(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_file_that_cannot_be_read(tmp_path: Path, content: bytes, error: str) -> None:
     path = tmp_path / "photo.jpg"
     path.write_bytes(content)
     for read in (load_image, image_size):
         with pytest.raises(ImageError) as caught:
             read(path)
-        assert str(caught.value).startswith(f"{path} {said}")
+        assert str(caught.value).startswith(f"{path} {error}")
 
 
 @pytest.mark.parametrize("tag", [(254, 1), (50706, 0x0401)], ids=["thumbnail", "DNG"])
@@ -181,7 +163,7 @@ def heic(path: Path, pixels: np.ndarray, orientation: int = 1) -> Path:
     return path
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("orientation", [1, 2, 6, 7])
 def test_the_rotation_of_heic_is_part_of_decoding(
     tmp_path: Path, rgb: np.ndarray, orientation: int
 ) -> None:
@@ -222,16 +204,6 @@ def test_a_heic_that_is_truncated_or_huge_is_refused(
         load_image(path)
 
 
-def test_heic_without_its_package_is_not_corrupt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "IMG_1.HEIC"
-    path.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
-    monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(ImageError, match="HEIC is HEIC, which needs pillow-heif: pip install"):
-        load_image(path)
-
-
 def test_missing_empty_folder_and_too_large(tmp_path: Path) -> None:
     with pytest.raises(ImageError, match=r"gone\.png cannot be read: No such file"):
         load_image(tmp_path / "gone.png")
@@ -248,18 +220,18 @@ def test_missing_empty_folder_and_too_large(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("size", "said"),
+    ("size", "error"),
     [
         ((60_000, 50_000), "is too large: 60000 x 50000"),
-        ((16_384, 12_288), "is corrupt"),  # what a telephone takes, beyond Pillow's limit
+        ((16_384, 12_288), "is corrupt"),  # from a telephone, beyond Pillow's limit
     ],
 )
-def test_the_header_alone_tells_a_huge_image(
-    tmp_path: Path, size: tuple[int, int], said: str
+def test_a_huge_image_is_refused_by_its_header(
+    tmp_path: Path, size: tuple[int, int], error: str
 ) -> None:
     path = tmp_path / "huge.ppm"
     path.write_bytes(b"P6\n%d %d\n255\n" % size + bytes(100))
-    with pytest.raises(ImageError, match=rf"huge\.ppm {said}"):
+    with pytest.raises(ImageError, match=rf"huge\.ppm {error}"):
         load_image(path)
 
 
@@ -323,19 +295,13 @@ def test_tensors_may_have_their_channels_first(rgb: np.ndarray) -> None:
     "array",
     [
         np.zeros((3, 20, 30), np.uint8),
-        np.zeros((20, 30, 2), np.uint8),
         np.zeros((1, 3, 20, 30), np.uint8),
         np.zeros(20, np.uint8),
-        np.zeros((0, 30, 3), np.uint8),
         np.zeros((20, 0), np.float32),
-        np.full((4, 4), np.nan),
         np.array([[0, np.inf], [1, 2]]),
         np.zeros((4, 4), complex),
-        np.array([["a", "b"]]),
-        [[1, 2], [3]],
         None,
         torch.zeros(2, 3, 20, 30),
-        torch.full((3, 4, 4), float("nan")),
     ],
     ids=lambda value: f"{type(value).__name__}{getattr(value, 'shape', '')}",
 )
@@ -363,11 +329,6 @@ def test_resize_follows_the_half_pixel_rule() -> None:
         expected = ((np.arange(size[0]) + 0.5) * width / size[0] - 0.5) * 0.5
         inner = slice(4, -4)
         np.testing.assert_allclose(resized[5, inner, 0], expected[inner], atol=1e-3)
-
-
-def test_shrinking_averages() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (960, 960, 3), dtype=np.uint8)
-    shrunk = resize(noise, (240, 240)).astype(float)
-    expected = noise.reshape(240, 4, 240, 4, 3).mean((1, 3))
-    assert np.abs(shrunk - expected).max() <= 1
-    assert cv2.resize(noise, (240, 240)).std() > 2 * shrunk.std()  # plain bilinear would alias
+    averages = noise.reshape(240, 4, 240, 4, 3).mean((1, 3))
+    assert np.abs(resize(noise, (240, 240)) - averages).max() <= 1
