@@ -1,7 +1,6 @@
 """Cameras of many images from each kind of file."""
 
 import json
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -26,12 +25,8 @@ SIZE = (640, 480)
 K = [[500, 0, 320], [0, 510, 238], [0, 0, 1]]
 
 
-def _header(size: tuple[int, int]) -> Header:
-    return Header("JPEG", size)
-
-
-def _K(calibration: Calibration, name: str, size: tuple[int, int] = SIZE) -> list[float]:
-    K = calibration.camera(Path("photos"), name, _header(size)).K
+def _K(calibration: Calibration, name: str) -> list[float]:
+    K = calibration.camera(Path("photos"), name, Header("JPEG", SIZE)).K
     return [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
 
 
@@ -46,13 +41,8 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     """COLMAP's principal point is half a pixel more than ours."""
     model = pycolmap.Reconstruction()
     for number, focal in ((1, 500.0), (2, 600.0)):
-        camera = pycolmap.Camera(
-            camera_id=number,
-            model="OPENCV",
-            width=640,
-            height=480,
-            params=[focal, focal, 320.5, 240.5, 0.01, 0, 0, 0],
-        )
+        camera = pycolmap.Camera.create_from_model_name(number, "OPENCV", focal, *SIZE)
+        camera.params = [focal, focal, 320.5, 240.5, 0.01, 0, 0, 0]
         model.add_camera_with_trivial_rig(camera)
         image = pycolmap.Image(name=f"d/{number}.jpg", camera_id=number, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
@@ -62,7 +52,7 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     calibration = read_calibration(str(source))
     assert _K(calibration, "d/1.jpg") == [500, 500, 320, 240]
     assert _K(calibration, "d/2.jpg") == [600, 600, 320, 240]
-    lens = calibration.camera(tmp_path, "d/1.jpg", _header(SIZE)).distortion
+    lens = calibration.camera(tmp_path, "d/1.jpg", Header("JPEG", SIZE)).distortion
     assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
     with pytest.raises(InputError, match="no camera for e.jpg"):
         _K(calibration, "e.jpg")
@@ -74,35 +64,13 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     assert _K(read_calibration(f"{source}:2"), "d/1.jpg") == [600, 600, 320, 240]
 
 
-def test_a_single_colmap_camera_serves_all(tmp_path: Path) -> None:
-    text = "# list\n1 PINHOLE 640 480 500 510 320.5 240.5\n"
-    calibration = read_calibration(_write(tmp_path / "cameras.txt", text))
-    assert _K(calibration, "any.jpg") == [500, 510, 320, 240]
-    with pytest.raises(InputError, match=r"640 x 480 pixels, the image has 320 x 240"):
-        _K(calibration, "any.jpg", (320, 240))
-
-
-def test_without_a_camera() -> None:
+def test_an_image_without_a_camera(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^no camera for a\.jpg: give K or auto in its place$"):
         _K(read_calibration(None), "a.jpg")
-
-
-def test_a_file_that_lacks_an_image_is_named(tmp_path: Path) -> None:
-    table = _write(tmp_path / "K.csv", "name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
-    frame = {"file_path": "a", "fl_x": 500, "w": 640, "h": 480}
-    nerf = _write(tmp_path / "transforms.json", json.dumps({"frames": [frame]}))
-    for path in (table, nerf):
-        calibration = read_calibration(path)
-        assert _K(calibration, "a.jpg")[0] == 500
-        with pytest.raises(InputError) as caught:
-            _K(calibration, "b.jpg")
-        assert str(caught.value) == f"{path} has no camera for b.jpg"
-
-
-@pytest.mark.parametrize("decimals", [0, 80])  # the text may be longer than a file's name
-def test_one_K_for_all(decimals: int) -> None:
-    text = ",".join(f"{value:.{decimals}f}" for value in (500, 510, 320, 240))
-    assert _K(read_calibration(text), "a.jpg") == [500, 510, 320, 240]
+    path = _write(tmp_path / "K.csv", "name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
+    assert _K(read_calibration(path), "a.jpg") == [500, 510, 320, 240]
+    with pytest.raises(InputError, match=f"^{path} has no camera for b.jpg$"):
+        _K(read_calibration(path), "b.jpg")
 
 
 def test_cameras_survive_json() -> None:
@@ -119,9 +87,7 @@ def test_cameras_survive_json() -> None:
     data = json.loads(json.dumps(camera_data(camera)))
     again = parse_camera_data(data)
     np.testing.assert_array_equal(again.K, camera.K)
-    for of in fields(Camera):
-        if of.name != "K":
-            assert getattr(again, of.name) == getattr(camera, of.name)
+    assert {**vars(again), "K": None} == {**vars(camera), "K": None}
     with pytest.raises(ValueError, match="focal_source"):
         parse_camera_data({**data, "focal_source": "a star"})
 
@@ -142,7 +108,7 @@ def test_which_images_of_a_folder_share_a_camera_without_K(
 ) -> None:
     calibration = read_calibration(word)
     first, alike, other = (
-        calibration.camera(Path("photos"), f"{i}.jpg", _header(size))
+        calibration.camera(Path("photos"), f"{i}.jpg", Header("JPEG", size))
         for i, size in enumerate((SIZE, SIZE, (320, 200)))
     )
     assert first.focal_std > 0 and first.focal_source == "size"
@@ -169,14 +135,12 @@ def test_the_cameras_of_a_pair_without_K() -> None:
         pair_cameras("auto:both", None, first, second)
 
 
-# --- what is said of K besides its numbers --------------------------------------------------------
+# --- the size and the deviation of K --------------------------------------------------------------
 
 
 def test_a_K_of_another_size_is_scaled() -> None:
     (image,) = _images((320, 240))
-    expected = Camera(np.array([[500.0, 0, 320], [0, 510, 238], [0, 0, 1]]), SIZE).resized(
-        (320, 240)
-    )
+    expected = Camera(np.array(K), SIZE).resized((320, 240))
     details = KDetails(size=SIZE)
     for value in ("500,510,320,238", "PINHOLE,640,480,500,510,320.5,238.5", np.array(K)):
         camera, _ = pair_cameras(value, value, image, image, details=details)
@@ -185,7 +149,7 @@ def test_a_K_of_another_size_is_scaled() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "size", "said"),
+    ("text", "size", "error"),
     [
         ("500,510,160,238", (640, 240), "320x240, of another aspect ratio"),
         ("500,510,160,160", (320, 320), "K is for 320x320 pixels and the image has 320x240"),
@@ -194,9 +158,9 @@ def test_a_K_of_another_size_is_scaled() -> None:
         ("auto", SIZE, "K_size is of a K, and K gives none"),
     ],
 )
-def test_a_size_that_K_cannot_have(text: str, size: tuple[int, int], said: str) -> None:
+def test_a_size_that_K_cannot_have(text: str, size: tuple[int, int], error: str) -> None:
     (image,) = _images((320, 240))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=error):
         pair_cameras(text, text, image, image, ("K", "K"), KDetails(size=size))
 
 

@@ -61,9 +61,7 @@ def test_exif_orientation_is_not_applied_and_kept(
         np.testing.assert_array_equal(turned.pixels, upright.pixels)
         assert (upright.orientation, turned.orientation) == (1, orientation)
     assert load_image(save(tmp_path / "upright.tiff", rgb, 1)).size == (70, 50)
-    with pytest.raises(
-        ImageError, match=rf"turned\.tiff is a TIFF with orientation tag \d:"
-    ):
+    with pytest.raises(ImageError, match=r"turned\.tiff is a TIFF with orientation tag \d:"):
         load_image(save(tmp_path / "turned.tiff", rgb, orientation))
 
 

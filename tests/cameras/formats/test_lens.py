@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dgc_pose.cameras.calibration import camera_data, parse_camera, read_calibration
+from dgc_pose.cameras.calibration import camera_data, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
@@ -132,17 +132,3 @@ def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, An
     assert _lens(_write(tmp_path, format, **lens, **model)) == expected
     with pytest.raises(InputError, match="p1 may be of the lens"):
         _lens(_write(tmp_path, format, **lens, **model, p1=0.1))
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("K.txt", "500 510 320 240 -0.3"),
-        ("cameras.txt", "1 PINHOLE 640 480 500 510 320 240 -0.3"),
-        ("c.csv", "name,fx,fy,cx,cy\na,500,510,320,240,-0.3"),
-    ],
-)
-def test_a_number_without_a_key_is_refused(tmp_path: Path, name: str, text: str) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match="5 numbers|not 5|more cells than columns"):
-        parse_camera(str(tmp_path / name))
