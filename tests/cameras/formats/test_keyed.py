@@ -135,50 +135,38 @@ def test_opencv_fisheye(tmp_path: Path) -> None:
     camera = parse_camera(_write_storage(tmp_path / "a.yml", fisheye_model=1, **values))
     expected = cv2.fisheye.undistortPoints(_pixels()[:, None], K, values["D"])[:, 0]
     np.testing.assert_allclose(camera.normalise(_pixels()), expected, atol=1e-6)
-    path = _write_storage(tmp_path / "silent.yml", **values)
+    path = _write_storage(tmp_path / "silent.yml", cameraMatrix=K, dist_coeffs=values["D"])
     assert parse_camera(f"{path}:fisheye").distortion == camera.distortion
     assert parse_camera(path).distortion == Distortion("OPENCV", tuple(FISHEYE))
+    np.testing.assert_array_equal(parse_camera(path).K, K)
 
 
-def test_other_names(tmp_path: Path) -> None:
-    path = _write_storage(tmp_path / "c.yml", cameraMatrix=K, dist_coeffs=np.array(LENS[:4]))
-    camera = parse_camera(path)
-    np.testing.assert_array_equal(camera.K, K)
-    assert camera.distortion == Distortion("OPENCV", tuple(LENS[:4]))
-    assert camera.size is None
+EUROC = (  # The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML does.
+    "%YAML:1.0\n# General sensor definitions.\nsensor_type: camera\nresolution: [640, 480]\n"
+    "camera_model: pinhole\nintrinsics: [500.0, 510.0, 321.25, 238.5] #fu, fv, cu, cv\n"
+    f"distortion_model: radial-tangential\ndistortion_coefficients: {PLUMB_BOB[:4]}\n"
+)
 
 
 @pytest.mark.parametrize(
-    ("model", "coefficients"),
+    ("text", "model", "coefficients"),
     [
-        ("plumb_bob", PLUMB_BOB),
-        ("rational_polynomial", LENS),
-        ("equidistant", FISHEYE),
+        (ROS, "plumb_bob", PLUMB_BOB),
+        (ROS, "rational_polynomial", LENS),
+        (ROS, "equidistant", FISHEYE),
+        (MESSAGE.format(binning=1, offset=0), "plumb_bob", PLUMB_BOB),
+        (KALIBR, "radtan", PLUMB_BOB[:4]),
+        (KALIBR, "equidistant", FISHEYE),
+        (KALIBR, "none", []),
+        (EUROC, "radtan", PLUMB_BOB[:4]),
     ],
 )
-def test_ros(tmp_path: Path, model: str, coefficients: list[float]) -> None:
-    text = ROS.format(model=model, count=len(coefficients), coefficients=coefficients)
-    camera = parse_camera(_write(tmp_path / "ost.yaml", text))
-    np.testing.assert_array_equal(camera.K, K)
-    assert camera.size == SIZE
-    _assert_lens(camera, model, coefficients)
-
-
-def test_a_message_of_ros(tmp_path: Path) -> None:
-    camera = parse_camera(_write(tmp_path / "info.yaml", MESSAGE.format(binning=1, offset=0)))
-    _assert_lens(camera, "plumb_bob", PLUMB_BOB)
-    for values in ({"binning": 2, "offset": 0}, {"binning": 0, "offset": 8}):
-        with pytest.raises(InputError, match="binning or roi is set"):
-            parse_camera(_write(tmp_path / "info.yaml", MESSAGE.format(**values)))
-
-
-@pytest.mark.parametrize(
-    ("model", "coefficients"),
-    [("radtan", PLUMB_BOB[:4]), ("equidistant", FISHEYE), ("none", [])],
-)
-def test_kalibr(tmp_path: Path, model: str, coefficients: list[float]) -> None:
-    path = _write(tmp_path / "camchain.yaml", KALIBR.format(model=model, coefficients=coefficients))
-    camera = parse_camera(path)
+def test_ros_kalibr_and_euroc(
+    tmp_path: Path, text: str, model: str, coefficients: list[float]
+) -> None:
+    if text in (ROS, KALIBR):
+        text = text.format(model=model, count=len(coefficients), coefficients=coefficients)
+    camera = parse_camera(_write(tmp_path / "c.yaml", text))
     np.testing.assert_array_equal(camera.K, K)
     assert camera.size == SIZE
     _assert_lens(camera, model, coefficients or [0.0] * 4)
@@ -227,17 +215,6 @@ def test_only_the_chosen_camera_must_be_of_colmap(tmp_path: Path) -> None:
         parse_camera(f"{path}:cam3")
 
 
-def test_eurocs_sensor(tmp_path: Path) -> None:
-    """The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML does."""
-    text = (
-        "%YAML:1.0\n# General sensor definitions.\nsensor_type: camera\nresolution: [640, 480]\n"
-        "camera_model: pinhole\nintrinsics: [500.0, 510.0, 321.25, 238.5] #fu, fv, cu, cv\n"
-        f"distortion_model: radial-tangential\ndistortion_coefficients: {PLUMB_BOB[:4]}\n"
-    )
-    camera = parse_camera(_write(tmp_path / "sensor.yaml", text))
-    _assert_lens(camera, "radtan", PLUMB_BOB[:4])
-
-
 @pytest.mark.parametrize(
     ("text", "error"),
     [
@@ -251,6 +228,8 @@ def test_eurocs_sensor(tmp_path: Path) -> None:
             KALIBR.format(model="none", coefficients=[]).replace("[]\n  T_cn", "[0.1]\n  T_cn"),
             "cam1: distortion_coeffs may be of the lens",
         ),
+        (MESSAGE.format(binning=2, offset=0), "binning or roi is set"),
+        (MESSAGE.format(binning=0, offset=8), "binning or roi is set"),
         ("distortion_model: ''\nheight: 480\nK: [0, 0, 0, 0, 0, 0, 0, 0, 0]\n", "K must have"),
         ("camera_matrix: [[5, 0], [0, 5]]", "camera_matrix must have positive focal"),
     ],
