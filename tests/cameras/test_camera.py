@@ -43,21 +43,14 @@ def test_points_that_are_none_not_finite_or_of_another_shape(distortion: Distort
             camera.normalise(np.zeros(shape))
 
 
-def test_a_camera_copies_its_matrix() -> None:
-    mine = K.copy()
-    camera = Camera(mine)
-    mine[0, 0] = 1
-    assert camera.K[0, 0] == 810
-    with pytest.raises(ValueError, match="read-only"):
-        camera.K[0, 0] = 1
-
-
 @pytest.mark.parametrize(
     "value", [K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K)], ids=type
 )
 def test_a_pair_takes_what_callers_have(value: object) -> None:
     image = Image(np.zeros((480, 640, 3), np.uint8))
     camera, _ = pair_cameras(value, K, image, image)
+    with pytest.raises(ValueError, match="read-only"):
+        camera.K[0, 0] = 1
     np.testing.assert_array_equal(camera.K, K)
     assert camera.focal == 800
 
@@ -101,12 +94,9 @@ def test_resized_keeps_the_distortion_and_the_warnings() -> None:
     moved = (pixels + 0.5) * (0.5, 2) - 0.5
     np.testing.assert_allclose(resized.normalise(moved), camera.normalise(pixels), atol=1e-10)
     assert Camera(K, SIZE, warnings=("odd",)).resized((64, 48)).warnings == ("odd",)
-
-
-@pytest.mark.parametrize("size", [None, (0, 480), (640, -1)])
-def test_a_camera_without_a_proper_size_cannot_be_resized(size: tuple[int, int] | None) -> None:
-    with pytest.raises(InputError, match="size"):
-        Camera(K, size).resized((10, 10))
+    for size in (None, (0, 480), (640, -1)):
+        with pytest.raises(InputError, match="size"):
+            Camera(K, size).resized((10, 10))
 
 
 # --- text ---------------------------------------------------------------------------------------

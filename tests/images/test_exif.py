@@ -1,6 +1,5 @@
 """EXIF blocks: written by Pillow in every format, damaged, and absurd."""
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -109,23 +108,12 @@ def test_names_are_in_one_line_and_not_filled_up() -> None:
     assert exif.model.startswith("a bccc") and len(exif.model) == 80
 
 
-def test_a_block_that_is_cut_off_or_empty() -> None:
-    block = block_of(TAGS)
-    for end in range(0, len(block), 7):
-        read_exif(block[:end])
-    assert read_exif(b"Exif\0\0") == read_exif(b"Exif\0\0junk") == Exif()
-    loop = b"II*\0" + struct.pack(
-        "<IHHHIII", 8, 1, 0x8769, 4, 1, 8, 8
-    )  # of the directory to itself
-    assert read_exif(loop).focal_mm is None
-
-
 @settings(max_examples=200, deadline=None)
 @given(st.data())
 def test_no_block_raises(data: st.DataObject) -> None:
     block = bytearray(block_of(TAGS))
     for _ in range(data.draw(st.integers(1, 8))):
         block[data.draw(st.integers(0, len(block) - 1))] = data.draw(st.integers(0, 255))
-    exif = read_exif(bytes(block))
+    exif = read_exif(bytes(block[: data.draw(st.integers(0, len(block)))]))
     numbers = (exif.focal_mm, exif.focal_35mm, exif.digital_zoom, exif.pixels_per_mm)
     assert all(number is None or 0 < number < np.inf for number in numbers)

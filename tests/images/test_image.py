@@ -10,9 +10,6 @@ import PIL.Image
 import PIL.ImageOps
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as st_numpy
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.image import Image, image_size, load_image, read_pixels, resize
@@ -65,9 +62,8 @@ def test_exif_orientation_is_not_applied_and_kept(
         load_image(save(tmp_path / "turned.tiff", rgb, orientation))
 
 
-@pytest.mark.parametrize("suffix", ["png", "tiff"])
-@pytest.mark.parametrize("top", [65535, 4095])
-def test_16_bits_are_stretched_from_their_own_range(
+@pytest.mark.parametrize(("suffix", "top"), [("png", 65535), ("tiff", 4095)])
+def test_16_bits_are_stretched_from_their_range(
     tmp_path: Path, rgb: np.ndarray, suffix: str, top: int
 ) -> None:
     deep = rgb.astype(np.uint16) * (top // 255) // 2 + 100
@@ -140,12 +136,10 @@ def test_a_file_that_cannot_be_read(tmp_path: Path, content: bytes, error: str) 
 def test_a_raw_file_is_no_photograph_of_the_size_of_its_thumbnail(
     tmp_path: Path, tag: tuple[int, int], order: str, tags_at: int
 ) -> None:
-    start = b"II*\0" if order == "<" else b"MM\0*"
-    entries = [struct.pack(order + "HHII", key, 4, 1, value) for key, value in ((256, 9), tag)]
     path = tmp_path / "raw.nef"
-    pixels, count = bytes(tags_at - 8), struct.pack(order + "H", 2)
-    start += struct.pack(order + "I", tags_at)
-    path.write_bytes(start + pixels + count + b"".join(entries) + bytes(4))
+    start = b"II*\0" if order == "<" else b"MM\0*"
+    tags = struct.pack(order + "HHHIIHHIII", 2, 256, 4, 1, 9, tag[0], 4, 1, tag[1], 0)
+    path.write_bytes(start + struct.pack(order + "I", tags_at) + bytes(tags_at - 8) + tags)
     for read in (load_image, image_size):
         with pytest.raises(ImageError, match="raw file, or begins with a thumbnail"):
             read(path)
@@ -176,29 +170,19 @@ def test_the_rotation_of_heic_is_part_of_decoding(
     assert np.abs(read_pixels(path)[:, :, ::-1].astype(int) - expected).mean() < 3
 
 
-@pytest.mark.parametrize("mode", ["L", "RGBA", "RGB;16"])
-def test_heic_of_other_values_becomes_rgb(tmp_path: Path, rgb: np.ndarray, mode: str) -> None:
+def test_heic_of_other_values_becomes_rgb(tmp_path: Path, rgb: np.ndarray) -> None:
     pillow_heif = pytest.importorskip("pillow_heif")
     grey = np.repeat(rgb[:, :, :1], 3, axis=2)
-    values = {
-        "L": grey[:, :, 0],
-        "RGBA": np.dstack([grey, grey[:, :, 0]]),
-        "RGB;16": grey.astype(np.uint16) * 257,
-    }[mode]
     path = tmp_path / "photo.heic"
-    pillow_heif.from_bytes(mode, (70, 50), values.tobytes()).save(path, quality=-1, chroma=444)
-    assert np.abs(load_image(path).pixels.astype(int) - grey).mean() < 3
-
-
-def test_a_heic_that_is_truncated_or_huge_is_refused(
-    tmp_path: Path, rgb: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = heic(tmp_path / "huge.heic", rgb)
-    (tmp_path / "short.heic").write_bytes(path.read_bytes()[:-500])
-    with pytest.raises(ImageError, match=r"short\.heic is corrupt: .*end of file"):
-        load_image(tmp_path / "short.heic")
-    monkeypatch.setattr("dgc_pose.images.image.MAX_PIXELS", 70 * 50 - 1)
-    with pytest.raises(ImageError, match=r"huge\.heic is too large: 70 x 50"):
+    for mode, values in (
+        ("L", grey[:, :, 0]),
+        ("RGBA", np.dstack([grey, grey[:, :, 0]])),
+        ("RGB;16", grey.astype(np.uint16) * 257),
+    ):
+        pillow_heif.from_bytes(mode, (70, 50), values.tobytes()).save(path, quality=-1, chroma=444)
+        assert np.abs(load_image(path).pixels.astype(int) - grey).mean() < 3
+    path.write_bytes(path.read_bytes()[:-500])
+    with pytest.raises(ImageError, match=r"photo\.heic .*end of file"):
         load_image(path)
 
 
@@ -234,58 +218,36 @@ def test_a_huge_image_is_refused_by_its_header(
 
 
 def test_arrays_of_8_bits_are_kept(rgb: np.ndarray) -> None:
-    image = load_image(rgb, "image1")
-    np.testing.assert_array_equal(image.pixels, rgb)
+    image = load_image(rgb[::-1, ::-1], "image1")
+    np.testing.assert_array_equal(image.pixels, np.flip(rgb, (0, 1)))
+    assert image.pixels.flags.c_contiguous
     assert image.name == "image1" and image.size == (70, 50)
     grey = rgb[:, :, 0]
     repeated = np.dstack([grey] * 3)
     for array in (grey, grey[:, :, None], repeated, np.dstack([repeated, rgb[:, :, 1]])):
         np.testing.assert_array_equal(load_image(array).pixels, repeated)
-    flipped = load_image(rgb[::-1, ::-1])
-    assert flipped.pixels.flags.c_contiguous
-    np.testing.assert_array_equal(flipped.pixels, np.flip(rgb, (0, 1)))
 
 
 def test_floats_within_0_and_1_are_multiplied_and_others_stretched(rgb: np.ndarray) -> None:
     half = rgb.astype(np.float32) / 510
     np.testing.assert_allclose(load_image(half).pixels, rgb / 2, atol=0.51)
-    shifted = rgb.astype(np.float64) * 7 - 300
-    stretched = load_image(shifted).pixels
-    assert stretched.min() == 0 and stretched.max() == 255
+    stretched = load_image(rgb.astype(np.float64) * 7 - 300).pixels
     low, high = float(rgb.min()), float(rgb.max())
     np.testing.assert_allclose(stretched, (rgb - low) / (high - low) * 255, atol=0.51)
     np.testing.assert_array_equal(load_image(rgb > 99).pixels, (rgb > 99) * 255)
     assert load_image(np.full((4, 5), 700, np.uint16)).pixels.max() == 0
 
 
-@given(
-    st_numpy.arrays(
-        st.sampled_from([np.uint16, np.int16, np.int64, np.float32, np.float64]),
-        st_numpy.array_shapes(min_dims=2, max_dims=2, max_side=6),
-    )
-)
-def test_any_array_keeps_the_order_of_its_values_or_is_refused(array: np.ndarray) -> None:
-    try:
-        pixels = load_image(array, "image2").pixels[:, :, 0]
-    except InputError as error:
-        assert "image2" in str(error)
-        assert not np.isfinite(array.astype(float)).all() or np.ptp(array.astype(float)) == np.inf
-    else:
-        order = np.argsort(array, axis=None, kind="stable")
-        assert np.all(np.diff(pixels.ravel()[order].astype(int)) >= 0)
-
-
 def test_tensors_may_have_their_channels_first(rgb: np.ndarray) -> None:
     last = torch.from_numpy(rgb)
     first = last.permute(2, 0, 1)
-    for tensor in (last, first, first[None], last[None]):
+    floats = (first / 255).requires_grad_()
+    for tensor in (last, first, first[None], last[None], floats):
         np.testing.assert_array_equal(load_image(tensor).pixels, rgb)
     grey = np.repeat(rgb[:, :, :1], 3, axis=2)
     for tensor in (first[0], first[:1], first[None, :1]):
         np.testing.assert_array_equal(load_image(tensor).pixels, grey)
-    floats = (first / 255).requires_grad_()
-    np.testing.assert_array_equal(load_image(floats).pixels, rgb)
-    coarse = load_image((first / 255).to(torch.bfloat16)).pixels
+    coarse = load_image(floats.detach().to(torch.bfloat16)).pixels
     assert np.abs(coarse.astype(int) - rgb).max() <= 1
 
 
