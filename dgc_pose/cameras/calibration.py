@@ -163,7 +163,7 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
                 f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
-                "aspect ratio: it is no resized image, and K cannot be scaled to it"
+                "aspect ratio: K cannot be scaled to it"
             )
     camera = checked_camera(camera, of_K, name)
     if details.size is not None:
@@ -190,10 +190,7 @@ def pair_cameras(
     does not fit the image.
     """
     values = ["auto" if value is None else value for value in (K1, K2)]
-    sharings = [
-        _sharing(value, name) if isinstance(value, str) else None
-        for value, name in zip(values, names, strict=True)
-    ]
+    sharings = [_SHARING.get(value) if isinstance(value, str) else None for value in values]
     if sharings[0] is not None and sharings[1] is not None:
         if sharings[0] != sharings[1]:
             raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
@@ -238,12 +235,9 @@ def read_calibration(
     None: no camera for any image. Raises InputError, with `name` or the path, if the
     text is none of these or the file is malformed.
     """
-    if text is None:
+    if text is None or text in _SHARING:
         _require_K(details, name)
-        return Calibration(name)
-    if (sharing := _sharing(text, name)) is not None:
-        _require_K(details, name)
-        return Calibration(name, auto=sharing)
+        return Calibration(name, auto=_SHARING.get(text or ""))
     head, _, part = text.rpartition(":")
     if os.path.lexists(text):
         head, part = text, ""
@@ -252,13 +246,13 @@ def read_calibration(
         return Calibration(name, common=camera, details=details)
     try:
         cameras = read_file(Path(head))
-        refused = [why for of, why in cameras.refused.items() if part in ("", of)]
-        if refused:
-            raise InputError(f"{head}: {refused[0]}")
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
     except OSError as error:
         raise InputError(f"{name}: {error.filename or head}: {error.strerror or error}") from error
+    for refused, why in cameras.refused.items():
+        if part in ("", refused):
+            raise InputError(f"{name}: {head}: {why}")
     common = cameras.common
     if part:
         common = cameras.parts.get(part)
@@ -278,20 +272,13 @@ def _parse_text(text: str, name: str) -> Camera:
         return numbers_camera(values, name)
     if not colmap.is_line(text):
         raise InputError(
-            f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
-            "nor a file"
+            f"{name}: {shortened(text)!r} is neither {', '.join(_SHARING)}, fx,fy,cx,cy nor "
+            "MODEL,width,height,parameters nor a file"
         )
     try:
         return colmap.parse_line(text)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-
-
-def _sharing(text: str, name: str) -> Sharing | None:
-    """The sharing of cameras by a word for no K; None for another text."""
-    if text.startswith("auto:") and text not in _SHARING:
-        raise InputError(f"{name} must be one of {', '.join(_SHARING)}, not {shortened(text)!r}")
-    return _SHARING.get(text)
 
 
 def _require_K(details: KDetails, name: str) -> None:

@@ -127,16 +127,13 @@ def _checked_matrix(value: Any, name: str) -> np.ndarray:
         raise InputError(f"{name} must have shape (3, 3), not {K.shape}")
     if not np.isfinite(K).all():
         raise InputError(f"{name} has values that are not finite")
-    if np.abs(K[2] - (0, 0, 1)).max() > 1e-9:
-        raise InputError(f"{name} must have the last row 0 0 1, not {_listed(K[2])}")
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise InputError(f"{name} must have positive focal lengths, not {_listed(np.diag(K)[:2])}")
-    if abs(K[1, 0]) > 1e-9 * K[1, 1]:
-        raise InputError(f"{name} must be upper triangular, but its second row is {_listed(K[1])}")
+    is_triangular = np.abs(K[2] - (0, 0, 1)).max() <= 1e-9 and abs(K[1, 0]) <= 1e-9 * K[1, 1]
+    if not (is_triangular and K[0, 0] > 0 and K[1, 1] > 0):
+        rows = ", ".join(" ".join(f"{number:g}" for number in row) for row in K)
+        raise InputError(
+            f"{name} must be upper triangular with positive focal lengths and the last row 0 0 1, "
+            f"not {rows}"
+        )
     K[1, 0], K[2] = 0, (0, 0, 1)
     K.setflags(write=False)
     return K
-
-
-def _listed(numbers: np.ndarray) -> str:
-    return " ".join(f"{number:g}" for number in numbers)

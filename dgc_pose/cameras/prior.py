@@ -31,7 +31,6 @@ SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over t
 SIZE_STD = 0.45  # deviation of their logarithm
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
-_QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 _FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
 _BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
@@ -170,7 +169,7 @@ def with_orientation(camera: Camera, image: Image | Header) -> Camera:
 
 def _is_as_stored(camera: Camera, image: Image | Header) -> bool:
     """Whether K is certainly of the pixels as stored, and not of the image rotated by a quarter."""
-    if image.orientation not in _QUARTER_TURNS:
+    if image.orientation < 5:  # 5 to 8 exchange width and height
         return False
     if camera.size is not None and camera.size[0] != camera.size[1]:
         return camera.size == image.size

@@ -42,7 +42,7 @@ def search_images(folder: str | Path) -> FolderImages:
             if parent == root:
                 raise
             name = parent.relative_to(root).as_posix()
-            left_out.setdefault(("folder", _system_words(failure)), []).append(name)
+            left_out.setdefault(("folder", failure.strerror or str(failure)), []).append(name)
             continue
         for path in (parent / entry for entry in entries if not entry.startswith(".")):
             name = path.relative_to(root).as_posix()
@@ -73,13 +73,9 @@ def _why_not(path: Path, name: str) -> str | None:
             return "empty"
         image_format(start)
     except OSError as failure:
-        return _system_words(failure)
+        return failure.strerror or str(failure)
     except ImageError:
         return "no regular file"
     except UnreadableFormatError as error:
         return str(error)
     return None
-
-
-def _system_words(failure: OSError) -> str:
-    return failure.strerror or str(failure)

@@ -177,9 +177,7 @@ def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
         with quiet():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
-        if error.code == cv2.Error.STS_NO_MEM:
-            raise MemoryError from None
-        raise ImageError(f"{path} is corrupt: {error.err}") from None
+        raise ImageError(f"{path} cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
     return array

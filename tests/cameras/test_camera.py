@@ -143,7 +143,7 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
         ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
         ("cameras.bin", bytes(8), "cameras.bin: no cameras in this file"),
         ("c.csv", b"name,fx\na,1\n", "c.csv: no column 'fy'"),
-        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv:2: K must have positive focal"),
+        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv:2: K must be upper triangular"),
         ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv:2: more cells than columns"),
         ("c.csv", b"name,fx,fy,cx,cy\n", "c.csv: no cameras in this table"),
         ("t.json", b"{", "t.json is not a file of cameras that can be read"),

@@ -30,17 +30,18 @@ _SIZES = (
     *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
 )
+_FOUR = ("fx", "fy", "cx", "cy")
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
 _MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye")
 _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
-    **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "opencv"),
-    **dict.fromkeys(("radial", "simple_radial", "plumb_bob", "rational_polynomial"), "opencv"),
-    **dict.fromkeys(("radtan", "radial-tangential"), "opencv"),
-    **dict.fromkeys(("1", "true", "fisheye", "opencv_fisheye", "equidistant"), "fisheye"),
-    **{word: word for word in ("fov", "none")},
+    **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "OPENCV"),
+    **dict.fromkeys(("radial", "simple_radial", "plumb_bob", "rational_polynomial"), "OPENCV"),
+    **dict.fromkeys(("radtan", "radial-tangential"), "OPENCV"),
+    **dict.fromkeys(("1", "true", "fisheye", "opencv_fisheye", "equidistant"), "OPENCV_FISHEYE"),
+    **{"fov": "FOV", "none": "none"},
 }
 _LIST = re.compile(r"d|dist(ortion)?|(dist(ortion)?_?)?coeff?(icient)?s?", re.IGNORECASE)
-_SINGLE = {"opencv": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
+_SINGLE = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4")}
 _MAY_MATTER = re.compile(
     r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?param.*)?
     | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)).*
@@ -106,13 +107,10 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         lens = Distortion(str(data["model"]), tuple(numbers(data.get("coefficients")) or ()))
     else:
         lens = file_lens(data, key)
-    if key is not None:
-        K = numbers_camera(numbers(data[key]) or (), key).K
-    else:
-        K = matrix(*(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
+    values = [float(data[k]) for k in _FOUR] if key is None else numbers(data[key])
     identity = data.get("identity")
     return Camera(
-        K,
+        numbers_camera(values or (), key or "K").K,
         _size(data),
         lens,
         focal_std=float(data.get("focal_std") or 0),
@@ -239,24 +237,20 @@ def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
     require_read(data, *read, *_MODEL_KEYS, *keys)
     if model == "none":
         return None
-    if model == "fov":
-        return Distortion("FOV", tuple(coefficients))
-    if model == "opencv":
+    if model == "OPENCV":
         return _opencv_lens(coefficients, keys[0])
-    if len(coefficients) != 4:
-        raise InputError(f"{keys[0]} has {len(coefficients)} fisheye coefficients, not 4")
-    return Distortion("OPENCV_FISHEYE", tuple(coefficients))
+    return Distortion(model, tuple(coefficients))
 
 
 def _model(data: Mapping[str, Any]) -> str:
     """The model that a key names, and OpenCV's if none names another."""
-    model = "opencv"
+    model = "OPENCV"
     for key in _MODEL_KEYS:
         word = str(data.get(key) or "").strip()
         named = _MODELS.get(word.lower())
         if named is None:
             raise InputError(f"the {key} {word!r} has no COLMAP model")
-        if named != "opencv":
+        if named != "OPENCV":
             model = named
     return model
 
@@ -285,11 +279,6 @@ def _opencv_lens(coefficients: Sequence[float], key: str) -> Distortion | None:
     return Distortion("OPENCV", values[:4]) if any(values) else None
 
 
-def matrix(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    """K (3, 3) of four numbers."""
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-
-
 def numbers(value: Any) -> list[float] | None:
     """The numbers of a text, a list, or a matrix of cv::FileStorage or ROS, row by row; None if it
     holds anything else."""
@@ -310,7 +299,8 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     """
     array = np.asarray(values, dtype=np.float64)
     if array.size == 4:
-        return matrix_camera(matrix(*array.ravel().tolist()), name)
+        fx, fy, cx, cy = array.ravel()
+        array = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     if array.size != 9:
         raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
     return matrix_camera(array.reshape(3, 3), name)

@@ -156,7 +156,7 @@ def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
         raise InputError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
     cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
-    return Camera(keyed.matrix(fx, fy, cx, cy), size, keyed.file_lens(data))
+    return Camera(numbers_camera([fx, fy, cx, cy]).K, size, keyed.file_lens(data))
 
 
 def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:
