@@ -69,10 +69,7 @@ class Calibration:
             label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
             return _fitted(camera, self.details, image.size, label)
         if self.auto is not None:
-            camera = auto_camera(image)
-            if self.auto == "files":
-                return camera
-            return replace(camera, identity="shared" if self.auto == "shared" else None)
+            return auto_camera(image, self.auto)
         if self.parts or self.by_name:
             *_, last = ("", *self.parts)
             other = f": another of its cameras is {self.where}:{last}" if last else ""

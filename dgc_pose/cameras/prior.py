@@ -69,16 +69,17 @@ class _Whole:
     std: float = 0.0  # of the logarithm of the scale
 
 
-def auto_camera(image: Image | Header) -> Camera:
+def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     """The camera of an image without a K: its focal length by its EXIF data, else by its size.
 
     EXIF's focal length on 35 mm film comes first; then that of the lens, with the resolution on the
     sensor or the sensor's width in COLMAP's table. Where they contradict each other, or give the
     field of view of no photograph, the size is taken, with a warning.
 
-    `identity` is equal for images that one camera may have taken: of the same size, in either
-    orientation, whose EXIF data name the same camera, lens, focal length and zoom, or none. Of two
-    images of which one has lost its EXIF data it is not known that one camera took both.
+    sharing: of "files" the `identity` is equal for images that one camera may have taken: of the
+    same size, in either orientation, whose EXIF data name the same camera, lens, focal length and
+    zoom, or none. Of two images of which one has lost its EXIF data it is not known that one camera
+    took both. "shared": one for all; "two": None.
     """
     width, height = image.size
     longer, shorter = max(width, height), min(width, height)
@@ -111,7 +112,7 @@ def auto_camera(image: Image | Header) -> Camera:
         focal_std=std,
         centre_std=float(np.hypot(CENTRE_STD * longer, margin / math.sqrt(12))),
         focal_source=source,
-        identity=identity,
+        identity={"files": identity, "shared": "shared", "two": None}[sharing],
     )
 
 
@@ -136,15 +137,13 @@ def auto_cameras(
     sharing: whether one camera took both: "files" decides by the `identity` of both. Of a "shared"
     camera the EXIF data of one image are those of the other, if that has none and is as large.
     """
-    camera1, camera2 = auto_camera(image1), auto_camera(image2)
-    if sharing == "files":
-        return camera1, camera2
+    camera1, camera2 = auto_camera(image1, sharing), auto_camera(image2, sharing)
     if sharing == "two":
         return replace(camera1, identity="image1"), replace(camera2, identity="image2")
-    if sorted(image1.size) == sorted(image2.size):
+    if sharing == "shared" and sorted(image1.size) == sorted(image2.size):
         best = min(camera1, camera2, key=lambda camera: camera.focal_std)
-        camera1, camera2 = _with_focal(camera1, best), _with_focal(camera2, best)
-    return replace(camera1, identity="shared"), replace(camera2, identity="shared")
+        return _with_focal(camera1, best), _with_focal(camera2, best)
+    return camera1, camera2
 
 
 def _with_focal(camera: Camera, other: Camera) -> Camera:

@@ -159,42 +159,35 @@ def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
     if name == "JPEG":  # the registered factory also reads blocks of several images
         from PIL.JpegImagePlugin import JpegImageFile as factory
     image: PIL.Image.Image = factory(io.BytesIO(data), "")
-    header = Header(name, image.size, _orientation(image), read_exif(image.info.get("exif", b"")))
+    header = Header(name, image.size, *read_exif(image.info.get("exif", b"")))
     if complete:
         image.verify()
     return header
 
 
 def _heif_header(data: bytes) -> Header:
-    """The EXIF orientation repeats the rotation that decoding applies: it counts no more."""
+    """The EXIF orientation, which repeats the rotation that decoding applies, does not count."""
     import pillow_heif
 
     image = pillow_heif.open_heif(data)  # decodes nothing
-    pillow_heif.set_orientation(image.info)
-    return Header("HEIF", image.size, exif=read_exif(image.info.get("exif") or b""))
-
-
-def _orientation(image: PIL.Image.Image) -> int:
-    if "exif" not in image.info:
-        return 1  # getexif would decode all of a PNG without EXIF data
-    try:
-        return _known(image.getexif().get(_ORIENTATION, 1))
-    except Exception:  # a broken EXIF block raises almost anything; the pixels are intact
-        return 1
+    _, exif = read_exif(image.info.get("exif") or b"")
+    return Header("HEIF", image.size, exif=exif)
 
 
 def _known(orientation: Any) -> int:
     return int(orientation) if orientation in range(2, 9) else 1
 
 
-def read_exif(block: bytes) -> Exif:
-    """Read an EXIF block, with or without `Exif\\0\\0` before it; a damaged one as an empty one."""
+def read_exif(block: bytes) -> tuple[int, Exif]:
+    """The orientation and the camera of an EXIF block, with or without `Exif\\0\\0` before it; of a
+    damaged one as of an empty one."""
     try:
         exif = PIL.Image.Exif()
         exif.load(block)
-        return _camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY))
+        camera = _camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY))
+        return _known(exif.get(_ORIENTATION, 1)), camera
     except Exception:  # a damaged block raises almost anything
-        return Exif()
+        return 1, Exif()
 
 
 def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:

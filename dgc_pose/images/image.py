@@ -97,10 +97,8 @@ def load_image(
 
 def _read_file(path: Path) -> Image:
     with _image_errors(path):
-        data = read_bytes(path, MAX_BYTES, ImageError)
-        header = _complete_header(data, path)
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-        array = _decoded(data, path, header, cv2.IMREAD_UNCHANGED)
+        array, header = _decoded(path, cv2.IMREAD_UNCHANGED)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
             rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         else:
@@ -116,10 +114,8 @@ def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarr
     For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
     file is missing, corrupt, too large or no regular file.
     """
-    path = Path(path)
-    with _image_errors(path):
-        data = read_bytes(path, MAX_BYTES, ImageError)
-        return _decoded(data, path, _complete_header(data, path), flags)
+    with _image_errors(Path(path)):
+        return _decoded(Path(path), flags)[0]
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -169,10 +165,12 @@ def _checked_header(header: Header, path: Path) -> Header:
     return header
 
 
-def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
+def _decoded(path: Path, flags: int) -> tuple[np.ndarray, Header]:
     """Pixels in the order BGR. Of HEIC 8-bit colours without alpha, whatever the flags."""
+    data = read_bytes(path, MAX_BYTES, ImageError)
+    header = _complete_header(data, path)
     if header.format == "HEIF":
-        return _decoded_heif(data, path)
+        return _decoded_heif(data, path), header
     try:
         with quiet():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -180,7 +178,7 @@ def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
         raise ImageError(f"{path} cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
-    return array
+    return array, header
 
 
 def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
