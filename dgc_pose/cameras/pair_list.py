@@ -18,7 +18,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import read_text
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.outputs import save_text
 from dgc_pose.geometry.rotation import is_rotation
 
@@ -94,22 +94,23 @@ def read_pair_list(path: Path) -> PairList:
     is_table = path.suffix.lower() == ".csv"
     pairs: dict[frozenset[str], Names] = {}
     cameras: dict[str, Camera] = {}
-    for line, where in _lines(path):
-        words = _cells(line, where) if is_table else line.split()
-        if len(words) not in (*_SHORTER, FIELDS) or not all(words):
-            raise InputError(
-                f"{where}: expected two names, or a line of SuperGlue's with 4, 22 or 38 fields, "
-                f"not {shortened(line.strip())!r} (names with blanks need a .csv)"
-            )
-        name1, name2 = words[:2]
-        if not pairs and is_table and _is_heading(name1.lower(), name2.lower()):
-            continue
-        if name1 == name2:
-            raise InputError(f"{where}: {name1} is paired with itself")
-        for name, camera in zip((name1, name2), _cameras(words, where), strict=False):
-            if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
-                raise InputError(f"{where}: another K of {name} than in a line before")
-        pairs.setdefault(frozenset((name1, name2)), (name1, name2))
+    with read_as("a list of pairs", path):
+        for line, where in _lines(path):
+            words = _cells(line) if is_table else line.split()
+            if len(words) not in (*_SHORTER, FIELDS) or not all(words):
+                raise InputError(
+                    f"{where}: expected two names, or SuperGlue's 4, 22 or 38 fields, "
+                    f"not {shortened(line.strip())!r} (names with blanks need a .csv)"
+                )
+            name1, name2 = words[:2]
+            if not pairs and is_table and _is_heading(name1.lower(), name2.lower()):
+                continue
+            if name1 == name2:
+                raise InputError(f"{where}: {name1} is paired with itself")
+            for name, camera in zip((name1, name2), _cameras(words, where), strict=False):
+                if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
+                    raise InputError(f"{where}: another K of {name} than in a line before")
+            pairs.setdefault(frozenset((name1, name2)), (name1, name2))
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     listed = tuple(pairs.values())
@@ -146,12 +147,9 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
             yield line, f"{path}:{number}"
 
 
-def _cells(line: str, where: str) -> list[str]:
+def _cells(line: str) -> list[str]:
     """The first two cells of a row of a table."""
-    try:
-        return [cell.strip() for cell in next(csv.reader([line]))][:2]
-    except csv.Error as error:
-        raise InputError(f"{where}: {error}") from None
+    return [cell.strip() for cell in next(csv.reader([line]))[:2]]
 
 
 def _is_heading(first: str, second: str) -> bool:

@@ -138,24 +138,24 @@ def _require_whole(data: Mapping[str, Any]) -> None:
         raise InputError("binning or roi is set, and K is of the whole sensor's image")
 
 
-def camchain_cameras(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """The cameras of a Kalibr file by their names, of one alone as "cam0"; none in other files."""
-    if "intrinsics" in data:
-        return {"cam0": data}
-    return {
-        str(name): values
-        for name, values in data.items()
-        if isinstance(values, Mapping) and "intrinsics" in values
-    }
-
-
-def camchain(data: Mapping[str, Any], path: Path) -> FileCameras:
-    """The cameras of a camchain: "cam0" is that of images that lie below no folder of such a name.
+def camchain(data: Mapping[str, Any], path: Path) -> FileCameras | None:
+    """The cameras of a camchain by their names, of one alone as "cam0"; the first is that of images
+    that lie below no folder of such a name. None for other files.
 
     path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
     Raises InputError as `require_read` does.
     """
-    listed = camchain_cameras(data)
+    listed = (
+        {"cam0": data}
+        if "intrinsics" in data
+        else {
+            str(name): values
+            for name, values in data.items()
+            if isinstance(values, Mapping) and "intrinsics" in values
+        }
+    )
+    if not listed:
+        return None
     cameras: dict[str, Camera] = {}
     refused: dict[str, str] = {}
     for name, values in listed.items():

@@ -99,8 +99,8 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
     """The cameras of what JSON, YAML or XML holds."""
     if not isinstance(data, dict):
         return FileCameras(common=numbers_camera(data))
-    if keyed.camchain_cameras(data):
-        return keyed.camchain(data, path)
+    if (rig := keyed.camchain(data, path)) is not None:
+        return rig
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
         return _nerf_cameras(data, str(path))
     return keyed.keyed_cameras(data)
@@ -109,14 +109,14 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
 def _kitti_cameras(text: str, path: Path) -> FileCameras:
     """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
     calib_cam_to_cam.txt of raw drives."""
-    keyed.require_read({match[1]: match[2] for match in _OTHERS.finditer(text)})
+    keyed.require_read(dict(_OTHERS.findall(text)))
     sizes = {
-        match[1]: (int(float(match[2])), int(float(match[3]))) for match in _SIZE.finditer(text)
+        key: (int(float(width)), int(float(height))) for key, width, height in _SIZE.findall(text)
     }
     parts = {}
-    for match in _PROJECTION.finditer(text):
-        P = np.array(match[2].split(), dtype=np.float64).reshape(3, 4)
-        parts[f"image_{int(match[1])}"] = Camera(P[:, :3], sizes.get(match[1]))
+    for key, values in _PROJECTION.findall(text):
+        P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
+        parts[f"image_{int(key)}"] = Camera(P[:, :3], sizes.get(key))
     return keyed.rig(parts, path, {})
 
 

@@ -106,7 +106,7 @@ def test_a_skew_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("listed", "root", "name", "found"),
+    ("listed", "root", "name", "is_taken"),
     [
         (("left/1.png", "right/2.png"), "/F", "left/1.png", True),
         (("left/1.png", "right/2.png"), "/F", "right/1.png", False),
@@ -128,13 +128,13 @@ def test_a_skew_is_refused() -> None:
     ],
 )
 def test_another_folder_contradicts(
-    listed: tuple[str, ...], root: str, name: str, *, found: bool
+    listed: tuple[str, ...], root: str, name: str, *, is_taken: bool
 ) -> None:
     cameras = {
         image: Camera(np.diag([500.0 + number, 500, 1])) for number, image in enumerate(listed)
     }
     camera = Calibration("sparse", cameras).named(Path(root), name)
-    assert (camera is cameras[listed[0]]) if found else camera is None
+    assert (camera is cameras[listed[0]]) if is_taken else camera is None
 
 
 def test_a_name_of_two_images_is_refused() -> None:
