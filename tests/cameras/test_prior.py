@@ -22,9 +22,6 @@ def photo(exif: Exif = NO_EXIF, size: tuple[int, int] = SIZE, orientation: int =
     return Header("JPEG", size, orientation, exif)
 
 
-# --- the focal length -----------------------------------------------------------------------------
-
-
 def test_without_exif_the_size_counts() -> None:
     camera = auto_camera(photo(size=(1000, 800)))
     np.testing.assert_array_equal(camera.K, [[1100, 0, 499.5], [0, 1100, 399.5], [0, 0, 1]])
@@ -76,9 +73,6 @@ def test_the_sensor_in_the_table_of_colmap() -> None:
     assert unknown.focal_source == "size" and unknown.warnings == ()
 
 
-# --- what contradicts itself ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("exif", "warning"),
     [
@@ -98,9 +92,6 @@ def test_a_focal_length_that_no_camera_has(exif: Exif, warning: str) -> None:
     assert warning in camera.warnings[0] and "is taken from the size" in camera.warnings[0]
     camera = auto_camera(photo(Exif(focal_35mm=26, size=(400, 300))))
     assert (camera.focal_source, camera.warnings) == ("exif", ())
-
-
-# --- zoom, parts, shapes --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -136,6 +127,8 @@ def test_a_digital_zoom_is_in_the_equivalent_of_some_makers(
     ],
 )
 def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) -> None:
+    """Without the size that the camera wrote 16:9 may be a part: by its diagonal 26 mm are 2757.6
+    px, by that of 4:3 they are 3004.4."""
     camera = auto_camera(photo(replace(PHONE, size=SIZE), size))
     (warning,) = camera.warnings
     assert f"{size[0]} x {size[1]} pixels are a part of the 4000 x 3000" in warning
@@ -145,16 +138,10 @@ def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) 
     assert camera.focal_std > auto_camera(photo(PHONE)).focal_std
     np.testing.assert_array_equal(camera.K[:2, 2], (np.array(size) - 1) / 2)
     assert camera.centre_std > 50
-
-
-def test_an_image_of_16_to_9_may_be_a_part_of_the_sensor() -> None:
-    """By its own diagonal 26 mm are 2757.6 px, by that of 4:3 they are 3004.4."""
     camera = auto_camera(photo(PHONE, (4000, 2250)))
     assert camera.focal == pytest.approx(np.sqrt(2757.6 * 3004.4), rel=1e-4)
     assert camera.warnings == () and 0.07 < camera.focal_std < 0.1
 
-
-# --- the identity ---------------------------------------------------------------------------------
 
 EXIF = Exif("Maker", "X1", "back camera", 5.1, 26)
 
@@ -189,20 +176,16 @@ def test_one_camera_if_size_and_exif_agree(first: Header, second: Header, same: 
     assert (camera1.identity == camera2.identity) is same
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_shared_camera_has_the_exif_data_of_either_image(turned: bool) -> None:
-    bare = photo(size=SIZE[::-1] if turned else SIZE)
-    for images in ((photo(EXIF), bare), (bare, photo(EXIF))):
-        camera1, camera2 = auto_cameras(*images, "shared")
-        assert camera1.focal == camera2.focal == pytest.approx(3004.4, rel=1e-4)
-        assert camera1.focal_std == camera2.focal_std < 0.1
-        assert (camera1.focal_source, camera2.focal_source) == ("exif", "exif")
-        assert camera2.K[0, 2] == (images[1].size[0] - 1) / 2
+def test_a_shared_camera_has_the_exif_data_of_either_image() -> None:
+    for bare in (photo(), photo(size=SIZE[::-1])):
+        for images in ((photo(EXIF), bare), (bare, photo(EXIF))):
+            camera1, camera2 = auto_cameras(*images, "shared")
+            assert camera1.focal == camera2.focal == pytest.approx(3004.4, rel=1e-4)
+            assert camera1.focal_std == camera2.focal_std < 0.1
+            assert (camera1.focal_source, camera2.focal_source) == ("exif", "exif")
+            assert camera2.K[0, 2] == (images[1].size[0] - 1) / 2
     camera1, camera2 = auto_cameras(photo(EXIF), photo(size=(800, 600)), "shared")
     assert (camera1.focal_source, camera2.focal_source) == ("exif", "size")
-
-
-# --- the orientation ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
