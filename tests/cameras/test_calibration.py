@@ -92,50 +92,36 @@ def test_cameras_survive_json() -> None:
         parse_camera_data({**data, "focal_source": "a star"})
 
 
-# --- no K -----------------------------------------------------------------------------------------
-
-
 def _images(*sizes: tuple[int, int]) -> list[Image]:
     return [Image(np.zeros((height, width, 3), np.uint8)) for width, height in sizes]
 
 
-@pytest.mark.parametrize(
-    ("word", "identities"),
-    [("auto", (True, False)), ("auto:shared", (True, True)), ("auto:two", (False, False))],
-)
-def test_which_images_of_a_folder_share_a_camera_without_K(
-    word: str, identities: tuple[bool, bool]
-) -> None:
-    calibration = read_calibration(word)
-    first, alike, other = (
-        calibration.camera(Path("photos"), f"{i}.jpg", Header("JPEG", size))
-        for i, size in enumerate((SIZE, SIZE, (320, 200)))
-    )
-    assert first.focal_std > 0 and first.focal_source == "size"
-    same = [a.identity is not None and a.identity == first.identity for a in (alike, other)]
-    assert tuple(same) == identities
-
-
-def test_the_cameras_of_a_pair_without_K() -> None:
-    first, second = _images(SIZE, (320, 200))
-    for values, equal in (
-        ((None, None), False),
-        (("auto", "auto"), False),
-        (("auto:shared", "auto:shared"), True),
-        (("auto:two", "auto:two"), False),
+def test_which_images_share_a_camera_without_K() -> None:
+    sizes = (SIZE, SIZE, (320, 200))
+    for word, expected in (
+        ("auto", [True, False]),
+        ("auto:shared", [True, True]),
+        ("auto:two", [False, False]),
     ):
-        camera1, camera2 = pair_cameras(*values, first, second)
-        assert (camera1.identity == camera2.identity) == equal
-        assert camera1.focal_std > 0 and camera2.focal_std > 0
-    camera1, camera2 = pair_cameras("auto", "500,500,160,100", first, second)
+        calibration = read_calibration(word)
+        first, *others = (
+            calibration.camera(Path("photos"), "a.jpg", Header("JPEG", size)) for size in sizes
+        )
+        assert first.focal_std > 0 and first.focal_source == "size"
+        same = [
+            camera.identity is not None and camera.identity == first.identity for camera in others
+        ]
+        assert same == expected
+        for size, equal in zip(sizes[1:], expected, strict=True):
+            camera1, camera2 = pair_cameras(word, word, *_images(SIZE, size))
+            assert (camera1.identity == camera2.identity) == equal
+    first, second = _images(SIZE, (320, 200))
+    camera1, camera2 = pair_cameras(None, "500,500,160,100", first, second)
     assert (camera1.focal_std > 0, camera2.focal_std) == (True, 0)
     with pytest.raises(InputError, match="^K1 is auto:two, and K2 is auto$"):
         pair_cameras("auto:two", None, first, second)
     with pytest.raises(InputError, match="^K1: 'auto:both' is neither auto, auto:shared, auto:two"):
         pair_cameras("auto:both", None, first, second)
-
-
-# --- the size and the deviation of K --------------------------------------------------------------
 
 
 def test_a_K_of_another_size_is_scaled() -> None:

@@ -1,4 +1,4 @@
-"""Cameras: the matrix, what is refused, resizing, and points without an inverse."""
+"""Cameras: the matrix, what is refused, resizing, points without an inverse, and checks of K."""
 
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import torch
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera, matrix_camera
+from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
@@ -21,26 +22,19 @@ def points(count: int = 200, size: tuple[int, int] = SIZE) -> np.ndarray:
     return np.random.default_rng(5).uniform((-0.5, -0.5), np.array(size) - 0.5, (count, 2))
 
 
-# --- the matrix -----------------------------------------------------------------------------------
-
-
 def test_normalise_inverts_K_with_its_skew() -> None:
     pixels = points()
     homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
     expected = np.linalg.solve(K, homogeneous.T).T[:, :2]
     np.testing.assert_allclose(Camera(K).normalise(pixels), expected, atol=1e-13)
     np.testing.assert_allclose(Camera(K).project(expected), pixels, atol=1e-10)
-
-
-@pytest.mark.parametrize("distortion", [None, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001))])
-def test_points_that_are_none_not_finite_or_of_another_shape(distortion: Distortion | None) -> None:
-    camera = Camera(K, SIZE, distortion)
-    assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
-    normalised = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
-    assert np.isfinite(normalised).all(axis=1).tolist() == [False, False, True]
-    for shape in ((2,), (4, 3), (2, 2, 2)):
-        with pytest.raises(InputError, match="points"):
-            camera.normalise(np.zeros(shape))
+    for camera in (Camera(K), Camera(K, SIZE, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001)))):
+        assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
+        normalised = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
+        assert np.isfinite(normalised).all(axis=1).tolist() == [False, False, True]
+        for shape in ((2,), (4, 3)):
+            with pytest.raises(InputError, match="points"):
+                camera.normalise(np.zeros(shape))
 
 
 @pytest.mark.parametrize(
@@ -71,9 +65,6 @@ def test_a_matrix_that_is_no_K_names_the_argument(value: object, message: str) -
         matrix_camera(value, "K2")
 
 
-# --- size -----------------------------------------------------------------------------------------
-
-
 def test_resized_follows_a_spot_in_a_resized_image() -> None:
     """A spot at the principal point is still there in the image averaged over blocks of pixels."""
     camera = Camera(np.array([[100.0, 0, 41], [0, 100, 26], [0, 0, 1]]), (80, 64))
@@ -97,9 +88,6 @@ def test_resized_keeps_the_distortion_and_the_warnings() -> None:
     for size in (None, (0, 480), (640, -1)):
         with pytest.raises(InputError, match="size"):
             Camera(K, size).resized((10, 10))
-
-
-# --- text ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -185,9 +173,6 @@ def test_errors_of_the_system_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 parse_camera(str(path), "K1")
 
 
-# --- distortion -----------------------------------------------------------------------------------
-
-
 def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
     fisheye = parse_camera("SIMPLE_FISHEYE,640,480,100,320,240")
     beyond = np.array([[319.5 + 100 * np.pi / 2 + 1, 239.5], [319.5 + 100, 239.5]])
@@ -200,11 +185,83 @@ def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
     assert np.isnan(normalised[0]).all()
     x = normalised[1, 0]
     assert x * (1 - 0.4 * x**2) == pytest.approx(0.3, abs=1e-9)
+    for coefficients in ((0.1,), (0.1, np.inf, 0, 0)):
+        with pytest.raises(InputError, match="OPENCV"):
+            Distortion("OPENCV", coefficients)
+
+
+LARGE = (1600, 1200)
+LENS = Distortion("OPENCV_FISHEYE", (0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("model", "coefficients"), [("OPENCV", (0.1,)), ("NOPE", ()), ("OPENCV", (0.1, np.inf, 0, 0))]
+    "camera",
+    [
+        parse_camera("1400,1400,799.5,599.5"),
+        parse_camera("1400,1400,840,560"),  # 2.5 and 3 % off the middle
+        parse_camera("1400,1400,839.5,629.5"),  # 5 % too large on both sides
+        parse_camera("215,215,799.5,599.5"),  # 149.8 degrees
+        parse_camera("91000,91000,799.5,599.5"),  # 1.007 degrees
+        parse_camera("PINHOLE,1600,1200,1400,1400,800,600"),
+        Camera(np.array([[200.0, 0, 799.5], [0, 200, 599.5], [0, 0, 1]]), LARGE, LENS),
+    ],
 )
-def test_a_distortion_checks_itself(model: str, coefficients: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match=model):
-        Distortion(model, coefficients)
+def test_a_usual_K_passes(camera: Camera) -> None:
+    assert checked_camera(camera, LARGE, "--K1").warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "warning"),
+    [
+        (
+            "1100,1100,639.5,479.5",
+            "--K1 has its principal point at (639.5, 479.5), the middle of an image of about "
+            "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
+        ),
+        ("1400,1400,599.5,799.5", "1200x1600, and the image has 1600x1200: K is of the image turn"),
+        ("1400,1400,300,599.5", "at (300, 599.5), far from the middle of the image of 1600x1200"),
+        ("PINHOLE,1600,1200,700,700,400,300", "at (399.5, 299.5), far from the middle"),
+        ("95000,95000,799.5,599.5", "a focal length of 95000 pixels, which is a field of view of"),
+    ],
+)
+def test_a_K_that_may_be_of_another_image_has_a_warning(text: str, warning: str) -> None:
+    (text,) = checked_camera(parse_camera(text), LARGE, "--K1").warnings
+    assert text.startswith("--K1 has ") and warning in text
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("2800,2800,1599.5,1199.5", "the middle of an image of about 3200x2400"),
+        ("700,700,399.5,299.5", "800x600, and the image has 1600x1200: --K-size 800x600 scales it"),
+        ("1400,1400,1700,300", "at (1700, 300), outside the image of 1600x1200"),
+        ("1400,1400,-10,600", "at (-10, 600), outside the image"),
+        ("35,35,799.5,599.5", "a focal length of 35 pixels, which is a field of view of 175 deg"),
+        ("1.2,1.2,0.5,0.5", "a focal length of 1.2 pixels"),
+        (
+            "PINHOLE,800,600,700,700,400,300",
+            "of 800 x 600 pixels, the image has 1600 x 1200: --K-size 800x600 scales it",
+        ),
+        ("PINHOLE,1200,1600,1400,1400,600,800", "1600 x 1200: K is of the image turned by 90 deg"),
+        ("PINHOLE,1600,900,1400,1400,800,450", "of 1600 x 900 pixels, the image has 1600 x 1200"),
+    ],
+)
+def test_a_K_that_cannot_be_of_the_image_is_refused(text: str, error: str) -> None:
+    with pytest.raises(InputError) as caught:
+        checked_camera(parse_camera(text), LARGE, "--K1")
+    assert str(caught.value).startswith("--K1 ") and error in str(caught.value)
+
+
+def test_every_scale_of_a_right_K_is_recognised() -> None:
+    """The middle of a photograph of any size, up to 2 % beside it, against the image's size."""
+    rng = np.random.default_rng(0)
+    for scale in 3 * (0.1, 0.25, 0.5, 0.75, 0.85, 1.2, 1.5, 2, 4, 10):
+        size = np.round(np.array(LARGE) * scale)
+        K = np.diag([1400 * scale, 1400 * scale, 1])
+        K[:2, 2] = (size - 1) / 2 * (1 + rng.uniform(-0.01, 0.01, 2))
+        try:
+            (text,) = checked_camera(Camera(K), LARGE, "--K").warnings
+        except InputError as error:
+            text = str(error)
+        width, height = map(int, text.split("--K-size ")[1].split()[0].split("x"))
+        np.testing.assert_allclose((width, height), size, rtol=0.02)

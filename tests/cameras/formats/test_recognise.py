@@ -107,25 +107,6 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path, keys: tuple[str, str]) ->
         read_calibration(str(path)).camera(Path(), "a.jpg", Header("JPEG", SIZE))
 
 
-@pytest.mark.parametrize(
-    ("data", "error"),
-    [
-        ({"K": [1, 2]}, "K has 2 numbers"),
-        ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
-        ({"K": K.tolist(), "focal_std": -0.1}, "focal_std must be finite and at least 0"),
-        ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
-        ({"K": K.tolist(), "centre_std_px": math.inf}, "centre_std must be finite and at least 0"),
-        ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
-        ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
-    ],
-)
-def test_json_that_has_no_camera(tmp_path: Path, data: dict[str, object], error: str) -> None:
-    path = tmp_path / "K.json"
-    path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=f"K.json.*{error}"):
-        parse_camera(str(path))
-
-
 def test_kittis_odometry_by_the_images_folder(tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     lines = [f"P{i}: {500 + i} 0 320 {-0.5 * i} 0 {500 + i} 240 0 0 0 1 0" for i in range(4)]
@@ -214,18 +195,24 @@ def test_a_lens_of_opencv(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "error"),
     [
+        ({"K": [1, 2]}, "K has 2 numbers"),
+        ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
+        ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
+        ({"K": K.tolist(), "centre_std_px": -1}, "centre_std must be finite and at least 0"),
+        ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
+        ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
         ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
         ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
         ({**ALL, "frames": [{}]}, "file_path"),
+        ({**ALL, "frames": 3}, "not a file of cameras that can be read"),
         (
             {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
             "a has no fl_x, and no camera_angle_x with w",
         ),
-        ({**ALL, "frames": 3}, "not a file of cameras that can be read"),
     ],
 )
-def test_what_cannot_be_read_is_named(tmp_path: Path, data: dict[str, object], error: str) -> None:
-    path = tmp_path / "transforms.json"
+def test_json_that_has_no_camera(tmp_path: Path, data: dict[str, object], error: str) -> None:
+    path = tmp_path / "K.json"
     path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=f"transforms.json.*{error}"):
+    with pytest.raises(InputError, match=f"K.json.*{error}"):
         parse_camera(str(path))
