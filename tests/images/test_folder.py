@@ -2,7 +2,6 @@
 
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -77,30 +76,21 @@ def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
     assert search_images(link).names == images.names
 
 
-def test_unreadable_folders_and_files_are_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unreadable_folders_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a fault that root meets too."""
-    for name in ("a.jpg", "locked.jpg", "sub/b/c.jpg", "sub/d/e.jpg"):
+    for name in ("a.jpg", "sub/b/c.jpg", "sub/d/e.jpg"):
         _save(tmp_path / name)
+    listdir = os.listdir
 
-    def unless(refused: Callable[[Path], bool], call: Callable) -> Callable:
-        def checked(path: Path, *rest: str) -> object:
-            if refused(Path(path)):
-                raise PermissionError(13, "Permission denied", str(path))
-            return call(path, *rest)
+    def list_some(path: Path) -> list[str]:
+        if Path(path).parent.name == "sub":
+            raise PermissionError(13, "Permission denied", str(path))
+        return listdir(path)
 
-        return checked
-
-    listdir = unless(lambda path: path.parent.name == "sub", os.listdir)
-    monkeypatch.setattr("dgc_pose.images.folder.os.listdir", listdir)
-    monkeypatch.setattr("builtins.open", unless(lambda path: path.name == "locked.jpg", open))
+    monkeypatch.setattr("dgc_pose.images.folder.os.listdir", list_some)
     images = search_images(tmp_path)
     assert images.names == ("a.jpg",)
-    assert sorted(images.left_out) == [
-        "1 file left out (first: locked.jpg): Permission denied",
-        "2 folders left out (first: sub/b): Permission denied",
-    ]
+    assert images.left_out == ("2 folders left out (first: sub/b): Permission denied",)
     for folder in ("sub/b", "nowhere"):
         with pytest.raises(OSError, match=folder):
             search_images(tmp_path / folder)

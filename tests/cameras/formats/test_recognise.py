@@ -32,21 +32,17 @@ NERF_K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
 
 
 @pytest.mark.parametrize("words", [FOUR, NINE], ids=["four", "nine"])
-@pytest.mark.parametrize("between", [",", " ", "\t", " ,"])
+@pytest.mark.parametrize("name", ["K.txt", "K.csv", "K", "k.mat"])
 def test_numbers_split_by_commas_or_blanks(
-    tmp_path: Path, words: tuple[str, ...], between: str
+    tmp_path: Path, words: tuple[str, ...], name: str
 ) -> None:
-    path = tmp_path / "K.txt"
-    path.write_text(f"# of the left camera\n{between.join(words)}\n\n")
-    for text in (between.join(words), str(path), between.join(word + "0" * 80 for word in words)):
-        np.testing.assert_array_equal(parse_camera(text).K, K)
-
-
-@pytest.mark.parametrize("name", ["K.npy", "K.csv", "K", "k.mat"])
-def test_a_matrix_in_a_file(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
-    np.save(path, K) if name.endswith("npy") else np.savetxt(path, K, delimiter=",")
-    np.testing.assert_array_equal(parse_camera(str(path)).K, K)
+    for text in map(str.join, (",", " ", "\t", " ,", "0" * 80 + ","), 5 * [words]):
+        path.write_text(f"# of the left camera\n{text}\n\n")
+        for source in (text, str(path)):
+            np.testing.assert_array_equal(parse_camera(source).K, K)
+    np.save(tmp_path / "K.npy", K)
+    np.testing.assert_array_equal(parse_camera(str(tmp_path / "K.npy")).K, K)
 
 
 def test_a_table(tmp_path: Path) -> None:
@@ -171,25 +167,22 @@ def test_focal_lengths_of_a_frame(
     np.testing.assert_allclose(camera.K.diagonal()[:2], focals)
 
 
-def test_a_frame_names_its_model(tmp_path: Path) -> None:
-    data = {**ALL, "is_fisheye": True, "k1": 0.1}
-    for of_frame, model in (
-        ({}, "OPENCV_FISHEYE"),
-        ({"is_fisheye": False}, "OPENCV"),
-        ({"camera_model": "OPENCV"}, "OPENCV"),
-    ):
-        lens = _read(tmp_path, {**data, "frames": [{"file_path": "a", **of_frame}]}).distortion
-        assert lens is not None and lens.model == model
-
-
-def test_a_lens_of_opencv(tmp_path: Path) -> None:
-    """Lenses by each of their keys are in test_lens.py."""
+def test_nerfs_lenses(tmp_path: Path) -> None:
+    """Of OpenCV; of a frame whose model is another. Lenses by other keys are in test_lens.py."""
     lens = {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01}
     camera = _read(tmp_path, {**ALL, **lens, "k4": 0, "frames": [{"file_path": "a.jpg"}]})
     pixels = np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
     rays = np.column_stack([camera.normalise(pixels), np.ones(30)])
     again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), NERF_K, np.array([*lens.values()]))
     np.testing.assert_allclose(again[:, 0], pixels, atol=1e-3)
+    for of_frame, model in (
+        ({}, "OPENCV_FISHEYE"),
+        ({"is_fisheye": False}, "OPENCV"),
+        ({"camera_model": "OPENCV"}, "OPENCV"),
+    ):
+        frames = [{"file_path": "a", **of_frame}]
+        camera = _read(tmp_path, {**ALL, "is_fisheye": True, "k1": 0.1, "frames": frames})
+        assert camera.distortion is not None and camera.distortion.model == model
 
 
 @pytest.mark.parametrize(
