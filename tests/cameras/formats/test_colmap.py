@@ -123,24 +123,18 @@ def test_another_folder_contradicts(
     assert (camera is cameras[listed[0]]) if is_taken else camera is None
 
 
-def test_a_name_of_two_images_is_refused() -> None:
-    cameras = {name: Camera(np.eye(3)) for name in ("d/2.jpg", "e/2.jpg", "c/3.jpg")}
-    calibration = Calibration("sparse", cameras)
-    assert calibration.named(Path(), "/home/x/photos/e/2.jpg") is cameras["e/2.jpg"]
-    assert calibration.named(Path(), "3.jpg") is cameras["c/3.jpg"]
-    with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
-        calibration.named(Path(), "2.jpg")
-
-
-def test_another_folder_contradicts_from_within_it(
+def test_a_name_without_folders_is_of_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A name without folders is of the working folder."""
-    cameras = {f"{name}.png": Camera(np.eye(3)) for name in ("left/1", "right/2", "right/3")}
-    (tmp_path / "right").mkdir()
-    monkeypatch.chdir(tmp_path / "right")
-    assert Calibration("sparse", cameras).named(Path(), "1.png") is None
-    assert Calibration("sparse", cameras).named(Path(), "3.png") is cameras["right/3.png"]
+    cameras = {name: Camera(np.eye(3)) for name in ("d/1.jpg", "d/2.jpg", "e/2.jpg", "e/3.jpg")}
+    calibration = Calibration("sparse", cameras)
+    assert calibration.named(Path(), "/home/x/photos/e/2.jpg") is cameras["e/2.jpg"]
+    with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
+        calibration.named(Path(), "2.jpg")
+    (tmp_path / "e").mkdir()
+    monkeypatch.chdir(tmp_path / "e")
+    assert calibration.named(Path(), "1.jpg") is None
+    assert calibration.named(Path(), "3.jpg") is cameras["e/3.jpg"]
 
 
 def test_a_database(tmp_path: Path) -> None:
