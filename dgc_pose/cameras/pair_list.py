@@ -96,7 +96,8 @@ def read_pair_list(path: Path) -> PairList:
     cameras: dict[str, Camera] = {}
     with read_as("a list of pairs", path):
         for line, where in _lines(path):
-            words = _cells(line) if is_table else line.split()
+            # Of a table the first two cells.
+            words = [w.strip() for w in next(csv.reader([line]))[:2]] if is_table else line.split()
             if len(words) not in (*_SHORTER, FIELDS) or not all(words):
                 raise InputError(
                     f"{where}: expected two names, or SuperGlue's 4, 22 or 38 fields, "
@@ -147,11 +148,6 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
             yield line, f"{path}:{number}"
 
 
-def _cells(line: str) -> list[str]:
-    """The first two cells of a row of a table."""
-    return [cell.strip() for cell in next(csv.reader([line]))[:2]]
-
-
 def _is_heading(first: str, second: str) -> bool:
     """Whether two names differ in their only digit, 0 and 1 or 1 and 2, as image1_path does."""
     alike = {first.replace("0", "1"), first.replace("1", "2")} - {first}
@@ -174,12 +170,9 @@ def _cameras(words: list[str], where: str) -> list[Camera]:
 
 def _numbers(words: list[str], where: str) -> np.ndarray:
     try:
-        numbers = np.array(words, dtype=np.float64)
+        return np.array(words, dtype=np.float64)
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
-    if not np.isfinite(numbers).all():
-        raise InputError(f"{where}: the numbers must be finite")
-    return numbers
 
 
 def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:

@@ -76,7 +76,8 @@ def test_written_pairs_are_read_back(tmp_path):
     [
         ("a.png b.png 0 0\n", "needs 38 fields, and this line has 4"),
         (line(k1="500 0 320 0 f 240 0 0 1"), "could not convert string to float: 'f'"),
-        (line(k2="nan 0 320 0 510 240 0 0 1"), "must be finite"),
+        (line(k2="nan 0 320 0 510 240 0 0 1"), "K2 has values that are not finite"),
+        (line(pose=T + np.inf), "T is no rotation"),
         (line(k1="-500 0 320 0 510 240 0 0 1"), "K1 "),
         (line(pose=T * [-1, 1, 1, 1]), "T is no rotation"),
         (line(pose=T + np.diag([0, 0, 0, 1])), "the last row 0 0 0 1"),
