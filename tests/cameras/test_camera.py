@@ -156,6 +156,9 @@ def test_a_file_without_a_K_is_refused_with_what_it_is(
 def test_errors_of_the_system_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="^K1: .* holds no cameras.txt and no cameras.bin"):
         parse_camera(str(tmp_path), "K1")
+    (tmp_path / "cameras.txt").write_text("1 NONSENSE 1 2 3\n")
+    with pytest.raises(InputError, match=f"^K1: {tmp_path}: 'NONSENSE' is not a COLMAP model"):
+        parse_camera(str(tmp_path), "K1")
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     with pytest.raises(InputError, match="^K1: .*loop: Too many levels of symbolic links$"):

@@ -158,17 +158,24 @@ def read_database(path: Path) -> PairList:
         read_as("a COLMAP database", path),
         closing(sqlite3.connect(uri, uri=True)) as database,
     ):
-        for (program,) in database.execute(_PROGRAMS):
-            raise ValueError(f"{program} computes")
-        names: dict[int, str] = {}
-        cameras: dict[str, Camera] = {}
-        for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
-            names[image_id] = name
-            if model_id is not None:
-                model, count = colmap_camera.model_of_id(model_id)
-                values = struct.unpack_from(f"<{count}d", parameters)
-                cameras[name] = _camera(model, (int(width), int(height)), list(values))
-        keys = database.execute("SELECT pair_id FROM matches WHERE rows > 0")
-        ids = [divmod(key, _MAX_IMAGES) for (key,) in keys]
-        pairs = sorted((names[first], names[second]) for first, second in ids)
-        return PairList(tuple(sorted(names.values())), tuple(pairs), cameras)
+        try:
+            return _database_content(database)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+
+def _database_content(database: sqlite3.Connection) -> PairList:
+    for (program,) in database.execute(_PROGRAMS):
+        raise ValueError(f"{program} computes")
+    names: dict[int, str] = {}
+    cameras: dict[str, Camera] = {}
+    for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
+        names[image_id] = name
+        if model_id is not None:
+            model, count = colmap_camera.model_of_id(model_id)
+            values = struct.unpack_from(f"<{count}d", parameters)
+            cameras[name] = _camera(model, (int(width), int(height)), list(values))
+    keys = database.execute("SELECT pair_id FROM matches WHERE rows > 0")
+    ids = [divmod(key, _MAX_IMAGES) for (key,) in keys]
+    pairs = sorted((names[first], names[second]) for first, second in ids)
+    return PairList(tuple(sorted(names.values())), tuple(pairs), cameras)

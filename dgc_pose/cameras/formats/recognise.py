@@ -50,8 +50,6 @@ def read_file(path: Path) -> FileCameras:
 
     Raises InputError, with the path; OSError if a file cannot be read.
     """
-    if path.is_dir():
-        return colmap.read_model(path)
     try:
         with read_as("a file of cameras", path):
             return _read_file(path)
@@ -63,6 +61,8 @@ def read_file(path: Path) -> FileCameras:
 
 def _read_file(path: Path) -> FileCameras:
     ending = path.suffix.lower()
+    if path.is_dir():
+        return colmap.read_model(path)
     if ending == ".npy":
         return FileCameras(common=numbers_camera(read_array(path)))
     if ending == ".bin":

@@ -1,5 +1,7 @@
 """COLMAP's lines and files, against those that pycolmap writes and reads."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -159,3 +161,10 @@ def test_a_database(tmp_path: Path) -> None:
     assert pair_list.cameras[name].distortion == expected.distortion
     np.testing.assert_array_equal(pair_list.cameras[name].K, expected.K)
     assert (tmp_path / "a.db").read_bytes() == content
+    for column in ("model = 99", "params = zeroblob(64)", "params = 'text'", "width = 'text'"):
+        (tmp_path / "b.db").write_bytes(content)
+        with closing(sqlite3.connect(tmp_path / "b.db")) as damaged:
+            damaged.execute(f"UPDATE cameras SET {column}")
+            damaged.commit()
+        with pytest.raises(InputError, match=r"b\.db is not a COLMAP database that can be read"):
+            read_database(tmp_path / "b.db")
