@@ -30,11 +30,6 @@ def _K(calibration: Calibration, name: str) -> list[float]:
     return [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
 
 
-def _write(path: Path, text: str) -> str:
-    path.write_text(text)
-    return str(path)
-
-
 @pytest.mark.parametrize("binary", [False, True])
 @pytest.mark.parametrize("whole", [False, True])
 def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
@@ -54,8 +49,6 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     assert _K(calibration, "d/2.jpg") == [600, 600, 320, 240]
     lens = calibration.camera(tmp_path, "d/1.jpg", Header("JPEG", SIZE)).distortion
     assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
-    with pytest.raises(InputError, match="no camera for e.jpg"):
-        _K(calibration, "e.jpg")
     (tmp_path / f"images.{ending}").unlink()
     with pytest.raises(
         InputError, match=f"has no camera for d/1.jpg: another of its cameras is {source}:2"
@@ -67,10 +60,11 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
 def test_an_image_without_a_camera(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^no camera for a\.jpg: give K or auto in its place$"):
         _K(read_calibration(None), "a.jpg")
-    path = _write(tmp_path / "K.csv", "name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
-    assert _K(read_calibration(path), "a.jpg") == [500, 510, 320, 240]
+    path = tmp_path / "K.csv"
+    path.write_text("name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
+    assert _K(read_calibration(str(path)), "a.jpg") == [500, 510, 320, 240]
     with pytest.raises(InputError, match=f"^{path} has no camera for b.jpg$"):
-        _K(read_calibration(path), "b.jpg")
+        _K(read_calibration(str(path)), "b.jpg")
 
 
 def test_cameras_survive_json() -> None:
