@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import check_size
+from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError
@@ -110,7 +110,7 @@ class FilePairs(PairSet[Score]):
             return self.prepare(image), image.size
 
         image, stored = self._images.get(path, read)
-        check_size(camera, stored, f"K of {image.name}")
+        checked_camera(camera, stored, f"K of {image.name}")
         return image, self.prepare_camera(camera, stored, image.size)
 
 

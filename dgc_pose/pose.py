@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.calibration import pair_cameras
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.texts import percent_text

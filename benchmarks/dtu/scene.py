@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import check_size
+from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import image_size
 
@@ -107,7 +107,7 @@ def read_scene(reader: SceneReader, number: int) -> DtuScene:
                 f"{image}: expected {size[0]} x {size[1]} pixels, found {actual[0]} x {actual[1]}"
             )
         # Its warning about the principal point is for cameras that a user gives.
-        check_size(Camera(view.K), size, f"K of {image}")
+        checked_camera(Camera(view.K), size, f"K of {image}")
         views[position], images[position] = view, image
     return DtuScene(number, views, images, size or (0, 0), missing)
 

@@ -15,7 +15,7 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     listed_pair,
 )
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import pixel_matrix
+from dgc_pose.cameras.colmap_camera import intrinsics
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
@@ -162,7 +162,8 @@ def _overlap(frame: PosedFrame, depth: np.ndarray, points: np.ndarray) -> float:
 def _pinhole(camera: pycolmap.Camera, folder: Path) -> Camera:
     if len(camera.extra_params_idxs()):
         raise InputError(f"{folder}: {camera.model_name} has distortion; undistort the model")
-    return Camera(pixel_matrix(camera), (camera.width, camera.height))
+    K, _ = intrinsics(camera.model_name, camera.params.tolist())
+    return Camera(K, (camera.width, camera.height))
 
 
 def _depth(model: pycolmap.Reconstruction, points: set[int], cam_from_world: np.ndarray) -> float:

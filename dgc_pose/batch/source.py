@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.errors import ArgumentName, ImageError, InputError
@@ -114,7 +114,7 @@ def survey(
             continue
         of_image = calibration
         listed = source.cameras.get(name)
-        if listed is not None and calibration.says_nothing_of(source.root, name):
+        if listed is not None and calibration.lacks(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
         elif calibration.common is not None:

@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any, get_args
 
 from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
-from dgc_pose.cameras.checks import checked_camera
-from dgc_pose.cameras.formats import colmap, plain
-from dgc_pose.cameras.formats.file_cameras import numbers_camera
-from dgc_pose.cameras.formats.keyed import keyed_camera
+from dgc_pose.cameras.checks import checked_camera, times
+from dgc_pose.cameras.formats import colmap
+from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras, with_orientation
 from dgc_pose.errors import ArgumentName, InputError, shortened
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 _SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
-_FOLDER_OR_ENDING = re.compile(r"[/\\]|\.[A-Za-z]\w*(:\w+)?$")
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 
 
@@ -68,21 +66,17 @@ class Calibration:
         """
         camera = self.named(root, name) or self._of_part(root / name, part) or self.common
         if camera is not None:
-            is_of_pair = part is not None and not self.by_name
-            label = self.where if is_of_pair else f"{self.where}: {name}: K"
+            label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
             return _fitted(camera, self.details, image.size, label)
         if self.auto is not None:
-            camera = auto_camera(image)
-            if self.auto == "files":
-                return camera
-            return replace(camera, identity="shared" if self.auto == "shared" else None)
+            return auto_camera(image, self.auto)
         if self.parts or self.by_name:
             *_, last = ("", *self.parts)
-            which = f": say which, as {self.where}:{last}" if last else ""
-            raise InputError(f"{self.where} has no camera for {name}{which}")
+            other = f": another of its cameras is {self.where}:{last}" if last else ""
+            raise InputError(f"{self.where} has no camera for {name}{other}")
         raise InputError(f"no camera for {name}: give", ArgumentName("K"), "or auto in its place")
 
-    def says_nothing_of(self, root: Path, name: str) -> bool:
+    def lacks(self, root: Path, name: str) -> bool:
         """Whether an image may take a camera from elsewhere, such as a list of pairs."""
         return self.common is None and self.auto is None and self.named(root, name) is None
 
@@ -104,7 +98,7 @@ class Calibration:
         common = 0 if root.parts else common
         shared = {}
         for other in alike:
-            count = _common_tail(_parts(other), parts)
+            count = len(os.path.commonprefix([_parts(other)[::-1], parts[::-1]]))
             differs = count < len(_parts(other)) - common
             if not (differs and (count < count_of_name or parts[-1 - count] in folders)):
                 shared[other] = count
@@ -140,12 +134,13 @@ class Calibration:
             match = _PART_FOLDER.fullmatch(folder)
             if match and (key := f"{match[1]}{int(match[2])}") in self.parts:
                 return self.parts[key]
-        if self.common is None or _are_equal(self.parts.values()):
+        kinds = {(*camera.K.ravel().tolist(), camera.distortion) for camera in self.parts.values()}
+        if self.common is None or len(kinds) == 1:
             return self.common
         first, *_, last = self.parts
         warning = (
             f"{self.where} has {len(self.parts)} cameras, and {path} lies in no folder of their "
-            f"names ({first} to {last}): {first} is taken; {self.where}:{last} is another"
+            f"names: {first} is taken; {self.where}:{last} is another"
         )
         return replace(self.common, warnings=(*self.common.warnings, warning))
 
@@ -156,48 +151,25 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
 
     Raises InputError if K states another size, if the image is a crop, and as `checked_camera`.
     """
-    of_K = details.size
-    if of_K is None:
-        camera = checked_camera(camera, size, name)
-    else:
-        if camera.size is not None and camera.size != of_K:
+    of_K = details.size or size
+    if details.size is not None:
+        if camera.size not in (None, of_K):
             raise InputError(
-                f"{name} states {_times(camera.size)}, and", ArgumentName("K_size"), _times(of_K)
+                f"{name} states {times(camera.size)}, and", ArgumentName("K_size"), times(of_K)
             )
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
-                f"{name} is for {_times(of_K)} pixels and the image has {_times(size)}, of another "
-                "aspect ratio: it is no resized image, and K cannot be scaled to it"
+                f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
+                "aspect ratio: K cannot be scaled to it"
             )
-        camera = checked_camera(replace(camera, size=None), of_K, name)
+    camera = checked_camera(camera, of_K, name)
+    if details.size is not None:
         camera = replace(camera, size=of_K).resized(size)
     return replace(
         camera,
         focal_std=details.focal_std or camera.focal_std,
         centre_std=details.centre_std or camera.centre_std,
     )
-
-
-def camera_for(
-    value: Camera | Any | None,
-    image: Image,
-    name: str,
-    details: KDetails = KDetails(),
-    part: str | None = None,
-) -> Camera:
-    """The camera of an image, from a Camera, an array (3, 3), or a text or path as of --K.
-
-    None is "auto". A value without an identity gets that of its argument. part: "K1" or "K2", of a
-    file with both. Raises InputError, naming the argument `name`, if K is unusable or does not fit
-    the image.
-    """
-    value = "auto" if value is None else value
-    if isinstance(value, (str, Path)):
-        calibration = read_calibration(str(value), name, details)
-        return calibration.camera(Path(), image.name, image, part)
-    camera = value if isinstance(value, Camera) else matrix_camera(value, name)
-    camera = replace(camera, identity=camera.identity or name)
-    return _fitted(camera, details, image.size, name)
 
 
 def pair_cameras(
@@ -208,26 +180,34 @@ def pair_cameras(
     names: tuple[str, str] = ("K1", "K2"),
     details: KDetails = KDetails(),
 ) -> tuple[Camera, Camera]:
-    """The cameras of two images by `camera_for`; without K for both, by `auto_cameras`.
+    """The cameras of two images, each from a Camera, an array (3, 3), or a text or path as of --K.
 
-    names: of the arguments. Raises as `camera_for` does.
+    None is "auto"; if both are, by `auto_cameras`. A value without an identity gets that of its
+    argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable or
+    does not fit the image.
     """
-    K1, K2 = ("auto" if value is None else value for value in (K1, K2))
-    sharing1, sharing2 = (
-        _sharing(value, name) if isinstance(value, str) else None
-        for value, name in zip((K1, K2), names, strict=True)
-    )
-    if sharing1 is not None and sharing2 is not None:
-        if sharing1 != sharing2:
-            raise InputError(f"{names[0]} is {K1}, and {names[1]} is {K2}")
+    values = ["auto" if value is None else value for value in (K1, K2)]
+    sharings = [_SHARING.get(value) if isinstance(value, str) else None for value in values]
+    if sharings[0] is not None and sharings[1] is not None:
+        if sharings[0] != sharings[1]:
+            raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
         _require_K(details, names[0])
-        return auto_cameras(image1, image2, sharing1)
-    details1, details2 = (
-        KDetails() if sharing is not None else details for sharing in (sharing1, sharing2)
-    )
-    camera1 = camera_for(K1, image1, names[0], details1, "K1")
-    camera2 = camera_for(K2, image2, names[1], details2, "K2")
-    return with_orientation(camera1, image1), with_orientation(camera2, image2)
+        return auto_cameras(image1, image2, sharings[0])
+    cameras = []
+    for number, image in enumerate((image1, image2)):
+        of_K = KDetails() if sharings[number] is not None else details
+        calibration = _calibration(values[number], names[number], of_K)
+        camera = calibration.camera(Path(), image.name, image, f"K{number + 1}")
+        cameras.append(with_orientation(camera, image))
+    return cameras[0], cameras[1]
+
+
+def _calibration(value: Camera | Any, name: str, details: KDetails) -> Calibration:
+    if isinstance(value, (str, Path)):
+        return read_calibration(str(value), name, details)
+    camera = value if isinstance(value, Camera) else matrix_camera(value, name)
+    camera = replace(camera, identity=camera.identity or name)
+    return Calibration(name, common=camera, details=details)
 
 
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
@@ -252,29 +232,24 @@ def read_calibration(
     None: no camera for any image. Raises InputError, with `name` or the path, if the
     text is none of these or the file is malformed.
     """
-    if text is None:
+    if text is None or text in _SHARING:
         _require_K(details, name)
-        return Calibration(name)
-    if (sharing := _sharing(text, name)) is not None:
-        _require_K(details, name)
-        return Calibration(name, auto=sharing)
+        return Calibration(name, auto=_SHARING.get(text or ""))
     head, _, part = text.rpartition(":")
     if os.path.lexists(text):
         head, part = text, ""
     elif not (head and os.path.lexists(head)):
-        if _looks_like_path(text):
-            raise InputError(f"{name}: {shortened(text)} does not exist")
         camera = replace(_parse_text(text, name), identity=name)
         return Calibration(name, common=camera, details=details)
     try:
-        cameras = read_file(Path(head), name)
-        refused = [why for of, why in cameras.refused.items() if part in ("", of)]
-        if refused:
-            raise InputError(f"{head}: {refused[0]}")
+        cameras = read_file(Path(head))
     except InputError as error:
-        raise error if str(error).startswith(name) else InputError(f"{name}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
     except OSError as error:
         raise InputError(f"{name}: {error.filename or head}: {error.strerror or error}") from error
+    for refused, why in cameras.refused.items():
+        if part in ("", refused):
+            raise InputError(f"{name}: {head}: {why}")
     common = cameras.common
     if part:
         common = cameras.parts.get(part)
@@ -289,29 +264,18 @@ def read_calibration(
 
 def _parse_text(text: str, name: str) -> Camera:
     """The camera of numbers or of a line of COLMAP's. Raises InputError, naming `name`."""
-    if (numbers := plain.numbers_of(text)) is not None and len(numbers) in (4, 9):
-        return numbers_camera(numbers, name)
+    values = numbers(text)
+    if values is not None and len(values) in (4, 9):
+        return numbers_camera(values, name)
     if not colmap.is_line(text):
         raise InputError(
-            f"{name}: {shortened(text)!r} is neither fx,fy,cx,cy nor MODEL,width,height,parameters "
-            "nor a file"
+            f"{name}: {shortened(text)!r} is neither {', '.join(_SHARING)}, fx,fy,cx,cy nor "
+            "MODEL,width,height,parameters nor a file"
         )
     try:
         return colmap.parse_line(text)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-
-
-def _looks_like_path(text: str) -> bool:
-    is_camera = colmap.is_line(text) or plain.numbers_of(text) is not None
-    return text.isprintable() and _FOLDER_OR_ENDING.search(text) is not None and not is_camera
-
-
-def _sharing(text: str, name: str) -> Sharing | None:
-    """The sharing of cameras by a word for no K; None for another text."""
-    if text.startswith("auto:") and text not in _SHARING:
-        raise InputError(f"{name} must be one of {', '.join(_SHARING)}, not {shortened(text)!r}")
-    return _SHARING.get(text)
 
 
 def _require_K(details: KDetails, name: str) -> None:
@@ -324,20 +288,6 @@ def _require_K(details: KDetails, name: str) -> None:
 def _parts(name: str) -> tuple[str, ...]:
     path = PurePosixPath(name)
     return *path.parts[:-1], path.stem
-
-
-def _common_tail(first: tuple[str, ...], second: tuple[str, ...]) -> int:
-    """How many of the last parts of two paths are the same."""
-    same = [a == b for a, b in zip(reversed(first), reversed(second), strict=False)]
-    return [*same, False].index(False)
-
-
-def _are_equal(cameras: Iterable[Camera]) -> bool:
-    return len({(*camera.K.ravel().tolist(), camera.distortion) for camera in cameras}) == 1
-
-
-def _times(size: tuple[int, int]) -> str:
-    return f"{size[0]}x{size[1]}"
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

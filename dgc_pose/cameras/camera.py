@@ -13,6 +13,7 @@ import numpy as np
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.files.arrays import as_numpy
+from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.pixels import rescale
 
 FocalSource = Literal["given", "exif", "size", "matches"]
@@ -22,7 +23,7 @@ FocalSource = Literal["given", "exif", "size", "matches"]
 class Camera:
     """A calibrated camera.
 
-    Raises InputError unless K is finite, invertible and upper triangular with positive focal
+    Raises InputError unless K is finite and upper triangular with positive focal
     lengths and a last row of 0 0 1.
 
     Attributes:
@@ -99,6 +100,21 @@ class Camera:
         return replace(self, K=K, size=(int(size[0]), int(size[1])))
 
 
+@dataclass(frozen=True, eq=False)
+class TwoViews:
+    """The pose x2 = R x1 + t of camera 2 relative to camera 1."""
+
+    camera1: Camera
+    camera2: Camera
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,), unit length
+
+    @property
+    def E(self) -> np.ndarray:
+        """Essential matrix [t]x R (3, 3) of normalised points."""
+        return essential_from_pose(self.R, self.t)
+
+
 def matrix_camera(K: Any, name: str = "K") -> Camera:
     """The camera of an array (3, 3). Raises as `Camera` does, naming the argument `name`."""
     return Camera(_checked_matrix(K, name))
@@ -111,20 +127,13 @@ def _checked_matrix(value: Any, name: str) -> np.ndarray:
         raise InputError(f"{name} must have shape (3, 3), not {K.shape}")
     if not np.isfinite(K).all():
         raise InputError(f"{name} has values that are not finite")
-    if np.abs(K[2] - (0, 0, 1)).max() > 1e-9 >= np.abs(K[:, 2] - (0, 0, 1)).max():
-        raise InputError(f"{name} is transposed: its last column, not its last row, is 0 0 1")
-    if np.abs(K[2] - (0, 0, 1)).max() > 1e-9:
-        raise InputError(f"{name} must have the last row 0 0 1, not {_listed(K[2])}")
-    if not (K[0, 0] > 0 and K[1, 1] > 0):
-        raise InputError(f"{name} must have positive focal lengths, not {_listed(np.diag(K)[:2])}")
-    if abs(K[1, 0]) > 1e-9 * K[1, 1]:
-        raise InputError(f"{name} must be upper triangular, but its second row is {_listed(K[1])}")
-    if np.linalg.matrix_rank(K) < 3:
-        raise InputError(f"{name} is singular")
+    is_triangular = np.abs(K[2] - (0, 0, 1)).max() <= 1e-9 and abs(K[1, 0]) <= 1e-9 * K[1, 1]
+    if not (is_triangular and K[0, 0] > 0 and K[1, 1] > 0):
+        rows = ", ".join(" ".join(f"{number:g}" for number in row) for row in K)
+        raise InputError(
+            f"{name} must be upper triangular with positive focal lengths and the last row 0 0 1, "
+            f"not {rows}"
+        )
     K[1, 0], K[2] = 0, (0, 0, 1)
     K.setflags(write=False)
     return K
-
-
-def _listed(numbers: np.ndarray) -> str:
-    return " ".join(f"{number:g}" for number in numbers)

@@ -128,14 +128,6 @@ def model_of_id(model_id: int) -> tuple[str, int]:
     return name, len(_model(name).params)
 
 
-def pixel_matrix(camera: pycolmap.Camera) -> np.ndarray:
-    """K (3, 3), pixels, (0, 0) the centre of the top-left pixel."""
-    K = np.array(camera.calibration_matrix())
-    with np.errstate(invalid="ignore"):  # NaN of a damaged file, which is refused later
-        K[:2, 2] -= 0.5
-    return K
-
-
 def _model(name: str) -> pycolmap.Camera:
     """A camera of this model with arbitrary parameters."""
     from dgc_pose.system.colmap_library import pycolmap

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera, matrix_camera
-from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_text
+from dgc_pose.errors import InputError, shortened
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.outputs import save_text
 from dgc_pose.geometry.rotation import is_rotation
 
@@ -69,7 +69,16 @@ def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
     """
     path = Path(path)
     folder = path.parent if root is None else Path(root)
-    pairs = [_pair(line.split(), folder, where) for line, where in _lines(path)]
+    pairs = []
+    for line, where in _lines(path):
+        words = line.split()
+        if len(words) != FIELDS:
+            raise InputError(
+                f"{where}: a pair needs {FIELDS} fields, and this line has {len(words)}"
+            )
+        camera1, camera2 = _cameras(words, where)
+        R, t = _pose(_numbers(words[22:], where).reshape(4, 4), where)
+        pairs.append(Pair(words[0], words[1], folder, camera1, camera2, R, t))
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     return pairs
@@ -85,13 +94,24 @@ def read_pair_list(path: Path) -> PairList:
     is_table = path.suffix.lower() == ".csv"
     pairs: dict[frozenset[str], Names] = {}
     cameras: dict[str, Camera] = {}
-    for line, where in _lines(path):
-        names = _table_row(line, where) if is_table else _names(line.split(), where, cameras)
-        if not pairs and is_table and _is_heading(*map(str.lower, names)):
-            continue
-        if names[0] == names[1]:
-            raise InputError(f"{where}: {names[0]} is paired with itself")
-        pairs.setdefault(frozenset(names), names)
+    with read_as("a list of pairs", path):
+        for line, where in _lines(path):
+            # Of a table the first two cells.
+            words = [w.strip() for w in next(csv.reader([line]))[:2]] if is_table else line.split()
+            if len(words) not in (*_SHORTER, FIELDS) or not all(words):
+                raise InputError(
+                    f"{where}: expected two names, or SuperGlue's 4, 22 or 38 fields, "
+                    f"not {shortened(line.strip())!r} (names with blanks need a .csv)"
+                )
+            name1, name2 = words[:2]
+            if not pairs and is_table and _is_heading(name1.lower(), name2.lower()):
+                continue
+            if name1 == name2:
+                raise InputError(f"{where}: {name1} is paired with itself")
+            for name, camera in zip((name1, name2), _cameras(words, where), strict=False):
+                if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
+                    raise InputError(f"{where}: another K of {name} than in a line before")
+            pairs.setdefault(frozenset((name1, name2)), (name1, name2))
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     listed = tuple(pairs.values())
@@ -128,79 +148,37 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
             yield line, f"{path}:{number}"
 
 
-def _pair(words: list[str], root: Path, where: str) -> Pair:
-    if len(words) != FIELDS:
-        raise InputError(f"{where}: a pair needs {FIELDS} fields, and this line has {len(words)}")
-    _require_upright(words, where)
-    camera1, camera2 = _cameras(words, where)
-    R, t = _pose(_numbers(words[22:], where).reshape(4, 4), where)
-    return Pair(words[0], words[1], root, camera1, camera2, R, t)
-
-
-def _names(words: list[str], where: str, cameras: dict[str, Camera]) -> Names:
-    """The names of a full or shorter line; its cameras are added to `cameras`."""
-    if len(words) not in (*_SHORTER, FIELDS):
-        raise InputError(
-            f"{where}: expected two names, or a line of SuperGlue's with 4, 22 or 38 fields, "
-            f"not {len(words)} fields (names with blanks need a .csv)"
-        )
-    if len(words) > 2:
-        _require_upright(words, where)
-    if len(words) > 4:
-        for name, camera in zip(words[:2], _cameras(words, where), strict=True):
-            if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
-                raise InputError(f"{where}: another K of {name} than in a line before")
-    return words[0], words[1]
-
-
-def _table_row(line: str, where: str) -> Names:
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([line]))]
-    except csv.Error as error:
-        raise InputError(f"{where}: {error}") from None
-    if len(cells) < 2 or not all(cells[:2]):
-        raise InputError(f"{where}: expected name1,name2, not {line.strip()!r}")
-    return cells[0], cells[1]
-
-
 def _is_heading(first: str, second: str) -> bool:
     """Whether two names differ in their only digit, 0 and 1 or 1 and 2, as image1_path does."""
     alike = {first.replace("0", "1"), first.replace("1", "2")} - {first}
     return _COLUMN.fullmatch(first) is not None and second in alike
 
 
-def _require_upright(words: list[str], where: str) -> None:
-    if words[2:4] != ["0", "0"]:
+def _cameras(words: list[str], where: str) -> list[Camera]:
+    """The cameras of both images; none of a line without them."""
+    if len(words) > 2 and words[2:4] != ["0", "0"]:
         raise InputError(
             f"{where}: rot1 rot2 must be 0 0, not {words[2]} {words[3]}: "
             "images that have to be rotated first are not supported"
         )
-
-
-def _cameras(words: list[str], where: str) -> list[Camera]:
-    matrices = _numbers(words[4:22], where).reshape(2, 3, 3)
+    matrices = _numbers(words[4:22], where).reshape(-1, 3, 3)
     try:
-        return [matrix_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=True)]
+        return [matrix_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=False)]
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 
 
 def _numbers(words: list[str], where: str) -> np.ndarray:
     try:
-        numbers = np.array(words, dtype=np.float64)
+        return np.array(words, dtype=np.float64)
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
-    if not np.isfinite(numbers).all():
-        raise InputError(f"{where}: the numbers must be finite")
-    return numbers
 
 
 def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
     R, t = T[:3, :3], T[:3, 3]
-    if not is_rotation(R):
-        raise InputError(f"{where}: the upper left 3x3 of T is not a rotation")
-    if not np.array_equal(T[3], [0, 0, 0, 1]):
-        raise InputError(f"{where}: the last row of T must be 0 0 0 1")
+    if not (is_rotation(R) and np.array_equal(T[3], [0, 0, 0, 1])):
+        raise InputError(f"{where}: T is no rotation and translation with the last row 0 0 0 1")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(t)
     if not 0 < length < np.inf:

@@ -6,14 +6,21 @@ changes nothing.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import PIL.Image
+from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
-from dgc_pose.cameras.exif_focal import exif_focal
-from dgc_pose.images.exif import read_exif
+from dgc_pose.files.outputs import scratch_folder
+from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
+from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -24,38 +31,102 @@ SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over t
 SIZE_STD = 0.45  # deviation of their logarithm
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
-_QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+
+_FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
+_BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
+
+# Deviations of the logarithm of the focal length in pixels. That on 35 mm film: EXIF leaves open
+# which side of the images it holds for; cameras' makers agreed on the diagonal (CIPA DCG-001), and
+# by the width it would be 4 % less at 4:3. Pixels that the correction of distortion and shake
+# leaves out, and the focus, are a few per cent too.
+_FILM_FOCAL_STD = 0.06
+_ROUNDING_STD_MM = 0.29  # deviation of a number that is rounded to an integer
+# The lens and the resolution of the sensor are nominal; the focus changes the focal length.
+_SENSOR_RESOLUTION_STD = 0.06
+# As before; and the table's width may be of another part of the sensor than the image's.
+_SENSOR_TABLE_STD = 0.08
+# More for a digital zoom, which some telephones write of one of two steps, and for an image that
+# was cut out of another.
+_ZOOM_STD, _CUT_STD = 0.1, 0.05
+
+_PLAUSIBLE_FOCALS = (0.2, 20.0)  # over the longer side: fields of view of 136 to 3 degrees
+_SENSOR_RANGE_MM = (1.5, 80.0)  # widths and diagonals
+_MAX_WIDTH_DIFFERENCE = 0.1  # of the logarithms of two widths of one sensor
+# Whether the focal length on 35 mm film has the digital zoom in it, by the make, as in files of
+# theirs. EXIF leaves it open, and others do either.
+_ZOOM_IN_FILM = {"apple": True, "samsung": False}
+# Sensors are 5:4 to 3:2; images of another shape are mostly parts of one of 4:3.
+_SENSOR_ASPECT_RANGE, _USUAL_ASPECT = (1.24, 1.52), 4 / 3
 
 
-def auto_camera(image: Image | Header) -> Camera:
+@dataclass(frozen=True)
+class _Whole:
+    """The image that the camera wrote, of which there may be a part, at the part's scale."""
+
+    width: float
+    height: float
+    scale: float = 1.0  # to this from the pixels that the camera wrote
+    std: float = 0.0  # of the logarithm of the scale
+
+
+def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     """The camera of an image without a K: its focal length by its EXIF data, else by its size.
 
-    `identity` is equal for images that one camera may have taken: of the same size, in either
-    orientation, whose EXIF data name the same camera, lens, focal length and zoom, or none. Of two
-    images of which one has lost its EXIF data it is not known that one camera took both.
+    EXIF's focal length on 35 mm film comes first; then that of the lens, with the resolution on the
+    sensor or the sensor's width in COLMAP's table. Where they contradict each other, or give the
+    field of view of no photograph, the size is taken, with a warning.
+
+    sharing: of "files" the `identity` is equal for images that one camera may have taken: of the
+    same size, in either orientation, whose EXIF data name the same camera, lens, focal length and
+    zoom, or none. Of two images of which one has lost its EXIF data it is not known that one camera
+    took both. "shared": one for all; "two": None.
     """
     width, height = image.size
     longer, shorter = max(width, height), min(width, height)
-    exif = read_exif(image.exif)
-    prior = exif_focal(exif, image.size)
+    exif = image.exif
     names = (exif.make, exif.model, exif.lens, exif.focal_mm, exif.focal_35mm)
     identity = f"auto {longer} x {shorter}"
     if any(names):
         identity += "".join(f", {name or '-'}" for name in (*names, exif.digital_zoom))
     source: FocalSource = "size"
-    focal, std = SIZE_FOCAL * longer, SIZE_STD
-    if prior.focal is not None:
-        source, focal, std = "exif", prior.focal, prior.std
+    focal, std, margin, warnings = SIZE_FOCAL * longer, SIZE_STD, 0.0, list[str]()
+    if by_exif := _exif_focal(exif, image.size):
+        source, (focal, std, margin) = "exif", by_exif
         identity += f", {focal:.1f} px"  # parts of images of several sizes differ in nothing else
+        if exif.size is not None and margin:
+            warnings.append(
+                f"{width} x {height} pixels are a part of the {exif.size[0]} x {exif.size[1]} of "
+                "the EXIF data: the focal length and the middle are less certain"
+            )
+    elif exif.focal_35mm is not None or (exif.focal_mm and exif.pixels_per_mm):
+        lengths = {"on 35 mm film": exif.focal_35mm, "of the lens": exif.focal_mm}
+        words = " and ".join(f"{mm:g} mm {of}" for of, mm in lengths.items() if mm is not None)
+        warnings.append(
+            f"the focal length of the EXIF data, {words}, is that of no camera with {width} x "
+            f"{height} pixels: it is taken from the size"
+        )
     return Camera(
         np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]),
         image.size,
-        warnings=prior.warnings,
+        warnings=tuple(warnings),
         focal_std=std,
-        centre_std=float(np.hypot(CENTRE_STD * longer, prior.centre_std)),
+        centre_std=float(np.hypot(CENTRE_STD * longer, margin / math.sqrt(12))),
         focal_source=source,
-        identity=identity,
+        identity={"files": identity, "shared": "shared", "two": None}[sharing],
     )
+
+
+def _exif_focal(exif: Exif, size: tuple[int, int]) -> tuple[float, float, float] | None:
+    """The focal length of an image of `size` (width, height), pixels; the standard deviation of its
+    logarithm; and how many pixels the image that the camera wrote is larger. None without one."""
+    whole = _whole(exif, size)
+    if whole is None:
+        return None
+    for focal, std in chain(_on_film(exif, whole), _on_sensor(exif, whole)):
+        if _PLAUSIBLE_FOCALS[0] <= focal / max(size) <= _PLAUSIBLE_FOCALS[1]:
+            margin = max(whole.width - size[0], whole.height - size[1])
+            return focal, math.hypot(std, whole.std), margin
+    return None
 
 
 def auto_cameras(
@@ -66,15 +137,13 @@ def auto_cameras(
     sharing: whether one camera took both: "files" decides by the `identity` of both. Of a "shared"
     camera the EXIF data of one image are those of the other, if that has none and is as large.
     """
-    camera1, camera2 = auto_camera(image1), auto_camera(image2)
-    if sharing == "files":
-        return camera1, camera2
+    camera1, camera2 = auto_camera(image1, sharing), auto_camera(image2, sharing)
     if sharing == "two":
         return replace(camera1, identity="image1"), replace(camera2, identity="image2")
-    if sorted(image1.size) == sorted(image2.size):
+    if sharing == "shared" and sorted(image1.size) == sorted(image2.size):
         best = min(camera1, camera2, key=lambda camera: camera.focal_std)
-        camera1, camera2 = _with_focal(camera1, best), _with_focal(camera2, best)
-    return replace(camera1, identity="shared"), replace(camera2, identity="shared")
+        return _with_focal(camera1, best), _with_focal(camera2, best)
+    return camera1, camera2
 
 
 def _with_focal(camera: Camera, other: Camera) -> Camera:
@@ -99,7 +168,7 @@ def with_orientation(camera: Camera, image: Image | Header) -> Camera:
 
 def _is_as_stored(camera: Camera, image: Image | Header) -> bool:
     """Whether K is certainly of the pixels as stored, and not of the image rotated by a quarter."""
-    if image.orientation not in _QUARTER_TURNS:
+    if image.orientation < 5:  # 5 to 8 exchange width and height
         return False
     if camera.size is not None and camera.size[0] != camera.size[1]:
         return camera.size == image.size
@@ -108,3 +177,102 @@ def _is_as_stored(camera: Camera, image: Image | Header) -> bool:
         for size in (image.size, image.size[::-1])
     ]
     return offsets[0] < _MAX_CENTRE_OFFSET < offsets[1]
+
+
+def _whole(exif: Exif, size: tuple[int, int]) -> _Whole | None:
+    """None if the image is neither the one that the camera wrote, at any scale, nor a part of it.
+
+    A part is as large as it was, or as large as shows the most of the other image: the scale is the
+    middle of both.
+    """
+    if exif.size is None:
+        return _Whole(*size)
+    (width, height), sides = size, exif.size
+    scale = max(size) / max(sides)
+    if abs(scale * min(sides) - min(size)) <= 1 + 0.005 * min(size):
+        return _Whole(width, height, scale)
+    for whole in (sides, sides[::-1]):  # a rotated image may have the sides of the other
+        least = max(width / whole[0], height / whole[1])
+        if least <= 1:
+            scale = math.sqrt(least)
+            std = math.hypot(_CUT_STD, math.log(least) / 2)
+            return _Whole(whole[0] * scale, whole[1] * scale, scale, std)
+    return None
+
+
+def _on_film(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
+    """The focal length and its deviation by that on 35 mm film."""
+    film, zoom = exif.focal_35mm, exif.digital_zoom
+    if film is None:
+        return
+    if exif.focal_mm is not None:
+        sensor = _FILM_DIAGONAL_MM * exif.focal_mm / film
+        if not (_is_sensor(sensor) or _is_sensor(sensor * zoom)):
+            return
+    diagonal, shape_std = _diagonal(whole)
+    more, zoom_std = 1.0, 0.0
+    if zoom > 1:
+        inside = _ZOOM_IN_FILM.get(exif.make.lower())
+        more = {True: 1.0, False: zoom, None: math.sqrt(zoom)}[inside]
+        zoom_std = _ZOOM_STD if inside is not None else math.hypot(_ZOOM_STD, math.log(zoom) / 2)
+    std = math.hypot(_FILM_FOCAL_STD, _ROUNDING_STD_MM / film, shape_std, zoom_std)
+    yield more * film / _FILM_DIAGONAL_MM * diagonal, std
+
+
+def _on_sensor(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
+    """The focal length and its deviation by that of the lens.
+
+    Editors leave the resolution of an image that they made smaller: the table overrules it.
+    """
+    if exif.focal_mm is None:
+        return
+    longer = max(whole.width, whole.height)
+    focal = exif.focal_mm * exif.digital_zoom
+    zoom_std = _ZOOM_STD if exif.digital_zoom > 1 else 0.0
+    in_table = _sensor_width_mm(exif.make, exif.model)
+    if exif.pixels_per_mm is not None:
+        width = longer / whole.scale / exif.pixels_per_mm
+        same = in_table is None or abs(math.log(width / in_table)) <= _MAX_WIDTH_DIFFERENCE
+        if _is_sensor(width) and same:
+            yield focal / width * longer, math.hypot(_SENSOR_RESOLUTION_STD, zoom_std)
+    if in_table is not None:
+        yield focal / in_table * longer, math.hypot(_SENSOR_TABLE_STD, zoom_std)
+
+
+@lru_cache(maxsize=256)
+def _sensor_width_mm(make: str, model: str) -> float | None:
+    """The longer side of a camera's sensor, millimetres, in COLMAP's table; None if it has no such
+    camera."""
+    if not (make and model):
+        return None
+    from dgc_pose.system.colmap_library import pycolmap
+
+    # The table itself is out of reach: COLMAP gives the focal length in pixels of an image file
+    # whose lens has 1 mm. Of a photograph it would decode all pixels, prefer the focal length on
+    # 35 mm film without its deviation, and not read HEIC.
+    exif = PIL.Image.Exif()
+    exif[MAKE], exif[MODEL] = make, model
+    exif.get_ifd(EXIF_DIRECTORY)[FOCAL_LENGTH] = IFDRational(1, 1)
+    with scratch_folder() as folder:
+        path = folder / "blank.jpg"
+        PIL.Image.new("L", (_BLANK_WIDTH, 8)).save(path, exif=exif)
+        with quiet():
+            camera = pycolmap.infer_camera_from_image(path)
+    return _BLANK_WIDTH / camera.focal_length if camera.has_prior_focal_length else None
+
+
+def _diagonal(whole: _Whole) -> tuple[float, float]:
+    """The diagonal that stands for that of the film, and the deviation of its logarithm.
+
+    Of an image of no sensor's shape: between its diagonal and that of the sensor's image.
+    """
+    longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
+    diagonal = math.hypot(longer, shorter)
+    if _SENSOR_ASPECT_RANGE[0] <= longer / shorter <= _SENSOR_ASPECT_RANGE[1]:
+        return diagonal, 0.0
+    sensor = max(longer, _USUAL_ASPECT * shorter) * math.hypot(1, 1 / _USUAL_ASPECT)
+    return math.sqrt(diagonal * sensor), math.log(sensor / diagonal) / 2
+
+
+def _is_sensor(mm: float) -> bool:
+    return _SENSOR_RANGE_MM[0] <= mm <= _SENSOR_RANGE_MM[1]

@@ -1,7 +1,7 @@
 """The images below a folder by their content, and what is left out."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,16 +27,31 @@ def search_images(folder: str | Path) -> FolderImages:
     root = Path(folder)
     names: list[str] = []
     left_out: dict[tuple[str, str], list[str]] = {}
-    for path, failure in _walk(root):
-        if failure is not None and path == root:
-            raise failure
-        name = path.relative_to(root).as_posix()
-        why = _why_not(path, name) if failure is None else _system_words(failure)
-        if why is None:
-            names.append(name)
-        else:
-            kind = "folder" if os.path.isdir(path) else "file"
-            left_out.setdefault((kind, why), []).append(name)
+    searched: set[str] = set()
+    # Links to folders come last, so that a file has the name of the folder that it lies in.
+    folders, links = [root], list[Path]()
+    while folders or links:
+        parent = folders.pop() if folders else links.pop(0)
+        resolved = os.path.realpath(parent)
+        if resolved in searched:
+            continue
+        searched.add(resolved)
+        try:
+            entries = sorted(os.listdir(parent))
+        except OSError as failure:
+            if parent == root:
+                raise
+            name = parent.relative_to(root).as_posix()
+            left_out.setdefault(("folder", failure.strerror or str(failure)), []).append(name)
+            continue
+        for path in (parent / entry for entry in entries if not entry.startswith(".")):
+            name = path.relative_to(root).as_posix()
+            if os.path.isdir(path):
+                (links if path.is_symlink() else folders).append(path)
+            elif (why := _why_not(path, name)) is None:
+                names.append(name)
+            else:
+                left_out.setdefault(("file", why), []).append(name)
     lines = (left_out_line(kind, paths, why) for (kind, why), paths in left_out.items())
     return FolderImages(tuple(sorted(names)), tuple(lines))
 
@@ -44,31 +59,6 @@ def search_images(folder: str | Path) -> FolderImages:
 def left_out_line(kind: str, names: Sequence[str], why: str) -> str:
     """How many files or folders are left out, the first of them, and the reason."""
     return f"{len(names)} {kind}{'s' * (len(names) > 1)} left out (first: {min(names)}): {why}"
-
-
-def _walk(root: Path) -> Iterator[tuple[Path, OSError | None]]:
-    """The files below a folder, and the folders that cannot be searched, with the failure.
-
-    Links to folders come last, so that a file has the name of the folder that it lies in.
-    """
-    searched: set[str] = set()
-    folders, links = [root], list[Path]()
-    while folders or links:
-        folder = folders.pop() if folders else links.pop(0)
-        resolved = os.path.realpath(folder)
-        if resolved in searched:
-            continue
-        searched.add(resolved)
-        try:
-            entries = sorted(os.listdir(folder))
-        except OSError as failure:
-            yield folder, failure
-            continue
-        for path in (folder / name for name in entries if not name.startswith(".")):
-            if not os.path.isdir(path):
-                yield path, None
-            else:
-                (links if path.is_symlink() else folders).append(path)
 
 
 def _why_not(path: Path, name: str) -> str | None:
@@ -83,13 +73,9 @@ def _why_not(path: Path, name: str) -> str | None:
             return "empty"
         image_format(start)
     except OSError as failure:
-        return _system_words(failure)
+        return failure.strerror or str(failure)
     except ImageError:
         return "no regular file"
     except UnreadableFormatError as error:
         return str(error)
     return None
-
-
-def _system_words(failure: OSError) -> str:
-    return failure.strerror or str(failure)

@@ -1,4 +1,4 @@
-"""The header of an encoded image: format, size and orientation, without decoding a pixel.
+"""The header of an encoded image: format, size and EXIF data, without decoding a pixel.
 
 A file has the format of its first bytes, whatever its name. Pillow reads the headers, OpenCV the
 pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory for what a header
@@ -6,15 +6,16 @@ claims, so an image is decoded only after its size is known.
 """
 
 import io
+import math
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import PIL.Image
 
 from dgc_pose.errors import is_installed
-from dgc_pose.images.exif import CAMERA_TAGS, EXIF_DIRECTORY, MAKE, MODEL
 
 START_BYTES = 4096  # of a file, which its format is recognised by
 _RAW = "RAW"
@@ -36,10 +37,33 @@ _FORMATS = {
     }.items()
 }
 _KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  # tags of TIFF
+MAKE, MODEL, EXIF_DIRECTORY = 271, 272, 34665
+FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 37386, 40962, 40963
+_FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
+_DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL = 41988, 41989, 42036
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
+_MAX_ZOOM = 200.0
+_MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
+_MAX_TEXT = 80  # characters of a name
 
 
 class UnreadableFormatError(ValueError):
     """A file's format is not known, or is not read. The message names what the file is."""
+
+
+@dataclass(frozen=True)
+class Exif:
+    """A camera by EXIF data. Numbers are positive and finite, None where there is none."""
+
+    make: str = ""
+    model: str = ""
+    lens: str = ""
+    focal_mm: float | None = None  # of the lens
+    # Of a lens with the same field of view on 35 mm film, whose frame is 36 mm x 24 mm
+    focal_35mm: float | None = None
+    digital_zoom: float = 1.0  # at least 1
+    size: tuple[int, int] | None = None  # (width, height) of the image that the camera wrote
+    pixels_per_mm: float | None = None  # of that image, on the sensor
 
 
 @dataclass(frozen=True)
@@ -49,7 +73,7 @@ class Header:
     format: str  # a key of `_FORMATS`
     size: tuple[int, int]  # (width, height) as it is decoded
     orientation: int = 1  # by EXIF, 1 to 8; 1 is upright. HEIF's own rotation is part of decoding
-    exif: bytes = b""  # the EXIF block; of a TIFF, a block with its tags that are of the camera
+    exif: Exif = Exif()
 
 
 def image_format(start: bytes) -> str:
@@ -85,13 +109,10 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
             return _heif_header(data)
         if name == "TIFF":
             tags = _tiff_tags(data)
-            for tag, what in ((_WIDTH, "ImageWidth"), (_HEIGHT, "ImageLength")):
-                if tag not in tags:
-                    raise ValueError(f"it has no {what} (tag {tag})")
+            if not complete and any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL)):
+                raise ValueError("the EXIF data may lie behind the start")
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
-            has_camera = any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL))
-            exif = _tiff_exif(data, tags, complete) if has_camera else b""
-            return Header(name, size, _known(tags.get(_ORIENTATION, 1)), exif)
+            return Header(name, size, _known(tags.get(_ORIENTATION, 1)), _tiff_exif(data, tags))
         return _pillow_header(data, name, complete)
 
 
@@ -121,58 +142,100 @@ def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
     return directory
 
 
-def _tiff_exif(data: bytes, tags: Any, complete: bool) -> bytes:
-    """An EXIF block with the tags of a TIFF that are of the camera, empty if they are damaged.
-
-    Raises ValueError if there may be more of it behind `data`.
-    """
-    if not complete:
-        raise ValueError("the EXIF data may lie behind the start")
+def _tiff_exif(data: bytes, tags: Any) -> Exif:
     try:
-        exif = PIL.Image.Exif()
-        exif.update({tag: tags[tag] for tag in (MAKE, MODEL) if tag in tags})
-        if EXIF_DIRECTORY in tags:
-            more = _tiff_tags(data, tags[EXIF_DIRECTORY])
-            exif.get_ifd(EXIF_DIRECTORY).update({t: more[t] for t in CAMERA_TAGS if t in more})
-        return bytes(exif.tobytes())
+        more = _tiff_tags(data, tags[EXIF_DIRECTORY]) if EXIF_DIRECTORY in tags else {}
+        return _camera_tags(tags, more)
     except Exception:  # the pixels may be intact
-        return b""
+        return Exif()
 
 
 def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
     """Not by PIL.Image.open, which refuses 179 million pixels: telephones take such images."""
-    PIL.Image.preinit()  # the frequent formats, in a tenth of the time of all
-    if name not in PIL.Image.OPEN:
-        PIL.Image.init()
+    PIL.Image.init()
     if name not in PIL.Image.OPEN:
         raise UnreadableFormatError(f"{name}, which this Pillow does not read")
     factory, _ = PIL.Image.OPEN[name]
     if name == "JPEG":  # the registered factory also reads blocks of several images
         from PIL.JpegImagePlugin import JpegImageFile as factory
     image: PIL.Image.Image = factory(io.BytesIO(data), "")
-    header = Header(name, image.size, _orientation(image), image.info.get("exif", b""))
+    header = Header(name, image.size, *read_exif(image.info.get("exif", b"")))
     if complete:
         image.verify()
     return header
 
 
 def _heif_header(data: bytes) -> Header:
-    """The EXIF orientation repeats the rotation that decoding applies: it counts no more."""
+    """The EXIF orientation, which repeats the rotation that decoding applies, does not count."""
     import pillow_heif
 
     image = pillow_heif.open_heif(data)  # decodes nothing
-    pillow_heif.set_orientation(image.info)
-    return Header("HEIF", image.size, exif=image.info.get("exif") or b"")
-
-
-def _orientation(image: PIL.Image.Image) -> int:
-    if "exif" not in image.info:
-        return 1  # getexif would decode all of a PNG without EXIF data
-    try:
-        return _known(image.getexif().get(_ORIENTATION, 1))
-    except Exception:  # a broken EXIF block raises almost anything; the pixels are intact
-        return 1
+    _, exif = read_exif(image.info.get("exif") or b"")
+    return Header("HEIF", image.size, exif=exif)
 
 
 def _known(orientation: Any) -> int:
     return int(orientation) if orientation in range(2, 9) else 1
+
+
+def read_exif(block: bytes) -> tuple[int, Exif]:
+    """The orientation and the camera of an EXIF block, with or without `Exif\\0\\0` before it; of a
+    damaged one as of an empty one."""
+    try:
+        exif = PIL.Image.Exif()
+        exif.load(block)
+        camera = _camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY))
+        return _known(exif.get(_ORIENTATION, 1)), camera
+    except Exception:  # a damaged block raises almost anything
+        return 1, Exif()
+
+
+def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
+    """The camera by the tags of the first directory and of that of EXIF.
+
+    Raises any exception for a tag that is damaged.
+    """
+    zoom = _number(more.get(_DIGITAL_ZOOM))
+    plane = (more.get(tag) for tag in (_FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT))
+    return Exif(
+        _text(first.get(MAKE)),
+        _text(first.get(MODEL)),
+        _text(more.get(_LENS_MODEL)),
+        _number(more.get(FOCAL_LENGTH)),
+        _number(more.get(_FOCAL_LENGTH_35MM)),
+        zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
+        _size(more.get(_EXIF_WIDTH), more.get(_EXIF_HEIGHT)),
+        _pixels_per_mm(*plane),
+    )
+
+
+def _number(value: Any) -> float | None:
+    """A positive number; 0 stands for one that is not known."""
+    if isinstance(value, (str, bytes, tuple)):
+        return None
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ArithmeticError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None
+
+
+def _text(value: Any) -> str:
+    """A name in one line, without what some cameras fill it up with."""
+    if not isinstance(value, str):
+        return ""
+    return " ".join("".join(c if c.isprintable() else " " for c in value).split())[:_MAX_TEXT]
+
+
+def _size(width: Any, height: Any) -> tuple[int, int] | None:
+    sides = [int(side) for side in map(_number, (width, height)) if side and 1 <= side < 2**31]
+    return (sides[0], sides[1]) if len(sides) == 2 else None
+
+
+def _pixels_per_mm(along_x: Any, along_y: Any, unit: Any) -> float | None:
+    """None for pixels that are not square, as of sensors that were interpolated along one axis."""
+    x, y = _number(along_x), _number(along_y)
+    if x is None or (y is not None and abs(x - y) > _MAX_RESOLUTION_DIFFERENCE * x):
+        return None
+    unit_mm = _UNIT_MM.get(2 if unit is None else unit)
+    return None if unit_mm is None else x / unit_mm

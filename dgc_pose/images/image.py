@@ -15,7 +15,7 @@ import numpy as np
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.files.inputs import read_as, read_bytes, read_start
-from dgc_pose.images.header import Header, UnreadableFormatError, read_header
+from dgc_pose.images.header import Exif, Header, UnreadableFormatError, read_header
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
@@ -37,14 +37,14 @@ class Image:
         name: The path, or the argument's name.
         stored_size: Size (width, height) as stored, if `pixels` were resized after reading; None if
             they were not.
-        exif: The file's EXIF block, see `Header`.
+        exif: The camera by the file's EXIF data.
         orientation: Orientation by EXIF, 1 to 8, which is not applied to `pixels`; 1 is upright.
     """
 
     pixels: np.ndarray
     name: str = "image"
     stored_size: tuple[int, int] | None = None
-    exif: bytes = b""
+    exif: Exif = Exif()
     orientation: int = 1
 
     def __post_init__(self) -> None:
@@ -97,11 +97,8 @@ def load_image(
 
 def _read_file(path: Path) -> Image:
     with _image_errors(path):
-        data = read_bytes(path, MAX_BYTES, ImageError)
-        header = _checked_header(data, path)
-        _check_orientation(header, path)
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-        array = _decoded(data, path, header, cv2.IMREAD_UNCHANGED)
+        array, header = _decoded(path, cv2.IMREAD_UNCHANGED)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
             rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         else:
@@ -117,10 +114,8 @@ def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarr
     For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
     file is missing, corrupt, too large or no regular file.
     """
-    path = Path(path)
-    with _image_errors(path):
-        data = read_bytes(path, MAX_BYTES, ImageError)
-        return _decoded(data, path, _checked_header(data, path), flags)
+    with _image_errors(Path(path)):
+        return _decoded(Path(path), flags)[0]
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -131,16 +126,12 @@ def image_size(path: str | Path) -> tuple[int, int]:
 def image_header(path: Path) -> Header:
     """The header of an image file. Raises ImageError, with the path."""
     with _image_errors(path):
+        start = read_start(path, _HEADER_BYTES, ImageError)
         try:
-            start = read_start(path, _HEADER_BYTES, ImageError)
             header = read_header(start, complete=False)
-        except ImageError:
-            raise
         except Exception:  # in a TIFF the pixels may lie before the header
-            header = _checked_header(read_bytes(path, MAX_BYTES, ImageError), path)
-    _check_pixel_count(*header.size, path)
-    _check_orientation(header, path)
-    return header
+            return _complete_header(read_bytes(path, MAX_BYTES, ImageError), path)
+        return _checked_header(header, path)
 
 
 @contextmanager
@@ -148,8 +139,6 @@ def _image_errors(path: Path) -> Iterator[None]:
     """Turn the errors of the reading of an image into ImageErrors with the path."""
     try:
         yield
-    except FileNotFoundError:
-        raise ImageError(f"{path} does not exist") from None
     except OSError as error:
         raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
     except MemoryError:
@@ -158,32 +147,38 @@ def _image_errors(path: Path) -> Iterator[None]:
         raise ImageError(str(error)) from error
 
 
-def _check_pixel_count(width: int, height: int, path: Path) -> None:
-    """Raise ImageSizeError, with the path, for too many pixels."""
+def _checked_header(header: Header, path: Path) -> Header:
+    """The header. Raises ImageSizeError for too many pixels; ImageError for a TIFF that is not
+    upright: OpenCV rotates some and not others. Both with the path."""
     text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
     if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
         raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
+    width, height = header.size
     if width * height > int(text):
         raise ImageSizeError(
             f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
         )
+    if header.format == "TIFF" and header.orientation != 1:
+        raise ImageError(
+            f"{path} is a TIFF with orientation tag {header.orientation}: save it upright"
+        )
+    return header
 
 
-def _decoded(data: bytes, path: Path, header: Header, flags: int) -> np.ndarray:
+def _decoded(path: Path, flags: int) -> tuple[np.ndarray, Header]:
     """Pixels in the order BGR. Of HEIC 8-bit colours without alpha, whatever the flags."""
+    data = read_bytes(path, MAX_BYTES, ImageError)
+    header = _complete_header(data, path)
     if header.format == "HEIF":
-        return _decoded_heif(data, path)
+        return _decoded_heif(data, path), header
     try:
         with quiet():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
-        if error.code == cv2.Error.STS_NO_MEM:
-            raise MemoryError from None
-        raise ImageError(f"{path} is corrupt: {error.err}") from None
+        raise ImageError(f"{path} cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
-    _check_pixel_count(array.shape[1], array.shape[0], path)
-    return array
+    return array, header
 
 
 def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
@@ -195,12 +190,9 @@ def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
     return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR) if array.ndim == 2 else array[:, :, :3].copy()
 
 
-def _checked_header(data: bytes, path: Path) -> Header:
-    """The header of an encoded image of a file, whose size is checked before it is decoded.
-
-    Raises ImageError, with the path, if the file is empty, has too many pixels or a header that
-    cannot be read, or is no image of a format that is read.
-    """
+def _complete_header(data: bytes, path: Path) -> Header:
+    """The header of an encoded image, all of a file. Raises ImageError, with the path, if the file
+    is empty or no image of a format that is read, or as `_checked_header` does."""
     if not data:
         raise ImageError(f"{path} is empty")
     try:
@@ -209,27 +201,16 @@ def _checked_header(data: bytes, path: Path) -> Header:
         raise ImageError(f"{path} is {error}") from None
     except Exception as error:  # of any type, by the format's reader
         raise ImageError(f"{path} is corrupt: {reason(error)}") from error
-    _check_pixel_count(*header.size, path)
-    return header
-
-
-def _check_orientation(header: Header, path: Path) -> None:
-    """Raise ImageError for a TIFF that is not upright: OpenCV rotates some and not others."""
-    if header.format == "TIFF" and header.orientation != 1:
-        raise ImageError(
-            f"{path} is a TIFF with orientation tag {header.orientation}: save it upright"
-        )
+    return _checked_header(header, path)
 
 
 def _to_rgb8(array: np.ndarray, name: str) -> np.ndarray:
     if array.ndim == 2:
         array = array[:, :, None]
-    if array.ndim != 3 or array.shape[2] not in (1, 3, 4):
+    if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
         raise InputError(
             f"{name} must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
         )
-    if array.size == 0:
-        raise InputError(f"{name} has no pixels: shape {array.shape}")
     array = _to_8_bit(array[:, :, :3], name)  # without alpha, which has its own range
     if array.shape[2] == 1:
         array = np.repeat(array, 3, axis=2)

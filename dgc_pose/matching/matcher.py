@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.pixels import cell_centres
 from dgc_pose.matching.view import View

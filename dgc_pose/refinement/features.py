@@ -17,7 +17,7 @@ from itertools import product
 
 import numpy as np
 
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches

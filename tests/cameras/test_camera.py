@@ -1,4 +1,4 @@
-"""Cameras: the matrix, what is refused, resizing, and points without an inverse."""
+"""Cameras: the matrix, what is refused, resizing, points without an inverse, and checks of K."""
 
 from pathlib import Path
 
@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.cameras.calibration import camera_for, parse_camera
+from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera, matrix_camera
+from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
@@ -21,42 +22,29 @@ def points(count: int = 200, size: tuple[int, int] = SIZE) -> np.ndarray:
     return np.random.default_rng(5).uniform((-0.5, -0.5), np.array(size) - 0.5, (count, 2))
 
 
-# --- the matrix -----------------------------------------------------------------------------------
-
-
 def test_normalise_inverts_K_with_its_skew() -> None:
     pixels = points()
     homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
     expected = np.linalg.solve(K, homogeneous.T).T[:, :2]
     np.testing.assert_allclose(Camera(K).normalise(pixels), expected, atol=1e-13)
     np.testing.assert_allclose(Camera(K).project(expected), pixels, atol=1e-10)
-
-
-@pytest.mark.parametrize("distortion", [None, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001))])
-def test_points_that_are_none_not_finite_or_of_another_shape(distortion: Distortion | None) -> None:
-    camera = Camera(K, SIZE, distortion)
-    assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
-    normalised = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
-    assert np.isfinite(normalised).all(axis=1).tolist() == [False, False, True]
-    for shape in ((2,), (4, 3), (2, 2, 2)):
-        with pytest.raises(InputError, match="points"):
-            camera.normalise(np.zeros(shape))
-
-
-def test_a_camera_keeps_its_own_matrix() -> None:
-    mine = K.copy()
-    camera = matrix_camera(mine)
-    mine[0, 0] = 1
-    assert camera.K[0, 0] == 810
-    with pytest.raises(ValueError, match="read-only"):
-        camera.K[0, 0] = 1
+    for camera in (Camera(K), Camera(K, SIZE, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001)))):
+        assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
+        normalised = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
+        assert np.isfinite(normalised).all(axis=1).tolist() == [False, False, True]
+        for shape in ((2,), (4, 3)):
+            with pytest.raises(InputError, match="points"):
+                camera.normalise(np.zeros(shape))
 
 
 @pytest.mark.parametrize(
     "value", [K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K)], ids=type
 )
-def test_camera_for_takes_what_callers_have(value: object) -> None:
-    camera = camera_for(value, Image(np.zeros((480, 640, 3), np.uint8)), "K")
+def test_a_pair_takes_what_callers_have(value: object) -> None:
+    image = Image(np.zeros((480, 640, 3), np.uint8))
+    camera, _ = pair_cameras(value, K, image, image)
+    with pytest.raises(ValueError, match="read-only"):
+        camera.K[0, 0] = 1
     np.testing.assert_array_equal(camera.K, K)
     assert camera.focal == 800
 
@@ -64,21 +52,11 @@ def test_camera_for_takes_what_callers_have(value: object) -> None:
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (np.eye(4), "shape"),
         (K[:2], "shape"),
-        (K.ravel(), "shape"),
-        (None, "not an array"),
         ([["a"] * 3] * 3, "not an array"),
-        ([[1, 2, 3], [4]], "not an array"),
-        (K * np.nan, "not finite"),
         (np.where(K == 810, np.inf, K), "not finite"),
-        (np.zeros((3, 3)), "last row"),
         (K.T, "last row"),
-        (2 * K, "last row"),
-        (np.diag([0.0, 500, 1]), "positive focal"),
         (np.diag([500.0, 0, 1]), "positive focal"),
-        (np.diag([-500.0, 500, 1]), "positive focal"),
-        (np.diag([1e-30, 500, 1]), "singular"),
         (K + [[0, 0, 0], [5, 0, 0], [0, 0, 0]], "upper triangular"),
     ],
 )
@@ -87,31 +65,17 @@ def test_a_matrix_that_is_no_K_names_the_argument(value: object, message: str) -
         matrix_camera(value, "K2")
 
 
-# --- size -----------------------------------------------------------------------------------------
-
-
-def resize_by_areas(image: np.ndarray, factor: int) -> np.ndarray:
-    height, width = image.shape
-    return image.reshape(height // factor, factor, width // factor, factor).mean((1, 3))
-
-
-def centre_of_mass(image: np.ndarray) -> np.ndarray:
-    rows, columns = np.indices(image.shape)
-    return np.array([(columns * image).sum(), (rows * image).sum()]) / image.sum()
-
-
 def test_resized_follows_a_spot_in_a_resized_image() -> None:
     """A spot at the principal point is still there in the image averaged over blocks of pixels."""
     camera = Camera(np.array([[100.0, 0, 41], [0, 100, 26], [0, 0, 1]]), (80, 64))
     spot = np.zeros((64, 80))
     spot[26, 41] = 1
-    blurred = cv2.GaussianBlur(spot, (0, 0), 4)
+    averaged = cv2.GaussianBlur(spot, (0, 0), 4).reshape(16, 4, 20, 4).mean((1, 3))
+    rows, columns = np.indices(averaged.shape)
+    moved = np.array([(columns * averaged).sum(), (rows * averaged).sum()]) / averaged.sum()
     small = camera.resized((20, 16))
-    spot_in_small = centre_of_mass(resize_by_areas(blurred, 4))
-    np.testing.assert_allclose(small.K[:2, 2], spot_in_small, atol=1e-3)
+    np.testing.assert_allclose(small.K[:2, 2], moved, atol=1e-3)
     assert (small.K[0, 0], small.size) == (25, (20, 16))
-    naive = camera.K[:2, 2] / 4
-    assert np.abs(naive - small.K[:2, 2]).min() > 0.3
 
 
 def test_resized_keeps_the_distortion_and_the_warnings() -> None:
@@ -121,34 +85,24 @@ def test_resized_keeps_the_distortion_and_the_warnings() -> None:
     moved = (pixels + 0.5) * (0.5, 2) - 0.5
     np.testing.assert_allclose(resized.normalise(moved), camera.normalise(pixels), atol=1e-10)
     assert Camera(K, SIZE, warnings=("odd",)).resized((64, 48)).warnings == ("odd",)
-
-
-@pytest.mark.parametrize("size", [None, (0, 480), (640, -1)])
-def test_a_camera_without_a_proper_size_cannot_be_resized(size: tuple[int, int] | None) -> None:
-    with pytest.raises(InputError, match="size"):
-        Camera(K, size).resized((10, 10))
-
-
-# --- text -----------------------------------------------------------------------------------------
+    for size in (None, (0, 480), (640, -1)):
+        with pytest.raises(InputError, match="size"):
+            Camera(K, size).resized((10, 10))
 
 
 @pytest.mark.parametrize(
     "text",
     [
         "",
-        "gone.txt",
-        "500",
-        "1,2,3,4,5",
+        "gone/K.txt",
+        "camchain.yaml:cam1",
         "500,500,a,240",
         "PINHOLE,640,480,700,720,330",
-        "PINHOLE,640,480",
+        "PINHOLE,640",
         "PINHOLE,640.5,480,700,720,330,250",
         "PINHOLE,0,480,700,720,330,250",
-        "PINHOLE,640,480,700,x,330,250",
-        "OPENCV,640,480,700,720,330,250",
         "OPENCV,640,480,700,720,330,250,nan,0,0,0",
         "PINEHOLE,640,480,700,720,330,250",
-        "INVALID,640,480,700,720,330,250",
         "EQUIRECTANGULAR,640,480,640,480",
         "x" * 5000,
         "a\nb",
@@ -156,39 +110,54 @@ def test_a_camera_without_a_proper_size_cannot_be_resized(size: tuple[int, int] 
     ],
 )
 def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) -> None:
-    with pytest.raises(InputError, match="^K1") as caught:
-        parse_camera(text, "K1")
-    assert "\n" not in str(caught.value)
+    for files in (True, False):
+        with pytest.raises(InputError, match="^K1") as caught:
+            parse_camera(text, "K1", files=files)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "error"),
     [
         ("K.txt", b"1 2 3\n4 5 6\n", "K.txt: K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
+        ("K.txt", b"500 510 320 240 -0.3", "K.txt: K has 5 numbers"),
         ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
         ("K.txt", bytes(range(256)), "K.txt: a file of cameras is text, and this is not"),
-        ("K.txt", b"1 " * 9000, "K.txt: no 3x3 matrix, no fx fy cx cy, and no other file"),
-        ("K.txt", b"", "K.txt is empty"),
         ("K.txt", b"  \n", "K.txt is empty"),
-        ("K.npy", b"\x93NUMPY\x01\x00", "K.npy is not an .npy that can be read"),
-        ("K.npy", b"1 0 0\n0 1 0\n0 0 1\n", "K.npy is not an .npy that can be read"),
         ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY is not an .npy that can be read"),
+        ("cameras.txt", b"1 NONSENSE 1 2 3\n", "cameras.txt: 'NONSENSE' is not a COLMAP model"),
+        ("cameras.txt", b"# none\n1 PINHOLE 9\n", "expected MODEL,width,height,parameters, not"),
+        ("cameras.txt", b"1 PINHOLE 640 480 500 510 320 240 -0.3", "PINHOLE takes 4 parameters"),
+        ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
+        ("cameras.bin", bytes(8), "cameras.bin: no cameras in this file"),
+        ("c.csv", b"name,fx\na,1\n", "c.csv: no column 'fy'"),
+        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv:2: K must be upper triangular"),
+        ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv:2: more cells than columns"),
+        ("c.csv", b"name,fx,fy,cx,cy\n", "c.csv: no cameras in this table"),
+        ("t.json", b"{", "t.json is not a file of cameras that can be read"),
+        ("calib.txt", b"P0: 1 2 3\n", "calib.txt is not a file of cameras that can be read"),
+        ("c.yaml", b"a: [1", "c.yaml is not YAML that can be read"),
+        ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read (an alias"),
+        ("c.yaml", b"[" * 10000, "is not YAML that can be read"),
+        ("c.yaml", b"a: 1\nb: 2\n", "no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's"),
     ],
 )
 def test_a_file_without_a_K_is_refused_with_what_it_is(
-    tmp_path: Path, name: str, content: bytes, said: str
+    tmp_path: Path, name: str, content: bytes, error: str
 ) -> None:
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError) as caught:
         parse_camera(str(path), "K1")
-    assert str(caught.value).startswith("K1: ") and said in str(caught.value)
+    assert str(caught.value).startswith(f"K1: {tmp_path}") and error in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
-def test_what_the_system_says_of_a_K_file_goes_through(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_of_the_system_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="^K1: .* holds no cameras.txt and no cameras.bin"):
+        parse_camera(str(tmp_path), "K1")
+    (tmp_path / "cameras.txt").write_text("1 NONSENSE 1 2 3\n")
+    with pytest.raises(InputError, match=f"^K1: {tmp_path}: 'NONSENSE' is not a COLMAP model"):
         parse_camera(str(tmp_path), "K1")
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
@@ -207,9 +176,6 @@ def test_what_the_system_says_of_a_K_file_goes_through(
                 parse_camera(str(path), "K1")
 
 
-# --- distortion -----------------------------------------------------------------------------------
-
-
 def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
     fisheye = parse_camera("SIMPLE_FISHEYE,640,480,100,320,240")
     beyond = np.array([[319.5 + 100 * np.pi / 2 + 1, 239.5], [319.5 + 100, 239.5]])
@@ -222,11 +188,83 @@ def test_what_no_ray_reaches_becomes_nan_and_never_a_wrong_point() -> None:
     assert np.isnan(normalised[0]).all()
     x = normalised[1, 0]
     assert x * (1 - 0.4 * x**2) == pytest.approx(0.3, abs=1e-9)
+    for coefficients in ((0.1,), (0.1, np.inf, 0, 0)):
+        with pytest.raises(InputError, match="OPENCV"):
+            Distortion("OPENCV", coefficients)
+
+
+LARGE = (1600, 1200)
+LENS = Distortion("OPENCV_FISHEYE", (0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(
-    ("model", "coefficients"), [("OPENCV", (0.1,)), ("NOPE", ()), ("OPENCV", (0.1, np.inf, 0, 0))]
+    "camera",
+    [
+        parse_camera("1400,1400,799.5,599.5"),
+        parse_camera("1400,1400,840,560"),  # 2.5 and 3 % off the middle
+        parse_camera("1400,1400,839.5,629.5"),  # 5 % too large on both sides
+        parse_camera("215,215,799.5,599.5"),  # 149.8 degrees
+        parse_camera("91000,91000,799.5,599.5"),  # 1.007 degrees
+        parse_camera("PINHOLE,1600,1200,1400,1400,800,600"),
+        Camera(np.array([[200.0, 0, 799.5], [0, 200, 599.5], [0, 0, 1]]), LARGE, LENS),
+    ],
 )
-def test_a_distortion_checks_itself(model: str, coefficients: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match=model):
-        Distortion(model, coefficients)
+def test_a_usual_K_passes(camera: Camera) -> None:
+    assert checked_camera(camera, LARGE, "--K1").warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "warning"),
+    [
+        (
+            "1100,1100,639.5,479.5",
+            "--K1 has its principal point at (639.5, 479.5), the middle of an image of about "
+            "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
+        ),
+        ("1400,1400,599.5,799.5", "1200x1600, and the image has 1600x1200: K is of the image turn"),
+        ("1400,1400,300,599.5", "at (300, 599.5), far from the middle of the image of 1600x1200"),
+        ("PINHOLE,1600,1200,700,700,400,300", "at (399.5, 299.5), far from the middle"),
+        ("95000,95000,799.5,599.5", "a focal length of 95000 pixels, which is a field of view of"),
+    ],
+)
+def test_a_K_that_may_be_of_another_image_has_a_warning(text: str, warning: str) -> None:
+    (text,) = checked_camera(parse_camera(text), LARGE, "--K1").warnings
+    assert text.startswith("--K1 has ") and warning in text
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("2800,2800,1599.5,1199.5", "the middle of an image of about 3200x2400"),
+        ("700,700,399.5,299.5", "800x600, and the image has 1600x1200: --K-size 800x600 scales it"),
+        ("1400,1400,1700,300", "at (1700, 300), outside the image of 1600x1200"),
+        ("1400,1400,-10,600", "at (-10, 600), outside the image"),
+        ("35,35,799.5,599.5", "a focal length of 35 pixels, which is a field of view of 175 deg"),
+        ("1.2,1.2,0.5,0.5", "a focal length of 1.2 pixels"),
+        (
+            "PINHOLE,800,600,700,700,400,300",
+            "of 800 x 600 pixels, the image has 1600 x 1200: --K-size 800x600 scales it",
+        ),
+        ("PINHOLE,1200,1600,1400,1400,600,800", "1600 x 1200: K is of the image turned by 90 deg"),
+        ("PINHOLE,1600,900,1400,1400,800,450", "of 1600 x 900 pixels, the image has 1600 x 1200"),
+    ],
+)
+def test_a_K_that_cannot_be_of_the_image_is_refused(text: str, error: str) -> None:
+    with pytest.raises(InputError) as caught:
+        checked_camera(parse_camera(text), LARGE, "--K1")
+    assert str(caught.value).startswith("--K1 ") and error in str(caught.value)
+
+
+def test_every_scale_of_a_right_K_is_recognised() -> None:
+    """The middle of a photograph of any size, up to 2 % beside it, against the image's size."""
+    rng = np.random.default_rng(0)
+    for scale in 3 * (0.1, 0.25, 0.5, 0.75, 0.85, 1.2, 1.5, 2, 4, 10):
+        size = np.round(np.array(LARGE) * scale)
+        K = np.diag([1400 * scale, 1400 * scale, 1])
+        K[:2, 2] = (size - 1) / 2 * (1 + rng.uniform(-0.01, 0.01, 2))
+        try:
+            (text,) = checked_camera(Camera(K), LARGE, "--K").warnings
+        except InputError as error:
+            text = str(error)
+        width, height = map(int, text.split("--K-size ")[1].split()[0].split("x"))
+        np.testing.assert_allclose((width, height), size, rtol=0.02)

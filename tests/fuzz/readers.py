@@ -35,7 +35,7 @@ from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries

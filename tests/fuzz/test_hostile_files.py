@@ -22,7 +22,7 @@ from dgc_pose import load_image
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.result import read_batch
 from dgc_pose.benchmarks.probability.plan import read_plan
-from dgc_pose.cameras.colmap_files import read_database
+from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays

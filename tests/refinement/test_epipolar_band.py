@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.geometry.epipolar import sampson_distance, skew
 from dgc_pose.matching.view import View
 from dgc_pose.refinement.epipolar_band import EpipolarBand

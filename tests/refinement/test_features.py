@@ -7,8 +7,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.pixels import rescale, within
 from dgc_pose.images.image import Image

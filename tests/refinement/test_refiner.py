@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.two_views import TwoViews
+from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.images.image import Image

@@ -1,25 +1,42 @@
-"""COLMAP's cameras: a line of cameras.txt, the files, and the folder of a model.
+"""COLMAP's cameras: a line of cameras.txt, the files, the folder of a model, and databases.
 
 The principal point has (0.5, 0.5) at the centre of the top-left pixel, half a pixel more than ours.
 pycolmap's own reader needs all files of a model, takes a cameras.bin that is cut within a camera,
-and never ends in an images.bin that is cut within a name.
+and never ends in an images.bin that is cut within a name. It changes a database of an older COLMAP,
+and ends the process where a column is of another type.
 """
 
 import re
+import sqlite3
 import struct
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.file_cameras import FileCameras
+from dgc_pose.cameras.formats.keyed import FileCameras, Size
+from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, read_text
+from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
 _POINT_BYTES = 24
+# Views, triggers, virtual tables and generated columns are programs, which may run for ever.
+_PROGRAMS = """
+    SELECT name FROM sqlite_master
+    WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'
+    UNION ALL
+    SELECT tables.name FROM sqlite_master AS tables JOIN pragma_table_xinfo(tables.name)
+    WHERE tables.type = 'table' AND hidden
+"""
+_IMAGES = """
+    SELECT image_id, CAST(name AS TEXT), model, width, height, params FROM images
+    LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
+"""
+_MAX_IMAGES = 2**31 - 1  # COLMAP's number of a pair is id1 * _MAX_IMAGES + id2
 
 
 def is_line(text: str) -> bool:
@@ -33,26 +50,23 @@ def parse_line(text: str) -> Camera:
     Raises InputError.
     """
     words = re.split(r"[\s,]+", text.strip())
-    return _parse_words(words[1:] if words[0].isdecimal() else words, text)
+    model, *numbers = words[1:] if words[0].isdecimal() else words
+    try:
+        width, height = map(int, numbers[:2])
+        parameters = list(map(float, numbers[2:]))
+    except ValueError:
+        raise InputError(
+            f"expected MODEL,width,height,parameters, not {shortened(text.strip())!r}"
+        ) from None
+    return _camera(model.upper(), (width, height), parameters)
 
 
-def write_line(camera: Camera) -> str:
-    """The camera as `MODEL,width,height,parameters...`, which `parse_line` reads.
-
-    Raises InputError for a camera without a size, and as `colmap_camera.parameters` does.
-    """
-    if camera.size is None:
-        raise InputError("a camera without a size is no line of COLMAP's")
-    model, parameters = colmap_camera.parameters(camera.K, camera.distortion)
-    return ",".join([model, *map(str, camera.size), *map(repr, parameters)])
-
-
-def read_model(folder: Path, name: str) -> FileCameras:
-    """The cameras of the folder of a model. Raises InputError, also with the option `name`."""
-    path = find_file(folder, "cameras.bin") or find_file(folder, "cameras.txt")
-    if path is None:
-        raise InputError(f"{name}: {folder} holds no cameras.txt and no cameras.bin")
-    return read_cameras(path)
+def read_model(folder: Path) -> FileCameras:
+    """The cameras of the folder of a model. Raises InputError."""
+    for name in ("cameras.bin", "cameras.txt"):
+        if (folder / name).is_file():
+            return read_cameras(folder / name)
+    raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
 
 
 def read_cameras(path: Path) -> FileCameras:
@@ -61,71 +75,45 @@ def read_cameras(path: Path) -> FileCameras:
 
     Raises InputError, with the path, if a file cannot be read.
     """
-    ending = path.suffix.lower()
-    cameras = _text_cameras(path) if ending == ".txt" else _binary_cameras(path)
+    is_text = path.suffix.lower() != ".bin"
+    with read_as("COLMAP's cameras", path):
+        data = read_bytes(path, TEXT_BYTES)
+        cameras = _text_cameras(data) if is_text else _binary_cameras(data)
     if not cameras:
         raise InputError(f"{path}: no cameras in this file")
     cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
     parts = {str(key): camera for key, camera in cameras.items()}
-    images = find_file(path.parent, f"images{ending}")
-    if images is not None:
+    images = path.with_name("images.txt" if is_text else "images.bin")
+    if images.is_file():
         data = read_bytes(images)
         with read_as("COLMAP's images", images):
-            ids = _text_images(data) if ending == ".txt" else _binary_images(data)
+            ids = _text_images(data) if is_text else _binary_images(data)
         by_name = {name: cameras[key] for name, key in ids.items() if key in cameras}
         if by_name:
             return FileCameras(by_name, parts)
     return FileCameras(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
 
 
-def find_file(folder: Path, name: str) -> Path | None:
-    """The file of a folder that has a name in small letters, or the same in capitals."""
-    alike = sorted(path for path in folder.iterdir() if path.name.lower() == name)
-    return next((path for path in reversed(alike) if path.is_file()), None)
+def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
+    K, distortion = colmap_camera.intrinsics(model, parameters)
+    return Camera(K, size, distortion)
 
 
-def _parse_words(words: list[str], text: str) -> Camera:
-    try:
-        width, height = int(words[1]), int(words[2])
-        parameters = [float(word) for word in words[3:]]
-    except (ValueError, IndexError):
-        raise InputError(
-            f"expected MODEL,width,height,parameters, not {shortened(text.strip())!r}"
-        ) from None
-    K, distortion = colmap_camera.intrinsics(words[0].upper(), parameters)
-    return Camera(K, (width, height), distortion)
+def _text_cameras(data: bytes) -> dict[int, Camera]:
+    lines = [line for line in data.decode("utf-8-sig").splitlines() if not line.startswith("#")]
+    return {int(line.split()[0]): parse_line(line) for line in lines if line.strip()}
 
 
-def _text_cameras(path: Path) -> dict[int, Camera]:
+def _binary_cameras(data: bytes) -> dict[int, Camera]:
     cameras: dict[int, Camera] = {}
-    for number, line in enumerate(read_text(path, "a cameras.txt").splitlines(), start=1):
-        words = line.split()
-        if not words or words[0].startswith("#"):
-            continue
-        try:
-            if not words[0].isdecimal():
-                raise InputError(f"expected the id of a camera, not {shortened(words[0])!r}")
-            cameras[int(words[0])] = _parse_words(words[1:], line)
-        except InputError as error:
-            raise InputError(f"{path}:{number}: not COLMAP's cameras ({error})") from None
-    return cameras
-
-
-def _binary_cameras(path: Path) -> dict[int, Camera]:
-    data = read_bytes(path, TEXT_BYTES)
-    cameras: dict[int, Camera] = {}
-    try:
-        (count,) = _COUNT.unpack_from(data)
-        start = _COUNT.size
-        for _ in range(count):
-            key, model_id, width, height = _CAMERA.unpack_from(data, start)
-            model, parameter_count = colmap_camera.model_of_id(model_id)
-            numbers = struct.unpack_from(f"<{parameter_count}d", data, start + _CAMERA.size)
-            K, distortion = colmap_camera.intrinsics(model, list(numbers))
-            cameras[key] = Camera(K, (width, height), distortion)
-            start += _CAMERA.size + 8 * parameter_count
-    except (struct.error, InputError) as error:
-        raise InputError(f"{path}: not COLMAP's cameras ({error})") from None
+    (count,) = _COUNT.unpack_from(data)
+    start = _COUNT.size
+    for _ in range(count):
+        key, model_id, width, height = _CAMERA.unpack_from(data, start)
+        model, parameter_count = colmap_camera.model_of_id(model_id)
+        numbers = struct.unpack_from(f"<{parameter_count}d", data, start + _CAMERA.size)
+        cameras[key] = _camera(model, (width, height), list(numbers))
+        start += _CAMERA.size + 8 * parameter_count
     return cameras
 
 
@@ -157,3 +145,37 @@ def _text_images(data: bytes) -> dict[str, int]:
             camera_ids[words[9].strip()] = int(words[8])
             next(lines, None)
     return camera_ids
+
+
+def read_database(path: Path) -> PairList:
+    """The images, cameras with a known focal length and matched pairs of a COLMAP database.
+
+    Raises InputError, with the path, if it is none that can be read.
+    """
+    require_regular(path)
+    uri = f"{path.absolute().as_uri()}?immutable=1"
+    with (
+        read_as("a COLMAP database", path),
+        closing(sqlite3.connect(uri, uri=True)) as database,
+    ):
+        try:
+            return _database_content(database)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+
+def _database_content(database: sqlite3.Connection) -> PairList:
+    for (program,) in database.execute(_PROGRAMS):
+        raise ValueError(f"{program} computes")
+    names: dict[int, str] = {}
+    cameras: dict[str, Camera] = {}
+    for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
+        names[image_id] = name
+        if model_id is not None:
+            model, count = colmap_camera.model_of_id(model_id)
+            values = struct.unpack_from(f"<{count}d", parameters)
+            cameras[name] = _camera(model, (int(width), int(height)), list(values))
+    keys = database.execute("SELECT pair_id FROM matches WHERE rows > 0")
+    ids = [divmod(key, _MAX_IMAGES) for (key,) in keys]
+    pairs = sorted((names[first], names[second]) for first, second in ids)
+    return PairList(tuple(sorted(names.values())), tuple(pairs), cameras)

@@ -1,27 +1,27 @@
 """Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, Kalibr's camchain.yaml,
-EuRoC's sensor.yaml, and JSON as `camera_data` writes it.
+EuRoC's sensor.yaml, tables, and JSON as `camera_data` writes it.
 
-cv::FileStorage does not read them here: damaged files of a few hundred bytes end the process.
+A key that may be of the lens and is not read is refused: without it the pose is wrong, and nothing
+shows it. cv::FileStorage does not read the files here: damaged ones of a few hundred bytes end the
+process.
 """
 
-from collections.abc import Mapping
+import csv
+import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from dgc_pose.cameras.camera import Camera
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.formats.file_cameras import (
-    FileCameras,
-    Size,
-    matrix,
-    numbers,
-    numbers_camera,
-    rig,
-)
-from dgc_pose.cameras.formats.lens import file_lens, require_read
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, reason, shortened
+
+Size = tuple[int, int]  # (width, height), pixels
 
 # Names of the matrix and the size as OpenCV's programs and ROS write them. The `camera_matrix` of
 # ROS is that of the raw image, which its distortion belongs to.
@@ -30,23 +30,42 @@ _SIZES = (
     *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
 )
+_FOUR = ("fx", "fy", "cx", "cy")
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
-_MAX_FOCAL_STD = 1.0  # relative
+_MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye")
+_MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
+    **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "OPENCV"),
+    **dict.fromkeys(("radial", "simple_radial", "plumb_bob", "rational_polynomial"), "OPENCV"),
+    **dict.fromkeys(("radtan", "radial-tangential"), "OPENCV"),
+    **dict.fromkeys(("1", "true", "fisheye", "opencv_fisheye", "equidistant"), "OPENCV_FISHEYE"),
+    **{"fov": "FOV", "none": "none"},
+}
+_LIST = re.compile(r"d|dist(ortion)?|(dist(ortion)?_?)?coeff?(icient)?s?", re.IGNORECASE)
+_SINGLE = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4")}
+_MAY_MATTER = re.compile(
+    r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?param.*)?
+    | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)).*
+    | ((camera|projection|lens)_?)?model | [xy]_fov | latlong | equirect.* | orthogr.* | ftheta.*
+    # of another camera
+    | m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.* | (?!std).*intrinsic.*""",
+    re.IGNORECASE | re.VERBOSE,
+)
+
+
+@dataclass(frozen=True)
+class FileCameras:
+    """The cameras of a file."""
+
+    by_name: Mapping[str, Camera] = field(default_factory=dict)  # of images, names as written
+    # Of a rig or a pair: "cam1" of Kalibr, "image_2" of KITTI, "K2" of the second image.
+    parts: Mapping[str, Camera] = field(default_factory=dict)
+    common: Camera | None = None  # of all other images
+    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
 
 
 def xml_data(node: ElementTree.Element) -> Any:
     """The values of an XML of cv::FileStorage, as its YAML and JSON have them."""
     return {child.tag: xml_data(child) for child in node} if len(node) else node.text
-
-
-def is_keyed(data: Mapping[str, Any]) -> bool:
-    """Whether a camera matrix, a focal length or a pair of cameras is among the keys."""
-    return not {*_MATRICES, "fx", *_CAMERAS_OF_A_PAIR}.isdisjoint(data)
-
-
-def is_camera_info(data: Mapping[str, Any]) -> bool:
-    """Whether this is a camera_info: the YAML of ROS's calibrators, or the message as printed."""
-    return "distortion_model" in data and not {"camera_matrix", "K", "k"}.isdisjoint(data)
 
 
 def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
@@ -56,17 +75,18 @@ def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
 
     Raises as `keyed_camera` does.
     """
+    if {*_MATRICES, "fx", *_CAMERAS_OF_A_PAIR}.isdisjoint(data):
+        keys = shortened(", ".join(map(str, data)))
+        raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
         require_read(data, *present)
         parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
         return FileCameras(parts=parts)
-    camera = keyed_camera(data)
     parts = {}
-    if not is_camera_info(data):
-        with suppress(InputError):  # of other coefficients than four
-            parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
-    return FileCameras(parts=parts, common=camera)
+    with suppress(InputError):  # of other coefficients than four
+        parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
+    return FileCameras(parts=parts, common=keyed_camera(data))
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
@@ -80,27 +100,20 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
     if not isinstance(data, Mapping):
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
-    if is_camera_info(data):
-        _require_whole(data)
+    _require_whole(data)
     lens: Distortion | None
     if data.get("model"):
         require_read(data, key, "model", "coefficients")
         lens = Distortion(str(data["model"]), tuple(numbers(data.get("coefficients")) or ()))
     else:
         lens = file_lens(data, key)
-    if key is not None:
-        K = numbers_camera(numbers(data[key]) or (), key).K
-    else:
-        K = matrix(*(float(data[key]) for key in ("fx", "fy", "cx", "cy")))
-    focal_std = float(data.get("focal_std") or 0)
-    if focal_std > _MAX_FOCAL_STD:
-        raise InputError(f"focal_std is {focal_std:g}, more than {_MAX_FOCAL_STD:g}: no K at all")
+    values = [float(data[k]) for k in _FOUR] if key is None else numbers(data[key])
     identity = data.get("identity")
     return Camera(
-        K,
+        numbers_camera(values or (), key or "K").K,
         _size(data),
         lens,
-        focal_std=focal_std,
+        focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         identity=None if identity is None else str(identity),
     )
@@ -117,32 +130,32 @@ def _size(data: Mapping[str, Any]) -> Size | None:
 
 
 def _require_whole(data: Mapping[str, Any]) -> None:
-    """Raise InputError if the message's image is a part of the sensor's, or of fewer pixels."""
+    """Raise InputError if the image of a message of ROS is a part of the sensor's, or binned."""
+    binning = [int(data.get(key) or 0) for key in ("binning_x", "binning_y")]
     roi = data.get("roi") or {}
-    if any(int(data.get(key) or 0) > 1 for key in ("binning_x", "binning_y")) or any(
-        int(roi.get(key) or 0) for key in ("x_offset", "y_offset")
-    ):
+    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
+    if max(binning) > 1 or any(offsets):
         raise InputError("binning or roi is set, and K is of the whole sensor's image")
 
 
-def camchain_cameras(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """The cameras of a Kalibr file by their names, of one alone as "cam0"; none in other files."""
-    if "intrinsics" in data:
-        return {"cam0": data}
-    return {
-        str(name): values
-        for name, values in data.items()
-        if isinstance(values, Mapping) and "intrinsics" in values
-    }
-
-
-def camchain(data: Mapping[str, Any], path: Path) -> FileCameras:
-    """The cameras of a camchain: "cam0" is that of images that lie below no folder of such a name.
+def camchain(data: Mapping[str, Any], path: Path) -> FileCameras | None:
+    """The cameras of a camchain by their names, of one alone as "cam0"; the first is that of images
+    that lie below no folder of such a name. None for other files.
 
     path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
     Raises InputError as `require_read` does.
     """
-    listed = camchain_cameras(data)
+    listed = (
+        {"cam0": data}
+        if "intrinsics" in data
+        else {
+            str(name): values
+            for name, values in data.items()
+            if isinstance(values, Mapping) and "intrinsics" in values
+        }
+    )
+    if not listed:
+        return None
     cameras: dict[str, Camera] = {}
     refused: dict[str, str] = {}
     for name, values in listed.items():
@@ -162,3 +175,139 @@ def _rig_camera(data: Mapping[str, Any]) -> Camera:
         del values["camera_model"], values["distortion_model"]
         values |= {"model": "EUCM", "coefficients": held[:2], "intrinsics": held[2:]}
     return keyed_camera(values, "intrinsics")
+
+
+def read_table(text: str, path: Path) -> FileCameras:
+    """The cameras of a .csv with the columns name, fx, fy, cx, cy, and optionally width, height,
+    focal_std, centre_std_px, camera, equal for images of one camera, and those of a lens.
+
+    Raises InputError, with the path and line, also for a name with two cameras.
+    """
+    by_name: dict[str, dict[str, str]] = {}
+    cameras = {}
+    for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
+        try:
+            if any(row.pop(None, ())):
+                raise InputError("more cells than columns")
+            if by_name.setdefault(row["name"], row) != row:
+                raise InputError(f"another camera of {row['name']} than in a line before")
+            camera = keyed_camera(row)
+            cameras[row["name"]] = replace(camera, identity=row.get("camera") or None)
+        except KeyError as error:
+            raise InputError(f"{path}: no column {error}") from None
+        except (InputError, TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{path}:{number}: {reason(error)}") from None
+    if not cameras:
+        raise InputError(f"{path}: no cameras in this table")
+    return FileCameras(cameras)
+
+
+def may_matter(key: str) -> bool:
+    """Whether a key may be of a lens, or of another camera."""
+    return _MAY_MATTER.fullmatch(key.strip()) is not None
+
+
+def require_read(data: Mapping[str, Any], *read: str | None) -> None:
+    """Raise InputError, with the key, if one that may matter is not among those that are `read` and
+    holds anything but zeros, here or in a mapping that is not read either."""
+    for key, value in data.items():
+        if key in read:
+            continue
+        if not may_matter(str(key)):
+            if isinstance(value, Mapping):
+                require_read(value)
+            continue
+        held = numbers(value)
+        if held is None or any(held):
+            raise InputError(
+                f"{key} may be of the lens or of another camera, and is not read: take it out if "
+                "it does not matter"
+            )
+
+
+def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
+    """The lens of a camera's keys: the coefficients in a list or one by one, of the model that the
+    keys name, or else OpenCV's. None if they are all zero.
+
+    read: further keys that are read. Raises InputError for a model that COLMAP does not have, for
+    another number of coefficients, and as `require_read` does.
+    """
+    model = _model(data)
+    keys, coefficients = _coefficients(data, model)
+    require_read(data, *read, *_MODEL_KEYS, *keys)
+    if model == "none":
+        return None
+    if model == "OPENCV":
+        return _opencv_lens(coefficients, keys[0])
+    return Distortion(model, tuple(coefficients))
+
+
+def _model(data: Mapping[str, Any]) -> str:
+    """The model that a key names, and OpenCV's if none names another."""
+    model = "OPENCV"
+    for key in _MODEL_KEYS:
+        word = str(data.get(key) or "").strip()
+        named = _MODELS.get(word.lower())
+        if named is None:
+            raise InputError(f"the {key} {word!r} has no COLMAP model")
+        if named != "OPENCV":
+            model = named
+    return model
+
+
+def _coefficients(data: Mapping[str, Any], model: str) -> tuple[Sequence[str], list[float]]:
+    """The keys that hold the coefficients of a model, and these."""
+    if model == "none":
+        return (), []
+    for key, value in data.items():
+        if _LIST.fullmatch(str(key)) and any(held := numbers(value) or []):
+            return (key,), held
+    singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
+    read = [key for key, held in singles.items() if held is not None and len(held) < 2]
+    return read, [(singles[key] or [0.0])[0] if key in read else 0.0 for key in singles]
+
+
+def _opencv_lens(coefficients: Sequence[float], key: str) -> Distortion | None:
+    """COLMAP's model of OpenCV's coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]."""
+    if (count := len(coefficients)) not in (4, 5, 8, 12, 14):
+        raise InputError(f"{key} has {count} distortion coefficients, not 4, 5, 8, 12 or 14")
+    values = (*coefficients, *[0.0] * (14 - len(coefficients)))
+    if any(values[8:]):
+        raise InputError(f"{key} has a thin prism or a tilted sensor, which no COLMAP model has")
+    if any(values[4:]):
+        return Distortion("FULL_OPENCV", values[:8])
+    return Distortion("OPENCV", values[:4]) if any(values) else None
+
+
+def numbers(value: Any) -> list[float] | None:
+    """The numbers of a text, a list, or a matrix of cv::FileStorage or ROS, row by row; None if it
+    holds anything else."""
+    if isinstance(value, Mapping):
+        value = value.get("data", "none")
+    if isinstance(value, str):
+        value = value.replace(",", " ").split()
+    try:
+        return [] if value is None else np.array(value, np.float64).ravel().tolist()
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def numbers_camera(values: Any, name: str = "K") -> Camera:
+    """The camera of fx fy cx cy, or of the nine numbers of a matrix.
+
+    Raises InputError, naming `name`.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    if array.size == 4:
+        fx, fy, cx, cy = array.ravel()
+        array = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    if array.size != 9:
+        raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
+    return matrix_camera(array.reshape(3, 3), name)
+
+
+def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:
+    """The cameras of a rig, each of the images below a folder of its name; the first is that of
+    other images. refused: of the rig's further cameras, why they are not read."""
+    parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
+    return FileCameras(parts=parts, common=next(iter(parts.values()), None), refused=refused)

@@ -17,29 +17,42 @@
 """
 
 import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from dgc_pose.cameras.formats import colmap, keyed, kitti, nerf, plain
-from dgc_pose.cameras.formats.file_cameras import FileCameras, numbers_camera
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats import colmap, keyed
+from dgc_pose.cameras.formats.keyed import FileCameras, numbers, numbers_camera
 from dgc_pose.errors import InputError, shortened
+from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.yaml_files import yaml_data
 
-_MAX_NUMBERS = 4096  # characters of a file with nine numbers
-_COLMAP = ("cameras.txt", "cameras.bin")
+# KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
+_PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
+_SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
+_OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
+# NeRF's keys, of instant-ngp and nerfstudio.
+_INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
+# Where a frame has one key of a group, the file's values for that group do not hold for it.
+_GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
 
 
-def read_file(path: Path, name: str) -> FileCameras:
+def read_file(path: Path) -> FileCameras:
     """The cameras of a file, or of the folder of a COLMAP model.
 
-    Raises InputError, with the path or the option `name`; OSError if a file cannot be read.
+    Raises InputError, with the path; OSError if a file cannot be read.
     """
-    if path.is_dir():
-        return colmap.read_model(path, name)
     try:
-        return _read_file(path)
+        with read_as("a file of cameras", path):
+            return _read_file(path)
     except InputError as error:
         if str(error).startswith(str(path)):
             raise
@@ -48,59 +61,107 @@ def read_file(path: Path, name: str) -> FileCameras:
 
 def _read_file(path: Path) -> FileCameras:
     ending = path.suffix.lower()
+    if path.is_dir():
+        return colmap.read_model(path)
     if ending == ".npy":
-        return plain.read_npy(path)
-    if ending == ".bin" or path.name.lower() in _COLMAP:
+        return FileCameras(common=numbers_camera(read_array(path)))
+    if ending == ".bin":
         return colmap.read_cameras(path)
     text = read_text(path, "a file of cameras")
     if not text.strip():
         raise InputError(f"{path} is empty")
     if "<opencv_storage>" in text:
-        with read_as("XML", path):
-            return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
+        return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
     if ending == ".json" or text.lstrip().startswith("{"):
-        with read_as("JSON", path):
-            return _of_mapping(json.loads(text), path)
+        return _of_mapping(json.loads(text), path)
     if ending in (".yaml", ".yml") or text.startswith("%YAML"):
         return _of_mapping(yaml_data(text, path), path)
-    if kitti.is_kitti(text):
-        return kitti.read_kitti(text, path)
+    if _PROJECTION.search(text):
+        return _kitti_cameras(text, path)
     lines = [line.split("#")[0] for line in text.splitlines()]
-    lines = [line for line in lines if line.strip()]
-    if lines and colmap.is_line(lines[0]):
+    lines = [line for line in lines if line.strip()] or [""]
+    if colmap.is_line(lines[0]):
         if lines[0].split()[0].isdecimal():
             return colmap.read_cameras(path)
         if len(lines) == 1:
             return FileCameras(common=colmap.parse_line(lines[0]))
-    return _of_numbers(text, lines, path)
+    if ending == ".csv" and numbers(lines[0]) is None:
+        return keyed.read_table(text, path)
+    if (values := numbers(" ".join(lines))) is not None:
+        return FileCameras(common=numbers_camera(values))
+    raise InputError(
+        "no 3x3 matrix, no fx fy cx cy, and no other file of cameras "
+        f"(it begins with {shortened(lines[0].strip())!r})"
+    )
 
 
 def _of_mapping(data: Any, path: Path) -> FileCameras:
     """The cameras of what JSON, YAML or XML holds."""
-    with read_as("a file of cameras", path):
-        if not isinstance(data, dict):
-            return FileCameras(common=numbers_camera(data))
-        if keyed.is_camera_info(data) and "intrinsics" not in data:
-            return keyed.keyed_cameras(data)
-        if keyed.camchain_cameras(data):
-            return keyed.camchain(data, path)
-        if nerf.is_transforms(data):
-            return nerf.transforms(data, str(path))
-        if keyed.is_keyed(data):
-            return keyed.keyed_cameras(data)
-    raise InputError(
-        f"no camera of OpenCV's, ROS's, Kalibr's or NeRF's and no K among its keys "
-        f"({shortened(', '.join(map(str, data)))})"
-    )
+    if not isinstance(data, dict):
+        return FileCameras(common=numbers_camera(data))
+    if (rig := keyed.camchain(data, path)) is not None:
+        return rig
+    if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
+        return _nerf_cameras(data, str(path))
+    return keyed.keyed_cameras(data)
 
 
-def _of_numbers(text: str, lines: list[str], path: Path) -> FileCameras:
-    numbers = plain.numbers_of("\n".join(lines)) if len(text) <= _MAX_NUMBERS else None
-    if numbers is not None:
-        return FileCameras(common=numbers_camera(numbers))
-    if path.suffix.lower() == ".csv":
-        return plain.read_table(text, path)
-    raise InputError(
-        "no 3x3 matrix, no fx fy cx cy, and no other file of cameras "
-        f"(it begins with {shortened(lines[0].strip() if lines else '')!r})"
-    )
+def _kitti_cameras(text: str, path: Path) -> FileCameras:
+    """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
+    calib_cam_to_cam.txt of raw drives."""
+    keyed.require_read(dict(_OTHERS.findall(text)))
+    sizes = {
+        key: (int(float(width)), int(float(height))) for key, width, height in _SIZE.findall(text)
+    }
+    parts = {}
+    for key, values in _PROJECTION.findall(text):
+        P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
+        parts[f"image_{int(key)}"] = Camera(P[:, :3], sizes.get(key))
+    return keyed.rig(parts, path, {})
+
+
+def _nerf_cameras(data: Mapping[str, Any], where: str) -> FileCameras:
+    """The cameras of a transforms.json by the names of its frames, which may lack their ending.
+
+    where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
+    AttributeError, ValueError or ArithmeticError for what is none.
+    """
+    common = _nerf_camera(data)
+    if common is not None:
+        common = replace(common, identity=where)
+    by_name = {}
+    for frame in data.get("frames", ()):
+        of_frame = {k: v for k, v in frame.items() if k in _INTRINSIC_KEYS or keyed.may_matter(k)}
+        replaced = {key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys}
+        rest = {key: value for key, value in data.items() if key not in replaced}
+        camera = common if not of_frame else _nerf_camera({**rest, **of_frame})
+        if camera is not None:
+            by_name[str(frame["file_path"])] = camera
+        elif common is not None:
+            raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
+    if common is None and not by_name:
+        raise InputError("no fl_x, and no camera_angle_x with w, in this transforms.json")
+    return FileCameras(by_name, common=common)
+
+
+def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
+    """Intrinsics of a file or frame."""
+    width, height = data.get("w"), data.get("h")
+    size = None if width is None or height is None else (int(width), int(height))
+    fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))
+    fx, fy = fx or fy, fy or fx
+    if fx is None or fy is None:
+        return None
+    if size is None and not ("cx" in data and "cy" in data):
+        raise InputError("neither cx and cy nor w and h")
+    middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
+    cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
+    return Camera(numbers_camera([fx, fy, cx, cy]).K, size, keyed.file_lens(data))
+
+
+def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:
+    """The focal length along an axis, pixels; side: of the image."""
+    if data.get(f"fl_{axis}") is not None:
+        return float(data[f"fl_{axis}"])
+    angle = data.get(f"camera_angle_{axis}")
+    return None if angle is None or side is None else side / 2 / math.tan(float(angle) / 2)

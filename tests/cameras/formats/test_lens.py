@@ -1,13 +1,14 @@
 """Keys that may be of a lens are read or refused, in every format."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dgc_pose.cameras.calibration import camera_data, parse_camera, read_calibration
+from dgc_pose.cameras.calibration import camera_data, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
@@ -23,6 +24,7 @@ RADTAN = {"distortion_model": "radtan", "distortion_coeffs": [-0.3, 0.1, 0.001, 
 LENS = Distortion("OPENCV", (-0.3, 0.1, 0.001, 0.002))
 ONE_BY_ONE = {"k1": -0.3, "k2": 0.1, "p1": 0.001, "p2": 0.002}
 
+P0 = "500 0 320 0 0 510 240 0 0 0 1 0"
 DATA = camera_data(Camera(np.array(K), SIZE))
 
 
@@ -30,60 +32,52 @@ def _words(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-# A file's name, and its text with further keys.
-FORMATS: dict[str, tuple[str, Any]] = {
-    "YAML": ("c.yml", lambda **key: json.dumps({"camera_matrix": K, **key})),
+# A file's name, and its content with further keys: a text, or what JSON holds.
+FORMATS: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
+    "YAML": ("c.yml", lambda keys: {"camera_matrix": K, **keys}),
     "XML": (
         "c.xml",
-        lambda **key: (
+        lambda keys: (
             "<opencv_storage><camera_matrix><rows>3</rows><cols>3</cols><data>500 0 320 0 510 240"
             " 0 0 1</data></camera_matrix>"
-            + "".join(f"<{name}>{_words(value)}</{name}>" for name, value in key.items())
+            + "".join(f"<{name}>{_words(value)}</{name}>" for name, value in keys.items())
             + "</opencv_storage>"
         ),
     ),
-    "JSON": ("K.json", lambda **key: json.dumps({"K": K, **key})),
-    "JSON, fx": ("K.json", lambda **key: json.dumps({**FLAT, **key})),
-    "JSON, COLMAP's": (
-        "K.json",
-        lambda **key: json.dumps({"K": K, "model": "SIMPLE_RADIAL", "coefficients": [0.1], **key}),
-    ),
-    "JSON of a pair": ("K.json", lambda **key: json.dumps({"K1": K, "K2": K, **key})),
-    "JSON in a pair": ("K.json", lambda **key: json.dumps({"K1": {"K": K, **key}, "K2": K})),
-    "JSON, deeper": ("K.json", lambda **key: json.dumps({"K": K, "calibration": key})),
-    "output": ("K.json", lambda **key: json.dumps({"camera1": {**DATA, **key}, "camera2": DATA})),
-    "ROS": ("ost.yaml", lambda **key: json.dumps({**ROS, "camera_matrix": {"data": K}, **key})),
-    "Kalibr": ("chain.yaml", lambda **key: json.dumps({"cam0": {**KALIBR, **RADTAN, **key}})),
-    "Kalibr, none": ("chain.yaml", lambda **key: json.dumps({"cam0": {**KALIBR, **key}})),
-    "Kalibr, beside": ("chain.yaml", lambda **key: json.dumps({"cam0": KALIBR, **key})),
-    "EuRoC": ("sensor.yaml", lambda **key: json.dumps({**KALIBR, **RADTAN, **key})),
-    "NeRF": ("t.json", lambda **key: json.dumps({**NERF, **key, "frames": []})),
-    "NeRF, frame": (
-        "t.json",
-        lambda **key: json.dumps({**NERF, "frames": [{"file_path": "a", **key}]}),
-    ),
+    "JSON": ("K.json", lambda keys: {"K": K, **keys}),
+    "JSON, fx": ("K.json", lambda keys: {**FLAT, **keys}),
+    "JSON, COLMAP's": ("K.json", lambda keys: {"K": K, "model": "FOV", "coefficients": 1, **keys}),
+    "JSON of a pair": ("K.json", lambda keys: {"K1": K, "K2": K, **keys}),
+    "JSON in a pair": ("K.json", lambda keys: {"K1": {"K": K, **keys}, "K2": K}),
+    "JSON, deeper": ("K.json", lambda keys: {"K": K, "calibration": keys}),
+    "output": ("K.json", lambda keys: {"camera1": {**DATA, **keys}, "camera2": DATA}),
+    "ROS": ("ost.yaml", lambda keys: {**ROS, "camera_matrix": {"data": K}, **keys}),
+    "Kalibr": ("chain.yaml", lambda keys: {"cam0": {**KALIBR, **RADTAN, **keys}}),
+    "Kalibr, none": ("chain.yaml", lambda keys: {"cam0": {**KALIBR, **keys}}),
+    "Kalibr, beside": ("chain.yaml", lambda keys: {"cam0": KALIBR, **keys}),
+    "EuRoC": ("sensor.yaml", lambda keys: {**KALIBR, **RADTAN, **keys}),
+    "NeRF": ("t.json", lambda keys: {**NERF, **keys, "frames": []}),
+    "NeRF, frame": ("t.json", lambda keys: {**NERF, "frames": [{"file_path": "a", **keys}]}),
     "KITTI": (
         "calib.txt",
-        lambda **key: "".join(
-            ["P0: 500 0 320 0 0 510 240 0 0 0 1 0\n"]
-            + [f"{name}: {_words(value)}\n" for name, value in key.items()]
+        lambda keys: "\n".join(
+            f"{name}: {_words(value)}" for name, value in {"P0": P0, **keys}.items()
         ),
     ),
     "CSV": (
         "c.csv",
-        lambda **key: "\n".join(
-            [
-                ",".join(["name", *FLAT, *key]),
-                ",".join(["a.png", *map(str, FLAT.values()), *map(_words, key.values())]),
-            ]
+        lambda keys: "\n".join(
+            ",".join(map(_words, row))
+            for row in zip(*{"name": "a.png", **FLAT, **keys}.items(), strict=True)
         ),
     ),
 }
 
 
-def _write(folder: Path, format: str, **key: Any) -> str:
-    name, text = FORMATS[format]
-    (folder / name).write_text(text(**key))
+def _write(folder: Path, format: str, **keys: Any) -> str:
+    name, content = FORMATS[format]
+    data = content(keys)
+    (folder / name).write_text(data if isinstance(data, str) else json.dumps(data))
     return str(folder / name)
 
 
@@ -132,17 +126,3 @@ def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, An
     assert _lens(_write(tmp_path, format, **lens, **model)) == expected
     with pytest.raises(InputError, match="p1 may be of the lens"):
         _lens(_write(tmp_path, format, **lens, **model, p1=0.1))
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("K.txt", "500 510 320 240 -0.3"),
-        ("cameras.txt", "1 PINHOLE 640 480 500 510 320 240 -0.3"),
-        ("c.csv", "name,fx,fy,cx,cy\na,500,510,320,240,-0.3"),
-    ],
-)
-def test_a_number_without_a_key_is_refused(tmp_path: Path, name: str, text: str) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match="5 numbers|not 5|more cells than columns"):
-        parse_camera(str(tmp_path / name))

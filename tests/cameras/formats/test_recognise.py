@@ -1,0 +1,207 @@
+"""Numbers, tables, JSON, KITTI's calibrations and NeRF's transforms.json.
+
+KITTI's by the readmes of its development kits. Odometry and objects: `P0:` to `P3:`, projections of
+the rectified images; raw drives: `S_rect_00:` and `P_rect_00:`, the size and projection of those.
+
+NeRF's as nerfstudio's and instant-ngp's documents describe them,
+docs.nerf.studio/quickstart/data_conventions.html: camera_model, fl_x, fl_y, cx, cy, w, h, k1 to k4,
+p1, p2, for all frames or in each. The values are COLMAP's, as their converters copy them.
+"""
+
+import json
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dgc_pose.cameras.calibration import camera_data, pair_cameras, parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.errors import InputError
+from dgc_pose.images.header import Header
+from dgc_pose.images.image import Image
+
+SIZE = (640, 480)
+K = np.array([[500.0, 0, 320.25], [0, 510, 240], [0, 0, 1]])
+FOUR = ("500.", "510.", "320.25", "240.")
+NINE = ("500.", "0.", "320.25", "0.", "510.", "240.", "0.", "0.", "1.")
+ALL = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5, "w": 640, "h": 480}
+NERF_K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("words", [FOUR, NINE], ids=["four", "nine"])
+@pytest.mark.parametrize("name", ["K.txt", "K.csv", "K", "k.mat"])
+def test_numbers_split_by_commas_or_blanks(
+    tmp_path: Path, words: tuple[str, ...], name: str
+) -> None:
+    path = tmp_path / name
+    for text in map(str.join, (",", " ", "\t", " ,", "0" * 80 + ","), 5 * [words]):
+        path.write_text(f"# of the left camera\n{text}\n\n")
+        for source in (text, str(path)):
+            np.testing.assert_array_equal(parse_camera(source).K, K)
+    np.save(tmp_path / "K.npy", K)
+    np.testing.assert_array_equal(parse_camera(str(tmp_path / "K.npy")).K, K)
+
+
+def test_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.csv"
+    text = (
+        "name,fx,fy,cx,cy,width,height,focal_std,camera\n"
+        "a.jpg,500,510,320,240,640,480,0.01,1\nb.jpg,500,510,320,240,640,480,,\n"
+    )
+    path.write_text(f"{text}a.jpg,500,510,320,240,640,480,0.01,1\n")
+    first, second = read_calibration(str(path)).by_name.values()
+    assert (first.focal_std, second.focal_std) == (0.01, 0)
+    assert (first.identity, second.identity) == ("1", None)
+    assert first.size == SIZE and first.K.diagonal().tolist() == [500, 510, 1]
+    path.write_text(f"{text}a.jpg,600,510,320,240,640,480,0.01,1\n")
+    with pytest.raises(InputError, match=r"cameras\.csv:4: another camera of a.jpg than in a line"):
+        read_calibration(str(path))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"K": K.tolist(), "size": SIZE},
+        {"K": K.ravel().tolist(), "width": 640, "height": 480},
+        {"K": [500, 510, 320.25, 240], "size": SIZE},
+        {"fx": 500, "fy": 510, "cx": 320.25, "cy": 240, "width": 640, "height": 480},
+        camera_data(Camera(K, SIZE)),
+    ],
+)
+def test_a_camera_in_json(tmp_path: Path, data: dict[str, object]) -> None:
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps(data))
+    camera = parse_camera(str(path))
+    np.testing.assert_array_equal(camera.K, K)
+    assert (camera.size, camera.distortion) == (SIZE, None)
+
+
+def test_the_cameras_of_a_pair_in_json(tmp_path: Path) -> None:
+    lens = Distortion("SIMPLE_RADIAL", (0.1,))
+    first = Camera(K, SIZE, focal_std=0.02, centre_std=3.0)
+    second = Camera(K * [[2], [2], [1]], (1280, 960), lens)
+    path = tmp_path / "pose.json"
+    images = [Image(np.zeros((480, 640, 3), np.uint8)), Image(np.zeros((960, 1280, 3), np.uint8))]
+    for data in (
+        {"K1": first.K.tolist(), "K2": {"K": second.K.tolist()}},
+        {"status": "ok", "camera1": camera_data(first), "camera2": camera_data(second)},
+    ):
+        path.write_text(json.dumps(data))
+        camera1, camera2 = pair_cameras(str(path), str(path), *images)
+        np.testing.assert_array_equal(camera1.K, first.K)
+        np.testing.assert_array_equal(camera2.K, second.K)
+    assert (camera1.focal_std, camera1.centre_std, camera2.distortion) == (0.02, 3.0, lens)
+    assert parse_camera(f"{path}:K2").K[0, 0] == 1000
+    with pytest.raises(InputError, match=r"a\.jpg: another of its cameras is .*pose\.json:K2$"):
+        read_calibration(str(path)).camera(Path(), "a.jpg", Header("JPEG", SIZE))
+
+
+def test_kittis_odometry_by_the_images_folder(tmp_path: Path) -> None:
+    path = tmp_path / "calib.txt"
+    lines = [f"P{i}: {500 + i} 0 320 {-0.5 * i} 0 {500 + i} 240 0 0 0 1 0" for i in range(4)]
+    path.write_text("\n".join([*lines, "Tr: 1 0 0"]))
+    for image, focal, count in (
+        ("image_2/000001.png", 502, 0),
+        ("image_03/data/1.png", 503, 0),
+        ("image_0/1.png", 500, 0),
+        ("1.png", 500, 1),
+    ):
+        camera = read_calibration(str(path)).camera(tmp_path, image, Header("PNG", SIZE))
+        assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [focal, focal, 320, 240]
+        assert len(camera.warnings) == count
+    path.write_text(lines[0] + "\n" + lines[0].replace("P0", "P1"))
+    camera = read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
+    assert camera.warnings == ()
+
+
+def test_kittis_raw_drives(tmp_path: Path) -> None:
+    path = tmp_path / "calib_cam_to_cam.txt"
+    path.write_text(
+        "calib_time: 09-Jan-2012 13:57:47\ncorner_dist: 9.950000e-02\nS_00: 1.392e+03 5.12e+02\n"
+        "K_00: 9.8e+02 0 6.9e+02 0 9.7e+02 2.4e+02 0 0 1\nS_rect_00: 6.400e+02 4.800e+02\n"
+        "P_rect_00: 5.0e+02 0 3.2e+02 0 0 5.0e+02 2.4e+02 0 0 0 1 0\n"
+    )
+    camera = parse_camera(f"{path}:image_0")
+    assert (camera.size, camera.K[0, 0]) == (SIZE, 500)
+
+
+def _read(folder: Path, data: dict[str, object], name: str = "a.jpg") -> Camera:
+    path = folder / "transforms.json"
+    path.write_text(json.dumps(data))
+    return read_calibration(str(path)).camera(folder, name, Header("JPEG", SIZE))
+
+
+def test_intrinsics_of_all_frames_or_of_each(tmp_path: Path) -> None:
+    for frame in ({"file_path": "./images/a.jpg"}, {"file_path": "images/a"}):
+        for data in ({"frames": [{**frame, **ALL}]}, {**ALL, "frames": [frame]}):
+            camera = _read(tmp_path, data)
+            np.testing.assert_array_equal(camera.K, NERF_K)
+            assert (camera.identity is None) == (data.keys() == {"frames"})
+            assert (camera.size, camera.distortion) == (SIZE, None)
+
+
+@pytest.mark.parametrize(
+    ("of_frame", "focals"),
+    [
+        ({"camera_angle_x": 2 * math.atan(0.5)}, [640, 640]),
+        ({"camera_angle_x": 2 * math.atan(0.5), "camera_angle_y": 2 * math.atan(0.4)}, [640, 600]),
+        ({"camera_angle_x": 2 * math.atan(0.5), "fl_y": 600}, [640, 600]),
+        ({"fl_x": 700}, [700, 700]),
+        ({"fl_x": 700, "fl_y": 710}, [700, 710]),
+        ({"cx": 320.5}, [500, 510]),
+    ],
+)
+@pytest.mark.parametrize("common", [{}, {"camera_angle_x": 1.0, "camera_angle_y": 0.8}])
+def test_focal_lengths_of_a_frame(
+    tmp_path: Path, of_frame: dict[str, float], focals: list[float], common: dict[str, float]
+) -> None:
+    frames = [{"file_path": "a", **of_frame}]
+    camera = _read(tmp_path, {**ALL, **common, "frames": frames})
+    np.testing.assert_allclose(camera.K.diagonal()[:2], focals)
+
+
+def test_nerfs_lenses(tmp_path: Path) -> None:
+    """Of OpenCV; of a frame whose model is another. Lenses by other keys are in test_lens.py."""
+    lens = {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01}
+    camera = _read(tmp_path, {**ALL, **lens, "k4": 0, "frames": [{"file_path": "a.jpg"}]})
+    pixels = np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
+    rays = np.column_stack([camera.normalise(pixels), np.ones(30)])
+    again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), NERF_K, np.array([*lens.values()]))
+    np.testing.assert_allclose(again[:, 0], pixels, atol=1e-3)
+    for of_frame, model in (
+        ({}, "OPENCV_FISHEYE"),
+        ({"is_fisheye": False}, "OPENCV"),
+        ({"camera_model": "OPENCV"}, "OPENCV"),
+    ):
+        frames = [{"file_path": "a", **of_frame}]
+        camera = _read(tmp_path, {**ALL, "is_fisheye": True, "k1": 0.1, "frames": frames})
+        assert camera.distortion is not None and camera.distortion.model == model
+
+
+@pytest.mark.parametrize(
+    ("data", "error"),
+    [
+        ({"K": [1, 2]}, "K has 2 numbers"),
+        ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
+        ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
+        ({"K": K.tolist(), "centre_std_px": -1}, "centre_std must be finite and at least 0"),
+        ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
+        ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
+        ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
+        ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
+        ({**ALL, "frames": [{}]}, "file_path"),
+        ({**ALL, "frames": 3}, "not a file of cameras that can be read"),
+        (
+            {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
+            "a has no fl_x, and no camera_angle_x with w",
+        ),
+    ],
+)
+def test_json_that_has_no_camera(tmp_path: Path, data: dict[str, object], error: str) -> None:
+    path = tmp_path / "K.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=f"K.json.*{error}"):
+        parse_camera(str(path))
