@@ -14,9 +14,9 @@ from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
 from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.runtime.torch_engine import TorchEngine
+from dgc_pose.training.run import save_weights
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from dgc_pose.geometry.pixels import Size, cell_centres, rescale
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
-from dgc_pose.runtime.correlation import log_softmax, match_scores
+from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better

@@ -1,5 +1,6 @@
 """The assembled network: pyramid, correlation, five decoders, matchability."""
 
+import itertools
 from dataclasses import dataclass
 from typing import cast
 
@@ -14,20 +15,11 @@ from dgc_pose.network.config import (
     LOCAL_RADIUS,
     SECOND_SIZE,
     STRIDE,
-    EfficientNet,
     NetworkConfig,
 )
-from dgc_pose.network.constants import DEVIATION, MEAN, PASSES, PEAK
+from dgc_pose.network.constants import DEVIATION, EPSILON, MEAN, PASSES, PEAK
 from dgc_pose.network.coordinates import identity_map, to_normalised
-from dgc_pose.network.correlation import (
-    cell_correlations,
-    consensus,
-    l2_normalise,
-    local_correlation,
-    match_evidence,
-    match_scores,
-    peaks,
-)
+from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
 from dgc_pose.network.decoder import Decoder, MatchabilityNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.pyramid import Pyramid
@@ -48,17 +40,6 @@ class Prediction:
     logits: tuple[Tensor, ...]
 
 
-@dataclass(frozen=True)
-class Correlation:
-    """The correlation of the features of a batch of pairs."""
-
-    # (B, h1 * w1, h2, w2) of level 4 for grids of h1 x w1 source cells and h2 x w2 target cells
-    # (15 x 15 in squared images), or (B, n^2, h2, w2) if it is local
-    coarsest: Tensor
-    # (B, h1 * w1, h2, w2) for each pair of cells, by all correlated levels; None if it is local
-    evidence: Tensor | None
-
-
 class DGCNet(nn.Module):
     """DGC-Net and its variants (Melekhov et al., WACV 2019), by a `NetworkConfig`.
 
@@ -73,8 +54,8 @@ class DGCNet(nn.Module):
         # Convolutions in bfloat16; correlations and maps stay in single precision.
         self.half_precision = False
         self.pyramid: Pyramid | EfficientPyramid
-        if isinstance(config.pyramid, EfficientNet):
-            self.pyramid = EfficientPyramid(config.pyramid)
+        if config.pyramid == "efficientnet-lite0":
+            self.pyramid = EfficientPyramid()
         else:
             self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
@@ -86,11 +67,6 @@ class DGCNet(nn.Module):
         self.register_buffer("correlation_scales", scales, persistent=config.any_shape)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
-        sides = {side for image in (source, target) for side in image.shape[2:]}
-        any_shape = self.config.any_shape
-        if any(side % STRIDE for side in sides) if any_shape else sides != {INPUT_SIZE}:
-            needed = f"multiples of {STRIDE}" if any_shape else str(INPUT_SIZE)
-            raise ValueError(f"the sides of source and target must be {needed}, not {sides}")
         return self.decode(self.features(source), self.features(target))
 
     def features(self, image: Tensor) -> list[Tensor]:
@@ -144,54 +120,48 @@ class DGCNet(nn.Module):
             return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
 
-    def correlate(self, source: list[Tensor], target: list[Tensor]) -> Correlation:
-        """The correlation of both images' features, as `features` gives them."""
-        config = self.config
-        (source, *source_smaller), (target, *target_smaller) = map(self._scales, (source, target))
-        if config.correlation == "local":
-            return Correlation(local_correlation(source[0], target[0], LOCAL_RADIUS), None)
+    def correlate(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
+        """The correlation of both images' features, as `features` gives them: (B, n, 15, 15) of
+        level 4, or with `any_shape` the evidence (B, h1 * w1, h2 * w2) of all correlated levels."""
+        (source1, *smaller1), (target1, *smaller2) = map(self._scales, (source, target))
+        if self.config.correlation == "local":
+            return local_correlation(source1[0], target1[0], LOCAL_RADIUS)
+        if not self.config.any_shape:
+            return global_correlation(source1[0], target1[0])
         scales = cast(Tensor, self.correlation_scales)
-        correlations = cell_correlations(source, target)
-        evidence = match_evidence(correlations, scales)
-        across = [(smaller, target) for smaller in source_smaller]
-        across += [(source, smaller) for smaller in target_smaller]
-        for pair in across:
-            evidence = evidence.maximum(match_evidence(cell_correlations(*pair), scales))
-        return Correlation(correlations[0], evidence)
+        evidence = match_evidence(source1, target1, scales)
+        for pair in ((smaller1[0], target1), (source1, smaller2[0])):
+            evidence = evidence.maximum(match_evidence(*pair, scales))
+        return evidence
 
     def _scales(self, features: list[Tensor]) -> list[list[Tensor]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
         scales = [[features[level] for level in self.config.correlated]]
-        if self.config.any_shape:
-            scales.append(features[len(LEVEL_SIZES) :])
+        scales.append(features[len(LEVEL_SIZES) :])
         if self.config.normalise_features:
             return [[l2_normalise(level) for level in levels] for levels in scales]
         return scales
 
-    def start(self, correlation: Correlation, source: Tensor, target: Tensor) -> Tensor:
+    def start(self, correlation: Tensor, source: Tensor, target: Tensor) -> Tensor:
         """The state of level 4 from the correlation and the level's features: (B, 2 or 3, h, w),
         the map and, with matchability "decoder", the mask logit."""
         if self.config.any_shape:
-            state = self.peak(correlation, _grid(source))
+            state = self.peak(correlation, _grid(source), _grid(target))
             warped = self.warp(source, state)
             return self.refine(COARSEST, warped, target, state, grid=_grid(source))
-        scores = correlation.coarsest
-        state = scores.new_zeros(len(scores), self.config.map_channels, *scores.shape[2:])
-        return self._decode_level(COARSEST, l2_normalise(scores.relu()), state, _grid(source))
+        state = source.new_zeros(len(source), self.config.map_channels, *_grid(source))
+        return self._decode_level(COARSEST, l2_normalise(correlation.relu()), state, _grid(source))
 
-    def peak(self, correlation: Correlation, grid: tuple[int, int]) -> Tensor:
-        """The state that corrections start from (B, 2 or 3, h2, w2): the peak of the evidence.
+    def peak(self, evidence: Tensor, source: tuple[int, int], target: tuple[int, int]) -> Tensor:
+        """The state that corrections start from (B, 3, h2, w2): the peak of the evidence.
 
-        grid: rows and columns of the source at level 4.
+        source, target: rows and columns of their grids at level 4.
         """
-        assert correlation.evidence is not None
-        scores = consensus(match_scores(correlation.evidence), PASSES, grid)
-        cells, probability = peaks(scores, grid)
-        points = to_normalised(cells.movedim(1, -1), grid[::-1], self.config.align_corners)
-        parts = [points.movedim(-1, 1)]
-        if self.config.matchability == "decoder":
-            parts.append(probability.clamp(*PEAK).logit()[:, None])
-        return torch.cat(parts, 1)
+        scores = consensus(match_scores(evidence), PASSES, source, target)
+        cells, probability = peaks(scores, source)
+        points = to_normalised(cells.movedim(1, -1), source[::-1], self.config.align_corners)
+        logits = probability.clamp(*PEAK).logit()[:, None]
+        return torch.cat([points.movedim(-1, 1), logits], 1).view(len(evidence), 3, *target)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
@@ -269,6 +239,36 @@ class DGCNet(nn.Module):
             identity = identity[:, :, window[0], window[1]]
         extra = like.new_zeros(1, like.shape[1] - 2, *identity.shape[2:])
         return torch.cat([identity, extra], 1)
+
+
+def l2_normalise(features: Tensor) -> Tensor:
+    """Unit length over the channels of (B, C, H, W): f / sqrt(sum f^2 + 1e-6)."""
+    return features / torch.sqrt(features.square().sum(1, keepdim=True) + EPSILON)
+
+
+def global_correlation(source: Tensor, target: Tensor) -> Tensor:
+    """Every source cell against every target cell (paper, section 3.2).
+
+    Takes (B, C, h1, w1) and (B, C, h2, w2); returns (B, h1 * w1, h2, w2): channel xs * h1 + ys
+    (column-major over the source) at (yt, xt) is <source(ys, xs), target(yt, xt)>.
+    """
+    columns = source.transpose(2, 3).flatten(2)  # (B, C, xs * h + ys)
+    return torch.einsum("bcs,bcyx->bsyx", columns, target)
+
+
+def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
+    """Target cells against the warped source in a window around the same cell.
+
+    Takes (B, C, H, W) of both; returns (B, (2 radius + 1)^2, H, W), channels row by row over
+    (dy, dx) from -radius to radius: <warped(y + dy, x + dx), target(y, x)>, zero outside.
+    """
+    height, width = target.shape[2:]
+    padded = F.pad(warped, (radius,) * 4)
+    scores = [
+        (padded[:, :, dy : dy + height, dx : dx + width] * target).sum(1)
+        for dy, dx in itertools.product(range(2 * radius + 1), repeat=2)
+    ]
+    return torch.stack(scores, 1)
 
 
 def _grid(features: Tensor) -> tuple[int, int]:

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save
 from torch import Tensor, nn
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
-from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import (
@@ -46,19 +44,6 @@ def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cp
     check_tensors(path, name, state, net.state_dict())
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
     return net.eval().requires_grad_(False).to(device)
-
-
-def save_weights(net: DGCNet, path: str | Path) -> None:
-    """Write a network as safetensors in half precision, its preset's name in the header."""
-    state = {
-        key: value.detach().cpu().half().contiguous()
-        for key, value in net.state_dict().items()
-        if not key.endswith(COUNTER)
-    }
-    header = {"preset": net.config.name}
-    with replaced(Path(path)) as temporary, writing(temporary):
-        # Not save_file, whose files only their owner may read.
-        temporary.write_bytes(save(state, metadata=header))
 
 
 def network_fingerprint(net: nn.Module) -> str:

@@ -6,15 +6,22 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from dgc_pose.geometry.pixels import Size
 from dgc_pose.network.config import NetworkConfig
 
 
-class MapFeatures(Protocol):
+@dataclass(frozen=True, eq=False)
+class MapFeatures:
     """Features of an image for the dense map; those of an engine mean nothing to another."""
+
+    # (1, C, h, w) of levels 0 to 4, then those of the correlated levels at the second scale, if the
+    # network has one: arrays of the engine's library
+    levels: list[Any]
+    size: Size  # (width, height) of the image as it was resized
 
     @property
     def nbytes(self) -> int:
-        """Their size in memory."""
+        return sum(level.nbytes for level in self.levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +82,12 @@ class Engine(Protocol):
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         """Features of an image, resized as `config.input_size` says."""
 
-    def coarsest(self, features: Any) -> np.ndarray:
+    def coarsest(self, features: MapFeatures) -> np.ndarray:
         """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
 
-    def decode(self, source: Sequence[Any], target: Sequence[Any], finest: int) -> list[DecodedMap]:
+    def decode(
+        self, source: Sequence[MapFeatures], target: Sequence[MapFeatures], finest: int
+    ) -> list[DecodedMap]:
         """The map of each pair from the features that `encode` gives.
 
         finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.

@@ -1,7 +1,6 @@
 """The network run by torch: on any device, with any weights."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import cast
@@ -18,19 +17,7 @@ from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_network, network_fingerprint
-from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
-
-
-@dataclass(frozen=True, eq=False)
-class TorchFeatures:
-    """`MapFeatures` as `DGCNet.features` gives them, of a batch of one."""
-
-    levels: list[Tensor]
-    size: tuple[int, int]  # (width, height) of the resized image
-
-    @property
-    def nbytes(self) -> int:
-        return sum(level.nbytes for level in self.levels)
+from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 
 
 class TorchEngine:
@@ -55,17 +42,17 @@ class TorchEngine:
         return cast(Tensor, self.net.correlation_scales).float().cpu().numpy()
 
     @torch.inference_mode()
-    def encode(self, pixels: np.ndarray) -> TorchFeatures:
+    def encode(self, pixels: np.ndarray) -> MapFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
-        return TorchFeatures(self.net.features(self._input(pixels, size)), size)
+        return MapFeatures(self.net.features(self._input(pixels, size)), size)
 
     @torch.inference_mode()
-    def coarsest(self, features: TorchFeatures) -> np.ndarray:
+    def coarsest(self, features: MapFeatures) -> np.ndarray:
         return _unit(features.levels[COARSEST])
 
     @torch.inference_mode()
     def decode(
-        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
+        self, source: Sequence[MapFeatures], target: Sequence[MapFeatures], finest: int
     ) -> list[DecodedMap]:
         """As `Engine.decode`; pairs of images of the same shapes are decoded together."""
         groups: dict[tuple[Size, Size], list[int]] = {}
@@ -78,7 +65,7 @@ class TorchEngine:
         return [decoded[index] for index in range(len(source))]
 
     def _decode(
-        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
+        self, source: Sequence[MapFeatures], target: Sequence[MapFeatures], finest: int
     ) -> list[DecodedMap]:
         """As `decode`, of images of the same shapes."""
         size = source[0].size
@@ -127,7 +114,7 @@ def _unit(level: Tensor) -> np.ndarray:
     return np.ascontiguousarray(unit)
 
 
-def _stacked(images: Sequence[TorchFeatures]) -> list[Tensor]:
+def _stacked(images: Sequence[MapFeatures]) -> list[Tensor]:
     """The features of several images as those of one batch, level by level."""
     if len(images) == 1:
         return images[0].levels

@@ -1,4 +1,4 @@
-"""The pyramid on EfficientNet-Lite0: where its cells lie, shapes, freezing, ImageNet weights."""
+"""The pyramid on EfficientNet-Lite0: where its cells lie, shapes, ImageNet weights."""
 
 from copy import deepcopy
 
@@ -8,18 +8,15 @@ import torch.nn.functional as F
 from pretend_gpu import DEVICE, pretended_gpu
 from torch import Tensor, nn
 
-from dgc_pose.network.config import EfficientNet, preset
-from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid, even_kernel
+from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid
 from dgc_pose.network.net import normalise
-from dgc_pose.training.imagenet import load_backbone
+from dgc_pose.training.imagenet import even_kernel, load_backbone
 
 
 @pytest.fixture
 def pyramid() -> EfficientPyramid:
     torch.manual_seed(0)
-    config = preset("dgcm-lite0").pyramid
-    assert isinstance(config, EfficientNet)
-    return EfficientPyramid(config).eval().requires_grad_(False)
+    return EfficientPyramid().eval().requires_grad_(False)
 
 
 def test_features_of_a_rotated_image_lie_in_the_rotated_cells(pyramid: EfficientPyramid) -> None:
@@ -42,15 +39,6 @@ def test_the_coarse_levels_alone_are_the_same(pyramid: EfficientPyramid) -> None
     for alone, level in zip(pyramid.coarse(image), whole[2:], strict=True):
         assert torch.equal(alone, level)
     assert [f.shape[-2:] for f in whole] == [(64 // s, 96 // s) for s in (1, 2, 4, 8, 16)]
-
-
-def test_the_fine_levels_are_frozen_and_nothing_else(pyramid: EfficientPyramid) -> None:
-    pyramid.freeze_fine_levels()
-    features = pyramid(torch.randn(1, 3, 32, 32))
-    assert [level.requires_grad for level in features] == [False, False, True, True, True]
-    sum((level.sum() for level in features[2:]), torch.zeros(())).backward()
-    reached = {name for name, p in pyramid.named_parameters() if p.grad is not None}
-    assert reached == {name for name, p in pyramid.named_parameters() if p.requires_grad}
 
 
 def test_an_even_kernel_is_the_mean_of_the_four_shifts() -> None:

@@ -10,7 +10,8 @@ from torch import Tensor
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.network.weights import load_network
+from dgc_pose.training.run import save_weights
 
 
 def _random_net(name: str) -> DGCNet:

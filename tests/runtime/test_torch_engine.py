@@ -8,8 +8,9 @@ import torch.nn.functional as F
 from dgc_pose.network.config import preset
 from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import network_fingerprint, save_weights
+from dgc_pose.network.weights import network_fingerprint
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+from dgc_pose.training.run import save_weights
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["single", "half"])
