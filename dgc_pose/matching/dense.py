@@ -13,7 +13,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import cell_centres, rescale, within
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.cache import ImageCache, image_cache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.search import search_views
 from dgc_pose.matching.selection import WEAK, MatchingOptions, select_matches
@@ -22,22 +22,15 @@ from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
 from dgc_pose.runtime.load import RuntimeName, load_engine
 
-# The encoder's features by image and view of it; keyed by the object, not by its pixels.
-FeatureCache = BoundedCache[tuple[Image, View], MapFeatures]
 _PAIR_BYTES = 2**27  # enough for a pair
-
-
-def feature_cache(limit_bytes: int = 2 * 2**30) -> FeatureCache:
-    """A cache of this size. The images that it keeps alive count towards it."""
-    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes, limit_bytes)
 
 
 class DenseMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    cache: of the encoder's features; None to keep those of the last pair or a few. search_below:
-    the network is trained on upright photographs of similar scale; if the mean matchability is
-    below this, other rotations of image 2 and other scales are searched.
+    cache: of the encoder's features, by view; None to keep those of the last pair or a few.
+    search_below: the network is trained on upright photographs of similar scale; if the mean
+    matchability is below this, other rotations of image 2 and other scales are searched.
 
     Raises InputError if `finest` is a level that the network's mask is not made for.
     """
@@ -48,7 +41,7 @@ class DenseMatcher(Matcher):
         self,
         engine: Engine,
         options: MatchingOptions | None = None,
-        cache: FeatureCache | None = None,
+        cache: ImageCache | None = None,
         search_below: float = WEAK,
     ) -> None:
         self.engine = engine
@@ -60,7 +53,7 @@ class DenseMatcher(Matcher):
                 f"the mask network of {self.name} works at {INPUT_SIZE} cells alone: finest must "
                 f"be {INPUT_SIZE}, not {self.options.finest}"
             )
-        self.cache = cache or feature_cache(_PAIR_BYTES)
+        self.cache = cache or image_cache(_PAIR_BYTES)
 
     @property
     def fingerprint(self) -> str:
@@ -178,7 +171,7 @@ def load_dense_matcher(
     *,
     device: str = "auto",
     options: MatchingOptions | None = None,
-    cache: FeatureCache | None = None,
+    cache: ImageCache | None = None,
     runtime: RuntimeName = "auto",
     half_precision: bool = False,
     engine: Engine | None = None,

@@ -22,7 +22,8 @@ from dgc_pose.files.inputs import read_bytes
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.key_points import KeyPointCache, KeyPointMatcher, KeyPoints
+from dgc_pose.matching.cache import ImageCache
+from dgc_pose.matching.key_points import KeyPointMatcher, KeyPoints
 from dgc_pose.network.stored import find_weights
 
 LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model takes one size alone
@@ -41,7 +42,7 @@ class OnnxMatcher(KeyPointMatcher):
     Raises WeightsError if the model cannot be loaded, InputError if it has another layout.
     """
 
-    def __init__(self, path: str | Path, cache: KeyPointCache | None = None) -> None:
+    def __init__(self, path: str | Path, cache: ImageCache | None = None) -> None:
         from dgc_pose.runtime.session import Session  # ONNX Runtime takes its time to import
 
         super().__init__(cache)
@@ -83,7 +84,8 @@ class OnnxMatcher(KeyPointMatcher):
         best = np.argsort(-scores, kind="stable")[:MAX_POINTS]
         lengths = np.linalg.norm(descriptors[best], axis=1, keepdims=True)
         unit = descriptors[best] / np.maximum(lengths, 1e-9)
-        return rescale(points[best].astype(np.float64), size, image.size), unit.astype(np.float32)
+        points = rescale(points[best].astype(np.float64), size, image.size)
+        return KeyPoints(points, unit.astype(np.float32))
 
     def _matched(
         self, descriptors1: np.ndarray, descriptors2: np.ndarray

@@ -23,9 +23,7 @@ def _library(values: Array) -> Any:
 
 def _like(values: np.ndarray, other: Array) -> Array:
     """Values as an array of the library, type and device of another."""
-    if isinstance(other, np.ndarray):
-        return values.astype(other.dtype)
-    return importlib.import_module("torch").from_numpy(values).to(other)
+    return values.astype(other.dtype) if isinstance(other, np.ndarray) else other.new_tensor(values)
 
 
 def log_softmax(values: Array, axis: int) -> Array:
@@ -41,10 +39,7 @@ def match_evidence(source: Sequence[Array], target: Sequence[Array], scales: Arr
     """The sum of the levels' `cell_correlation`, the coarsest first, weighted by `scales`, inverse
     temperatures (levels,)."""
     pairs = enumerate(zip(source, target, strict=True))
-    return sum(
-        scale * cell_correlation(*pair, side=2**index)
-        for scale, (index, pair) in zip(scales, pairs, strict=True)
-    )
+    return sum(scales[index] * cell_correlation(*pair, side=2**index) for index, pair in pairs)
 
 
 def cell_correlation(source: Array, target: Array, side: int) -> Array:

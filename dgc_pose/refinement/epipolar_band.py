@@ -44,10 +44,8 @@ class EpipolarBand:
 
     def all(self) -> np.ndarray:
         """(n, m) bool, for each cell of the target which of the source it may match."""
-        lines1, lines2 = self.points2 @ self.E, self.points1 @ self.E.T
-        distance = np.abs(lines1 @ self.points1.T)
-        norms = (lines1[:, :2] ** 2).sum(1)[:, None] + (lines2[:, :2] ** 2).sum(1)
-        return distance < self.limit * np.sqrt(norms)
+        every1, every2 = (np.arange(len(points))[None] for points in (self.points1, self.points2))
+        return self.among(every2, every1)[0]
 
     def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
         """(n, q, m) bool, which of the source's cells (n, m) each of the target's (n, q) may

@@ -76,11 +76,6 @@ def window_shown(
     return (width, height), (x, y)
 
 
-def octave_between(correspondence_map: CorrespondenceMap) -> float:
-    """`scale_between` to the octave: features tolerate half of one."""
-    return 2.0 ** round(math.log2(scale_between(correspondence_map)))
-
-
 def scale_between(correspondence_map: CorrespondenceMap) -> float:
     """Pixels of image 1 per pixel of image 2: the median over the matchable cells.
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -12,23 +13,44 @@ from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.dense import DenseMatcher
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult, PairSearch
 from dgc_pose.matching.selection import WEAK
-from dgc_pose.refinement.align import CORNER_RADIUS, align, spread
+from dgc_pose.refinement.align import CORNER_RADIUS, MIN_ZNCC, align, spread
 from dgc_pose.refinement.consistency import consistent
-from dgc_pose.refinement.features import FeatureMatches, NativeCache
-from dgc_pose.refinement.options import SourceName
+from dgc_pose.refinement.features import FeatureMatches
+from dgc_pose.system.options import check_options, option
 
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
 QUICK_SIDE = 512  # most pixels of the images that a quick pass computes features on
 QUICK_CORNER_RADIUS = 12  # its cells are larger, so that the strongest corner of one is further
 NEIGHBOURS = 12  # nearest matches whose affinity a match must fit
-PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
-MIN_ZNCC = 0.8  # least correlation of a pair of aligned patches
 MIN_MATCHES = 50  # a source that leaves fewer is passed over
 MIN_ALIGNED = 100  # fewer aligned matches are completed by the consistent ones
+
+# The source of the matches to align: those selected from the map, or matches of the encoder's
+# features at native resolution. "auto": the features', and the map's if those are too few. "none":
+# no refinement.
+SourceName = Literal["none", "auto", "map", "features"]
+
+
+@dataclass(frozen=True)
+class RefinementOptions:
+    """How `load_matcher` refines a network's matches. Raises InputError for an unknown source."""
+
+    source: SourceName = option(
+        "auto",
+        "Matches aligned on the originals: none; map; features, of the encoder at native "
+        "resolution; auto: these, and the map's if they are few.",
+        metavar="SOURCE",
+        flag="--refine",
+        section="matching",
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 class Refiner(Matcher):
@@ -45,7 +67,7 @@ class Refiner(Matcher):
         matcher: Matcher,
         source: SourceName = "map",
         max_matches: int = 2000,
-        cache: NativeCache | None = None,
+        cache: ImageCache | None = None,
     ) -> None:
         self.matcher, self.name, self.engine = matcher, matcher.name, matcher.engine
         self.source, self.max_matches = source, max_matches
@@ -177,11 +199,9 @@ class RefinedSearch(PairSearch):
             self.image1.pixels,
             self.image2.pixels,
             local,
-            radius=PATCH_RADIUS,
-            corner_radius=corner_radius,
             error_px=matches.error_px,
-            min_zncc=MIN_ZNCC,
             max_matches=self.matcher.max_matches,
+            corner_radius=corner_radius,
         )
         good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
         moved = Matches(

@@ -8,8 +8,7 @@ import torch
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher, MatchingOptions
-from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.matching.dense import feature_cache
+from dgc_pose.matching.cache import BoundedCache, image_cache
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -77,7 +76,7 @@ def test_the_encoder_runs_once_an_image_and_rotation() -> None:
     net = DGCNet(preset("dgcm-lite0"))
     options = MatchingOptions(matchability=0.0)
     engine = TorchEngine(net)
-    plain, cached = (DenseMatcher(engine, options, c, 0.0) for c in (None, feature_cache()))
+    plain, cached = (DenseMatcher(engine, options, c, 0.0) for c in (None, image_cache()))
     images = _images(3)
     for first, second in ((0, 1), (0, 2), (1, 2)):
         pair = (images[first], images[second])
@@ -92,7 +91,7 @@ def test_views_have_features_of_their_own(monkeypatch: pytest.MonkeyPatch) -> No
     torch.manual_seed(0)
     options = MatchingOptions(matchability=0.0)
     engine = TorchEngine(DGCNet(preset("dgcm-lite0")))
-    matcher, plain = (DenseMatcher(engine, options, c, 1.0) for c in (feature_cache(), None))
+    matcher, plain = (DenseMatcher(engine, options, c, 1.0) for c in (image_cache(), None))
     images = _images(2)
     suggested = View.whole(images[0].size), View.whole(images[1].size, 50.0)
     monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)

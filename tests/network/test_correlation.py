@@ -62,13 +62,9 @@ def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
     scales = np.array([2.0, 5.0, 0.5], np.float32)
     source = [_noise(7 + k, 3, 2 * 2**k, 4 * 2**k) for k in range(3)]
     target = [_noise(17 + k, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
-    found = back(
-        match_evidence(
-            list(map(to, source)),
-            list(map(to, target)),
-            torch.from_numpy(scales) if to(scales).ndim > 1 else scales,
-        )
-    )
+    sources, targets = list(map(to, source)), list(map(to, target))
+    factors = scales if isinstance(sources[0], np.ndarray) else torch.from_numpy(scales)
+    found = back(match_evidence(sources, targets, factors))
     assert found.shape == (8, 6)
     for xs, ys, yt, xt in np.ndindex(4, 2, 2, 3):
         expected = 0.0

@@ -20,10 +20,8 @@ from dgc_pose.refinement.features import (
     MOST_HYPOTHESES,
     FeatureMatches,
     _views,
-    cells_at,
     equal_scales,
     mutual_neighbours,
-    native_cache,
     subcell_points,
 )
 from dgc_pose.runtime.engine import NativeFeatures
@@ -76,28 +74,13 @@ def test_factors_make_the_scales_equal(
     assert found[0] * scale == pytest.approx(found[1])
 
 
-def test_sides_become_the_nearest_multiples_of_16() -> None:
-    assert cells_at((320, 200), 0.5) == (10, 6)
-    assert cells_at((1600, 1200), 0.5) == (50, 38)
-    assert cells_at((1600, 3), 0.1) == (10, 1)
-
-
-def test_a_cache_counts_images_and_features(engine: TorchEngine) -> None:
-    cache, image = native_cache(), Image(_picture(64, 48))
-    key = (image, View.whole(image.size), (4, 3))
-    features = cache.get(key, lambda: engine.native(image.pixels, (4, 3)))
-    values = sum(level.size for level in (features.coarse, features.middle, features.fine))
-    assert cache.held_bytes == image.pixels.nbytes + 4 * values
-
-
 def _match(
     engine: TorchEngine,
     first: np.ndarray,
     second: np.ndarray,
     guide: CorrespondenceMap,
-    scale: float = 1.0,
 ) -> Matches:
-    return FeatureMatches(engine, 192).at_scale(Image(first), Image(second), guide, scale)
+    return FeatureMatches(engine, 192).at_scale(Image(first), Image(second), guide)
 
 
 def _unit(features: np.ndarray) -> np.ndarray:
@@ -182,7 +165,7 @@ def test_parts_that_match_are_resized_instead_of_whole_images() -> None:
     """Image 2 shows a small part of image 1, at the same scale."""
     grid = _grid((160, 120))
     guide = _guide(grid + (100, 200), grid, (640, 480), (160, 120))
-    (view1, cells1), (view2, cells2) = _views(guide, 160, 1.0)
+    (view1, cells1), (view2, cells2) = _views(guide, 160)
     assert view2 == View.whole((160, 120)) and view1.centre == pytest.approx((179.5, 259.5), abs=1)
     assert 230 < view1.size[0] < 245 and 172 < view1.size[1] < 185
     factor = 160 / view1.size[0]  # of both images
@@ -256,22 +239,3 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     places = [(axis, 1 - narrowed), (1 - axis, narrowed)]
     alike = [4 * factor + 2 * along + number for factor in (0, 1) for along, number in places]
     assert int(np.argmax(counts)) in alike and max(counts) > 200
-
-
-@pytest.mark.parametrize("shrunk", ["first", "second"])
-def test_a_picture_matches_itself_at_a_third(engine: TorchEngine, shrunk: str) -> None:
-    """One picture at three times the size of the other, with and without the scale given."""
-    large = _picture(192, 192)
-    small = cv2.resize(large, (64, 64), interpolation=cv2.INTER_AREA)
-    first, second = (small, large) if shrunk == "first" else (large, small)
-    scale = 1 / 3 if shrunk == "first" else 3.0
-    size1, size2 = (image.shape[1::-1] for image in (first, second))
-    grid = _grid(size2)
-    guide = _guide(np.zeros_like(grid), grid, size1, size2)
-    guide.matchability[:] = 0.0
-    shares = []
-    for given in (scale, 1.0):
-        found = _match(engine, first, second, guide, given)
-        off = found.points1 - ((found.points2 + 0.5) * scale - 0.5)
-        shares.append((np.abs(off).max(1) < 3 * max(1.0, scale)).sum())
-    assert shares[0] > 40 and shares[0] > 2 * shares[1]

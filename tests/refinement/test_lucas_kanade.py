@@ -23,9 +23,7 @@ def _pictures(gain: float = 1.0, offset: float = 0.0) -> tuple[np.ndarray, np.nd
     return first, gain * second + offset
 
 
-def _run(
-    shift: float, change: np.ndarray, affine: bool, radius: int = 7, **light: float
-) -> tuple[Patches, ...]:
+def _run(shift: float, change: np.ndarray, affine: bool, **light: float) -> tuple[Patches, ...]:
     """From starts off by `shift` pixels and a factor of the affinity: what is found, the truth."""
     rng = np.random.default_rng(4)
     points2 = rng.uniform(40, _SIDE - 40, (300, 2))
@@ -35,7 +33,7 @@ def _run(
     affinity = np.broadcast_to(_AFFINITY @ change, (300, 2, 2))
     local = LocalMatches(start, points2, affinity, np.arange(300))
     first, second = _pictures(**light)
-    found = align_patches(first, second, local, radius, affine=affine)
+    found = align_patches(first, second, local, 7, affine=affine)
     exact = Patches(truth, np.broadcast_to(_AFFINITY, (300, 2, 2)), np.ones(300), np.zeros(300))
     return found, exact
 
@@ -83,14 +81,6 @@ def test_an_affinity_that_changes_much_is_no_alignment() -> None:
     assert beyond.any() and (found.zncc[beyond] == -1).all()
     assert (found.zncc > 0.9).mean() < 0.02
     assert np.isfinite(found.points1).all()
-
-
-def test_the_smallest_patches_diverge_without_an_error() -> None:
-    """Of 5x5 pixels: steps of the affinity that could not be inverted are shortened."""
-    found, truth = _run(3.0, np.diag([0.4, 1.9]), affine=True, radius=2)
-    assert np.isfinite(found.affinity).all() and np.isfinite(found.points1).all()
-    assert (np.linalg.det(found.affinity[found.zncc > 0]) > 0).all()
-    assert _off(found, truth).max() > 10
 
 
 def test_no_patches() -> None:

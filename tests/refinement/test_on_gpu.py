@@ -22,6 +22,14 @@ def images() -> list[Image]:
     return [Image(pixels) for pixels in dense_scene.pictures()]
 
 
+def _there(net: DGCNet) -> DGCNet:
+    """A copy on the device, whose inverse temperatures the pretended tensors can take views of."""
+    copy = deepcopy(net).to(DEVICE)
+    with torch.inference_mode():
+        copy.correlation_scales = copy.get_buffer("correlation_scales").clone()
+    return copy
+
+
 @pytest.mark.parametrize("name", ["dgcm-lite0", "dgcm+flow"])
 def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
     torch.manual_seed(0)
@@ -29,7 +37,7 @@ def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
     pairs = [(images[0], images[1])]
     on_cpu = DenseMatcher(TorchEngine(net)).correspondence_maps(pairs)[0]
     with pretended_gpu():
-        matcher = DenseMatcher(TorchEngine(deepcopy(net).to(DEVICE)))
+        matcher = DenseMatcher(TorchEngine(_there(net)))
         on_device = matcher.correspondence_maps(pairs)[0]
     np.testing.assert_allclose(on_device.map, on_cpu.map, atol=0.05)
     np.testing.assert_allclose(on_device.matchability, on_cpu.matchability, atol=1e-3)
@@ -39,7 +47,7 @@ def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
     net = load_network("dgcm-lite0").eval()
     on_cpu = Refiner(DenseMatcher(TorchEngine(net)), "features").match(*images).matches
     with pretended_gpu():
-        matcher = DenseMatcher(TorchEngine(deepcopy(net).to(DEVICE)))
+        matcher = DenseMatcher(TorchEngine(_there(net)))
         on_device = Refiner(matcher, "features").match(*images).matches
     assert len(on_device) == len(on_cpu) > 50
     np.testing.assert_allclose(on_device.points1, on_cpu.points1, atol=0.01)
