@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.constants import DEVIATION, MEAN
+from dgc_pose.network.config import DEVIATION, MEAN
 from dgc_pose.network.efficientnet import EfficientPyramid, InvertedResidual
 from dgc_pose.network.pyramid import Pyramid
 

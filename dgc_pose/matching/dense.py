@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -80,59 +79,36 @@ class DenseMatcher(Matcher):
         return np.concatenate(self.engine.coarsest(features))
 
     def correspondence_map(self, image1: Image, image2: Image) -> CorrespondenceMap:
-        """The map of a pair, see `correspondence_maps`."""
-        return self.correspondence_maps([(image1, image2)])[0]
-
-    def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
-        """The map of each pair, with the cycle error if the options ask for it.
-
-        Pairs are decoded together. Each image is encoded alone, so that its features do not depend
-        on the batch.
-        """
-        views = [(View.whole(image1.size), View.whole(image2.size)) for image1, image2 in pairs]
-        decoded = self._decode(pairs, views)
-        likely = {
-            i: pair_views
-            for i, (upright, _) in enumerate(decoded)
-            if upright.matchability.mean() < self.search_below
-            and (pair_views := search_views(self.engine, *pairs[i]))
-        }
-        again = self._decode([pairs[i] for i in likely], list(likely.values()))
-        for (i, pair_views), other in zip(likely.items(), again, strict=True):
-            matchability = other[0].matchability
-            inside = pair_views[1].inside(pairs[i][1].size, matchability.shape[::-1])
-            if matchability[inside].mean() > decoded[i][0].matchability.mean():
-                views[i], decoded[i] = pair_views, other
-        return [
-            self._upright_map(*images, *pair_views, *decoded_map)
-            for images, pair_views, decoded_map in zip(pairs, views, decoded, strict=True)
-        ]
+        """The map of a pair, with the cycle error if the options ask for it."""
+        images = image1, image2
+        views = View.whole(image1.size), View.whole(image2.size)
+        decoded = self._decode(images, views)
+        mean = decoded[0].matchability.mean()
+        if mean < self.search_below and (likely := search_views(self.engine, *images)):
+            again = self._decode(images, likely)
+            matchability = again[0].matchability
+            inside = likely[1].inside(image2.size, matchability.shape[::-1])
+            if matchability[inside].mean() > mean:
+                views, decoded = likely, again
+        return self._upright_map(*images, *views, *decoded)
 
     def _encode(self, image: Image, view: View) -> MapFeatures:
         return self.engine.encode(view.cut(image.pixels))
 
     def _decode(
-        self,
-        pairs: Sequence[tuple[Image, Image]],
-        views: Sequence[tuple[View, View]],
-    ) -> list[tuple[DecodedMap, np.ndarray | None]]:
-        """The map between the views of each pair, and the cycle error if the options ask for it."""
-        sources, targets = (
-            [(pair[k], pair_views[k]) for pair, pair_views in zip(pairs, views, strict=True)]
-            for k in (0, 1)
+        self, images: tuple[Image, Image], views: tuple[View, View]
+    ) -> tuple[DecodedMap, np.ndarray | None]:
+        """The map between views of both images, and the cycle error if the options ask for it."""
+        keys = zip(images, views, strict=True)
+        source, target = self.cache.get_all(
+            [(key, partial(self._encode, *key)) for key in keys],
+            in_turn=not self.engine.concurrent,
         )
-        keys = [*sources, *targets]
-        wanted = [(key, partial(self._encode, *key)) for key in keys]
-        features = self.cache.get_all(wanted, in_turn=not self.engine.concurrent)
-        source, target = features[: len(pairs)], features[len(pairs) :]
         forward = self.engine.decode(source, target, self.options.finest)
         if self.options.cycle_px is None:
-            return [(decoded, None) for decoded in forward]
+            return forward, None
         reverse = self.engine.decode(target, source, self.options.finest)
-        return [
-            (there, _cycle_error(there, back, view2))
-            for there, back, (_, view2) in zip(forward, reverse, views, strict=True)
-        ]
+        return forward, _cycle_error(forward, reverse, views[1])
 
     def _upright_map(
         self,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.network.constants import FLOOR, PEAK_WINDOW, REACH, WEIGHT
+from dgc_pose.network.config import FLOOR, PEAK_WINDOW, REACH, WEIGHT
 
 Array = Any  # of NumPy or torch
 Grid = tuple[int, int]  # rows and columns

@@ -10,17 +10,21 @@ from torch import Tensor, nn
 
 from dgc_pose.network.config import (
     COARSEST,
+    DEVIATION,
+    EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
     LOCAL_RADIUS,
+    MEAN,
+    PASSES,
+    PEAK,
     SECOND_SIZE,
     STRIDE,
+    DecoderConfig,
     NetworkConfig,
 )
-from dgc_pose.network.constants import DEVIATION, EPSILON, MEAN, PASSES, PEAK
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
-from dgc_pose.network.decoder import Decoder, MatchabilityNet
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.pyramid import Pyramid
 
@@ -186,16 +190,11 @@ class DGCNet(nn.Module):
         part of it.
         """
         grid = grid or (LEVEL_SIZES[level], LEVEL_SIZES[level])
-        features = self.level_features(level, warped, target)
-        return self._decode_level(level, features, previous, grid, window)
-
-    def level_features(self, level: int, warped: Tensor, target: Tensor) -> Tensor:
-        """What the decoder of a level reads beside the previous state: (B, C, H, W)."""
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
         if radius is not None:
             parts.append(local_correlation(l2_normalise(warped), l2_normalise(target), radius))
-        return torch.cat(parts, 1)
+        return self._decode_level(level, torch.cat(parts, 1), previous, grid, window)
 
     def _decode_level(
         self,
@@ -239,6 +238,37 @@ class DGCNet(nn.Module):
             identity = identity[:, :, window[0], window[1]]
         extra = like.new_zeros(1, like.shape[1] - 2, *identity.shape[2:])
         return torch.cat([identity, extra], 1)
+
+
+class Decoder(nn.Sequential):
+    """One correspondence decoder (paper, section 3.3): (B, inputs, S, S) to (B, outputs, S, S)."""
+
+    def __init__(self, inputs: int, config: DecoderConfig, outputs: int) -> None:
+        super().__init__()
+        for index, dilation in enumerate(config.dilations):
+            channels = config.channels[index]
+            self.add_module(f"conv{index}", _block(inputs, channels, dilation))
+            inputs = channels
+        self.final = nn.Conv2d(inputs, outputs, 3, padding=1)
+
+
+class MatchabilityNet(nn.Sequential):
+    """The paper's mask network (section 3.4): (B, inputs, S, S) to logits (B, 1, S, S)."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.conv0 = _block(inputs, 64)
+        self.conv1 = _block(64, 32)
+        self.conv2 = _block(32, 16)
+        self.conv3 = nn.Conv2d(16, 1, 1)
+
+
+def _block(inputs: int, outputs: int, dilation: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, padding=dilation, dilation=dilation),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(),
+    )
 
 
 def l2_normalise(features: Tensor) -> Tensor:

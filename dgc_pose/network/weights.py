@@ -23,11 +23,12 @@ from dgc_pose.network.stored import (
     read_tensors,
 )
 
-DEFAULT = DEFAULT_WEIGHTS
 _MASK = "matchability_net."
 
 
-def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cpu") -> DGCNet:
+def load_network(
+    weights: str | Path = DEFAULT_WEIGHTS, device: torch.device | str = "cpu"
+) -> DGCNet:
     """A network with its weights, in evaluation mode and frozen.
 
     weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;

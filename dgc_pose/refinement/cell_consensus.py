@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from dgc_pose.network.constants import FLOOR, PASSES, REACH, WEIGHT
+from dgc_pose.network.config import FLOOR, PASSES, REACH, WEIGHT
 from dgc_pose.network.correlation import log_softmax
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.system.threads import in_threads, slices

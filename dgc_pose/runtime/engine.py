@@ -1,6 +1,5 @@
 """The contract of what runs the network. Nothing above it knows torch."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -85,10 +84,8 @@ class Engine(Protocol):
     def coarsest(self, features: MapFeatures) -> np.ndarray:
         """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
 
-    def decode(
-        self, source: Sequence[MapFeatures], target: Sequence[MapFeatures], finest: int
-    ) -> list[DecodedMap]:
-        """The map of each pair from the features that `encode` gives.
+    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+        """The map of a pair from the features that `encode` gives.
 
         finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
         """

@@ -3,7 +3,7 @@
 import json
 import os
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,15 @@ from dgc_pose.errors import InputError
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import (
     COARSEST,
+    EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
+    PASSES,
+    PEAK,
     SECOND_SIZE,
     STRIDE,
     preset,
 )
-from dgc_pose.network.constants import EPSILON, PASSES, PEAK
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
 from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
 from dgc_pose.runtime import graphs
@@ -67,17 +69,12 @@ class OnnxEngine:
         length = np.linalg.norm(level, axis=-1, keepdims=True)
         return level / np.maximum(length, np.float32(1e-12))
 
-    def decode(
-        self, source: Sequence[MapFeatures], target: Sequence[MapFeatures], finest: int
-    ) -> list[DecodedMap]:
-        return [self._decode(*pair, finest) for pair in zip(source, target, strict=True)]
-
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         image = resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)).astype(np.float32)
         fine, middle, coarse = self._session(graphs.NATIVE)(image)
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
 
-    def _decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
         state = self._start(source, target)
         for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
             previous = state if level == COARSEST else self._session(graphs.UPSAMPLE)(state)[0]

@@ -39,7 +39,7 @@ def _image(width: int, height: int, seed: int = 0) -> Image:
 
 
 def _map(matcher: DenseMatcher, first: Image, second: Image) -> CorrespondenceMap:
-    return matcher.correspondence_maps([(first, second)])[0]
+    return matcher.correspondence_map(first, second)
 
 
 @pytest.mark.parametrize("align_corners", [True, False])
@@ -105,17 +105,6 @@ def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
         assert found.cycle is not None and found.cycle.shape == (cells, cells)
 
 
-def test_the_cycle_error_at_a_coarser_level() -> None:
-    """Forward and back by 1/60 of the width each: 2/60 of image 2's width, at any level."""
-    options = MatchingOptions(cycle_px=5.0, finest=60)
-    net = _constant_net(align_corners=False)
-    with torch.no_grad():
-        net.get_submodule("reg_2.final").bias[0] = 2 / 60
-    found = _map(DenseMatcher(TorchEngine(net), options), _image(480, 480), _image(960, 480))
-    assert found.cycle is not None
-    np.testing.assert_allclose(found.cycle[:, :50], 2 * 960 / 60, atol=0.05)
-
-
 def test_a_mask_network_has_no_coarser_level() -> None:
     with pytest.raises(InputError, match="finest"):
         DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))), MatchingOptions(finest=120))
@@ -147,59 +136,16 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
     engine = TorchEngine(_constant_net(align_corners=False))
     decode, calls = engine.decode, []
 
-    def decode_upright_alone(*given: Any) -> list[DecodedMap]:
-        calls.append(len(given[0]))
+    def decode_upright_alone(*given: Any) -> DecodedMap:
+        calls.append(given)
         value = np.float32(0.1 if len(calls) == 1 else 0.9)
-        return [replace(one, matchability=np.full((240, 240), value)) for one in decode(*given)]
+        return replace(decode(*given), matchability=np.full((240, 240), value))
 
     monkeypatch.setattr(engine, "decode", decode_upright_alone)
     found = _map(DenseMatcher(engine), upright, second)
-    assert calls == [1, 1] and found.matchability.shape == (240, 240)
+    assert len(calls) == 2 and found.matchability.shape == (240, 240)
     # The identity between the whole of image 1 and the view of image 2.
     truth = (view2.to_view(found.grid) + 0.5) / view2.size * upright.size - 0.5
     shown = within(view2.to_view(found.grid), view2.size)
     np.testing.assert_allclose(found.map[shown], truth[shown], atol=0.8)
     assert (found.matchability[shown] > 0.8).all() and (found.matchability[~shown] == 0).all()
-
-
-def test_a_part_of_image_1_is_decoded_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = _image(300, 200), _image(90, 60)
-    view1 = View(0.0, 2.0, (100.0, 80.0), (180, 120))
-    suggested = (view1, View.whole(second.size))
-    monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
-    engine = TorchEngine(_constant_net(align_corners=False))
-    means = iter([0.1, 0.9])
-    decode = engine.decode
-    monkeypatch.setattr(
-        engine,
-        "decode",
-        lambda *given: [
-            replace(one, matchability=np.full((240, 240), next(means), np.float32))
-            for one in decode(*given)
-        ],
-    )
-    found = _map(DenseMatcher(engine), first, second)
-    expected = found.grid + (100 - 44.5, 80 - 29.5)  # the same scale: 180 pixels show 90
-    np.testing.assert_allclose(found.map, expected, atol=0.01)
-
-
-def test_a_batch_gives_what_its_pairs_give_alone() -> None:
-    """Of several sizes, with the cycle error, and with rotations of those that match badly."""
-    torch.manual_seed(0)
-    options = MatchingOptions(matchability=0.0, cycle_px=5.0)
-    matcher = DenseMatcher(TorchEngine(DGCNet(preset("dgcm-lite0"))), options)
-    pairs = [
-        (_image(200, 150, 1), _image(180, 240, 2)),
-        (_image(100, 100, 3), _image(300, 100, 4)),
-        (_image(90, 120, 5), _image(160, 120, 6)),
-    ]
-    means = [float(_map(matcher, *pair).matchability.mean()) for pair in pairs]
-    weakest = (sorted(means)[0] + sorted(means)[1]) / 2
-    matcher = DenseMatcher(matcher.engine, options, search_below=weakest)
-    for pair, found in zip(pairs, matcher.correspondence_maps(pairs), strict=True):
-        alone = _map(matcher, *pair)
-        np.testing.assert_allclose(found.map, alone.map, atol=0.02)
-        np.testing.assert_allclose(found.matchability, alone.matchability, atol=1e-4)
-        assert found.cycle is not None and alone.cycle is not None
-        np.testing.assert_allclose(found.cycle, alone.cycle, atol=0.05)
-        assert (found.size1, found.size2) == (pair[0].size, pair[1].size)

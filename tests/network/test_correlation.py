@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.network.constants import FLOOR, REACH, WEIGHT
+from dgc_pose.network.config import FLOOR, REACH, WEIGHT
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
 from dgc_pose.network.net import global_correlation, l2_normalise, local_correlation
 from dgc_pose.runtime import onnx_engine

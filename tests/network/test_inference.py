@@ -8,11 +8,10 @@ from torch import Tensor, nn
 
 from dgc_pose.images.image import load_image
 from dgc_pose.network.config import INPUT_SIZE, preset
-from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.stored import shipped
 from dgc_pose.network.weights import load_network
-from dgc_pose.runtime.torch_engine import network_input
+from dgc_pose.runtime.torch_engine import for_inference, network_input
 
 
 def _net(name: str) -> DGCNet:

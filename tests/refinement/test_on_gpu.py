@@ -34,11 +34,10 @@ def _there(net: DGCNet) -> DGCNet:
 def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset(name)).eval()
-    pairs = [(images[0], images[1])]
-    on_cpu = DenseMatcher(TorchEngine(net)).correspondence_maps(pairs)[0]
+    on_cpu = DenseMatcher(TorchEngine(net)).correspondence_map(*images)
     with pretended_gpu():
         matcher = DenseMatcher(TorchEngine(_there(net)))
-        on_device = matcher.correspondence_maps(pairs)[0]
+        on_device = matcher.correspondence_map(*images)
     np.testing.assert_allclose(on_device.map, on_cpu.map, atol=0.05)
     np.testing.assert_allclose(on_device.matchability, on_cpu.matchability, atol=1e-3)
 

@@ -51,10 +51,10 @@ def _crops(pictures: list[np.ndarray], shape: str) -> list[np.ndarray]:
 @pytest.mark.parametrize("shape", ["as they are", "wide and upright", "small"])
 def test_the_map_is_torch_s(engines: Engines, pictures: list[np.ndarray], shape: str) -> None:
     crops = _crops(pictures, shape)
-    onnx, by_torch = ([engine.encode(one) for one in crops] for engine in engines)
+    onnx, by_torch = ([engine.encode(crop) for crop in crops] for engine in engines)
     for finest in (240, 60):
-        (found,) = engines[0].decode(onnx[:1], onnx[1:], finest)
-        (wanted,) = engines[1].decode(by_torch[:1], by_torch[1:], finest)
+        found = engines[0].decode(*onnx, finest)
+        wanted = engines[1].decode(*by_torch, finest)
         assert found.size == wanted.size
         assert found.points.dtype == found.matchability.dtype == np.float32
         apart = np.linalg.norm(found.points - wanted.points, axis=-1)
@@ -97,7 +97,7 @@ def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np
     for key, value in own.items():
         np.testing.assert_allclose(value, wanted[key].numpy(), atol=1e-5, rtol=1e-4)
     features = [onnx.encode(one) for one in pictures]
-    assert np.isfinite(onnx.decode(features[:1], features[1:], 60)[0].points).all()
+    assert np.isfinite(onnx.decode(*features, 60).points).all()
 
 
 def test_the_graphs_hold_no_weights_and_know_their_presets() -> None:
