@@ -204,21 +204,17 @@ class DGCNet(nn.Module):
         grid: tuple[int, int],
         window: tuple[slice, slice] | None = None,
     ) -> Tensor:
-        if self.config.output == "absolute":
-            return self._regress(level, features, previous)
-        if self.config.output == "residual":
-            # Corrections are in cells; the mask logit has no unit.
-            change = self._regress(level, features, previous)
-            cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
-            return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
-        identity = self._identity(level, previous, window)
-        return identity + self._regress(level, features, previous - identity)
-
-    def _regress(self, level: int, features: Tensor, previous: Tensor) -> Tensor:
-        inputs = torch.cat([features, previous], 1)
+        displaced = self.config.output == "displacement"
+        identity = self._identity(level, previous, window) if displaced else 0
+        inputs = torch.cat([features, previous - identity], 1)
         with self._precision(inputs):
             outputs = self.get_submodule(f"reg_{level}")(inputs)
-        return outputs.to(inputs.dtype)
+        change = outputs.to(inputs.dtype)
+        if self.config.output == "residual":
+            # Corrections are in cells; the mask logit has no unit.
+            cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
+            return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
+        return identity + change
 
     def warp(self, features: Tensor, previous: Tensor) -> Tensor:
         """Source features (B, C, S, S) sampled at a map (B, 2.., H, W): (B, C, H, W)."""

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from dgc_pose.errors import WeightsError
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
@@ -37,14 +37,29 @@ def load_network(
     """
     path = find_weights(weights)
     if path.suffix == SUFFIX:
-        header, state = read_safetensors(path, "pt")
-        name = header["preset"]
+        name, state = read_safetensors(path, "pt")
     else:
         name, state = _read_checkpoint(path)
     net = DGCNet(preset(name))
     check_tensors(path, name, state, net.state_dict())
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
     return net.eval().requires_grad_(False).to(device)
+
+
+def choose_device(name: str = "auto") -> torch.device:
+    """The torch device of that name; "auto" is a CUDA device if there is one, else the CPU.
+
+    Raises InputError for an unknown name or a missing device.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"device must be auto, cpu, cuda or cuda:N, not '{name}'") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"device {name}: no CUDA device is available here")
+    return device
 
 
 def network_fingerprint(net: nn.Module) -> str:

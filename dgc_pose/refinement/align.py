@@ -85,9 +85,9 @@ def align(
     points1, zncc = patches.points1, patches.zncc
     rest = np.flatnonzero(~(converged & (zncc >= MIN_ZNCC)))
     if len(rows) - len(rest) < _ENOUGH:
-        coarse, similar = _from_coarse(grey1, grey2, chosen.subset(rest), error)
+        again1, again_zncc, similar = _from_coarse(grey1, grey2, chosen.subset(rest), error)
         again = rest[similar]
-        points1[again], zncc[again], converged[again] = coarse.points1, coarse.zncc, True
+        points1[again], zncc[again], converged[again] = again1, again_zncc, True
     return Aligned(
         _to_original(points1, small.scale1),
         _to_original(corners, small.scale2),
@@ -100,25 +100,23 @@ def align(
 
 def _from_coarse(
     grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, error: np.ndarray
-) -> tuple[Patches, np.ndarray]:
-    """Patches that become similar on shrunk images, with their affinities, aligned on the originals
-    if that succeeds; and which of the matches they are, indices. error: along each axis."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (M, 2) and correlations (M,) of patches that become similar on shrunk images, with
+    their affinities, aligned on the originals if that succeeds; and which of the matches they are,
+    indices (M,). error: along each axis."""
     shrink = min(1.0, 1 / float(error.mean()))
     small = _Shrunk.of(grey1, grey2, matches, shrink, shrink)
     coarse = align_patches(small.pixels1, small.pixels2, small.matches, PATCH_RADIUS, affine=True)
-    coarse = replace(
-        coarse,
-        points1=_to_original(coarse.points1, small.scale1),
-        affinity=coarse.affinity * small.scale2 / small.scale1[:, None],
-    )
-    similar = _converged(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= MIN_ZNCC)
-    coarse, matches = coarse.subset(similar), matches.subset(similar)
-    start = replace(matches, points1=coarse.points1, affinity=coarse.affinity)
+    coarse = replace(coarse, points1=_to_original(coarse.points1, small.scale1))
+    near = _converged(coarse, matches.points1, grey1, _SHIFT * error)
+    similar = np.flatnonzero(near & (coarse.zncc >= MIN_ZNCC))
+    affinity = coarse.affinity[similar] * small.scale2 / small.scale1[:, None]
+    points1, zncc = coarse.points1[similar], coarse.zncc[similar]
+    start = replace(matches.subset(similar), points1=points1, affinity=affinity)
     fine = align_patches(grey1, grey2, start, PATCH_RADIUS)
-    better = _converged(fine, start.points1, grey1, _SHIFT * error) & (fine.zncc >= MIN_ZNCC)
-    points1 = np.where(better[:, None], fine.points1, coarse.points1)
-    zncc = np.where(better, fine.zncc, coarse.zncc)
-    return replace(coarse, points1=points1, zncc=zncc), np.flatnonzero(similar)
+    better = _converged(fine, points1, grey1, _SHIFT * error) & (fine.zncc >= MIN_ZNCC)
+    points1 = np.where(better[:, None], fine.points1, points1)
+    return points1, np.where(better, fine.zncc, zncc), similar
 
 
 @dataclass(frozen=True, eq=False)

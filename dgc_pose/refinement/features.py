@@ -170,6 +170,7 @@ def _views(correspondence_map: CorrespondenceMap, long_side: int) -> list[tuple[
     half of one."""
     scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
     points1, points2 = matchable_points(correspondence_map)
+    angle = rotation_between(points1, points2)
     size1, size2 = correspondence_map.size1, correspondence_map.size2
     # What a weak map shows is too little to crop by, unless the fields of view differ.
     wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
@@ -177,7 +178,6 @@ def _views(correspondence_map: CorrespondenceMap, long_side: int) -> list[tuple[
         points1, points2 = points1[:0], points2[:0]
     window1 = window_shown(points1[within(points1, size1)], size1)
     window2 = window_shown(points2, size2)
-    angle = rotation_between(correspondence_map)
     angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
     views = []

@@ -48,7 +48,7 @@ def load_engine(
     asked = {"runtime torch": runtime == "torch", "half_precision": half_precision}
     asked |= {f"device {device}": device not in ("auto", "cpu"), path.name: path.suffix != SUFFIX}
     require({what: "torch" for what, needed in asked.items() if needed})
-    from dgc_pose.network.device import choose_device
+    from dgc_pose.network.weights import choose_device
     from dgc_pose.runtime.torch_engine import load_torch_engine
 
     return load_torch_engine(path, choose_device(device), half_precision)
@@ -77,7 +77,7 @@ def device_type(name: str) -> str:
     if name == "cpu" or (name == "auto" and not (is_installed("torch") and _may_have_gpu())):
         return "cpu"
     require({f"device {name}": "torch"})
-    from dgc_pose.network.device import choose_device
+    from dgc_pose.network.weights import choose_device
 
     return choose_device(name).type
 

@@ -130,8 +130,7 @@ def load_onnx_engine(path: Path) -> OnnxEngine:
     Raises WeightsError if it is none or holds other weights than its preset's, InputError if there
     are no graphs of the preset.
     """
-    header, weights = read_safetensors(path, "np")
-    name = header["preset"]
+    name, weights = read_safetensors(path, "np")
     if name not in graphs.PRESETS:
         raise InputError(
             f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "

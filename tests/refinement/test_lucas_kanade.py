@@ -89,4 +89,3 @@ def test_no_patches() -> None:
     local = LocalMatches(none, none, np.zeros((0, 2, 2)), np.arange(0))
     found = align_patches(first, second, local, 7, affine=True)
     assert found.points1.shape == (0, 2) and found.zncc.shape == (0,)
-    assert found.subset(np.zeros(0, bool)).affinity.shape == (0, 2, 2)

@@ -58,9 +58,9 @@ def test_a_gpu_is_torch_s(monkeypatch: pytest.MonkeyPatch, own_weights: Path) ->
     assert _kind() == "TorchEngine" and _kind(runtime="onnx") == "OnnxEngine"
     monkeypatch.undo()
     monkeypatch.setattr(load, "_may_have_gpu", lambda: True)
-    monkeypatch.setattr("dgc_pose.network.device.choose_device", lambda name: torch.device("meta"))
+    monkeypatch.setattr("dgc_pose.network.weights.choose_device", lambda name: torch.device("meta"))
     assert device_type("auto") == "meta"
-    monkeypatch.setattr("dgc_pose.network.device.choose_device", lambda name: torch.device("cpu"))
+    monkeypatch.setattr("dgc_pose.network.weights.choose_device", lambda name: torch.device("cpu"))
     assert _kind() == "OnnxEngine"  # a driver without a card
 
 
