@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose import MatcherCaches, MatchingOptions, load_dense_matcher, load_matcher
+from dgc_pose import MatcherCaches, load_dense_matcher, load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher
@@ -39,17 +39,6 @@ def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image
         for found in (bare.matches, refined.matches)
     ]
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
-
-
-@pytest.mark.parametrize("name", ["sift", "dis"])
-def test_matchers_without_weights(images: tuple[Image, Image], name: str) -> None:
-    options = MatchingOptions(max_matches=100)
-    matcher = load_matcher(name, matching=options)
-    assert matcher.name == name and matcher.fingerprint is None
-    found = matcher.match(*images)
-    assert (found.correspondence_map is None) == (name == "sift")
-    assert found.matches.key_points == (name == "sift")
-    assert name == "sift" or len(found.matches) <= 100
 
 
 def test_caches_keep_what_is_computed_of_an_image(images: tuple[Image, Image]) -> None:

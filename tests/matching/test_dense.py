@@ -56,14 +56,6 @@ def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> No
     assert found.matchability.shape == (240, 240) and found.cycle is None
 
 
-def test_a_shift_of_the_map_is_a_shift_in_pixels() -> None:
-    """2 / 240 of the normalised width, edges at -1 and +1, is one cell: 1600 / 240 pixels."""
-    matcher = DenseMatcher(TorchEngine(_constant_net(2 / 240, align_corners=False)))
-    found = _map(matcher, _image(1600, 1200), _image(1600, 1200))
-    shift = np.broadcast_to((1600 / 240, 0), found.map.shape)
-    np.testing.assert_allclose(found.map - found.grid, shift, atol=3e-3)
-
-
 def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
     """Forward by +1 cell and back by +1 cell is an error of 2 cells, in pixels of image 2."""
     options = MatchingOptions(cycle_px=5.0, matchability=0.0)

@@ -114,26 +114,6 @@ def test_consensus_is_belief_propagation(library: Library, passes: int) -> None:
     np.testing.assert_allclose(found.reshape(4, 3, 2, 5), expected, atol=1e-4)
 
 
-@pytest.mark.parametrize(("rotations", "within"), [(0, 0.5), (1, 2.0), (2, 3.5), (3, 2.0)])
-def test_neighbours_correct_wrong_cells(library: Library, rotations: int, within: float) -> None:
-    """Within what the blur allows: it is centred on the neighbours' matches in upright views."""
-    to, back = library
-    rows, columns = np.indices((15, 15))
-    truth = np.stack([np.rot90(columns, rotations), np.rot90(rows, rotations)])
-    scores = np.zeros((225, 15, 15), np.float32)
-    np.put_along_axis(scores, (truth[0] * 15 + truth[1])[None], 8.0, 0)
-    scores[:, 6:9, 6:9] = 0
-    scores[14, 6:9, 6:9] = 1.0  # a weak wrong match in a corner
-    scores = scores.reshape(225, 225)
-
-    def off(belief: Any) -> np.ndarray:
-        points, _ = peaks(belief, (15, 15))
-        return np.linalg.norm(back(points).reshape(2, 15, 15) - truth, axis=0)
-
-    assert (off(to(scores))[6:9, 6:9] > 5).all()
-    assert (off(consensus(to(scores), 4, (15, 15), (15, 15))) < within).all()
-
-
 def test_a_far_second_peak_does_not_move_the_place(library: Library) -> None:
     to, back = library
     correlation = np.zeros((50, 4))

@@ -1,11 +1,8 @@
 """The pyramid on EfficientNet-Lite0: where its cells lie, shapes, ImageNet weights."""
 
-from copy import deepcopy
-
 import pytest
 import torch
 import torch.nn.functional as F
-from pretend_gpu import DEVICE, pretended_gpu
 from torch import Tensor, nn
 
 from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid
@@ -31,14 +28,6 @@ def test_features_of_a_rotated_image_lie_in_the_rotated_cells(pyramid: Efficient
     for level in (0, 2, 3, 4):
         expected = upright[level].flip(-1, -2)
         assert torch.allclose(rotated[level], expected, atol=1e-4 * expected.abs().max())
-
-
-def test_the_coarse_levels_alone_are_the_same(pyramid: EfficientPyramid) -> None:
-    image = torch.randn(2, 3, 64, 96)
-    whole = pyramid(image)
-    for alone, level in zip(pyramid.coarse(image), whole[2:], strict=True):
-        assert torch.equal(alone, level)
-    assert [f.shape[-2:] for f in whole] == [(64 // s, 96 // s) for s in (1, 2, 4, 8, 16)]
 
 
 def test_an_even_kernel_is_the_mean_of_the_four_shifts() -> None:
@@ -101,14 +90,3 @@ def test_a_checkpoint_is_loaded_with_its_norms_folded(pyramid: EfficientPyramid)
     inner = norm(inner, prefix + "_bn1").clamp(0, 6)
     inner = norm(F.conv2d(inner, state[prefix + "_project_conv.weight"]), prefix + "_bn2")
     assert torch.allclose(block(features), features + inner, atol=1e-3)
-
-
-def test_a_checkpoint_is_loaded_on_a_gpu_as_here(pyramid: EfficientPyramid) -> None:
-    state, images = _checkpoint(), torch.randn(2, 3, 64, 64)
-    copy = deepcopy(pyramid)
-    load_backbone(pyramid, state, images)
-    with pretended_gpu():
-        there = copy.to(DEVICE)
-        load_backbone(there, {k: v.to(DEVICE) for k, v in state.items()}, images.to(DEVICE))
-        for key, value in there.state_dict().items():
-            assert torch.equal(value.cpu(), pyramid.state_dict()[key]), key

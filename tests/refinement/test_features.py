@@ -19,10 +19,8 @@ from dgc_pose.refinement.epipolar_band import EpipolarBand
 from dgc_pose.refinement.features import (
     MOST_HYPOTHESES,
     FeatureMatches,
-    _views,
     equal_scales,
     mutual_neighbours,
-    subcell_points,
 )
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
@@ -56,14 +54,11 @@ def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
     "size1, size2, scale, expected",
     [
         ((1600, 1200), (1200, 1600), 1.0, (0.5, 0.5)),
-        ((1600, 1200), (400, 300), 1.0, (0.5, 0.5)),  # equal scales
         ((480, 300), (600, 400), 1.0, (1.0, 1.0)),  # not enlarged
         ((300, 240), (320, 240), 1.0, (2.0, 2.0)),  # small: enlarged twice
         ((450, 300), (320, 240), 1.0, (16 / 9, 16 / 9)),  # to the long side at most
         ((1600, 1200), (320, 240), 5.0, (0.4, 2.0)),  # small at the common scale
         ((1600, 1200), (1600, 1200), 2.0, (0.25, 0.5)),  # of larger scale in image 1
-        ((1600, 1200), (1600, 1200), 0.5, (0.5, 0.25)),
-        ((1600, 1200), (800, 600), 2.0, (0.5, 1.0)),  # resizing alone makes them equal
     ],
 )
 def test_factors_make_the_scales_equal(
@@ -121,26 +116,6 @@ def test_with_all_cells_as_candidates_it_is_the_full_mutual_search(banded: bool)
     np.testing.assert_allclose(cosine, full[index1, index2], atol=1e-5)
 
 
-def test_only_children_of_candidates_are_compared() -> None:
-    """Image 2 is image 1, and each cell's candidate is the next one: itself is never found."""
-    source = _random_features(0, 2, 2)
-    after = np.array([[1], [2], [3], [0]])
-    cells1, cells2, cosine = mutual_neighbours(source, source, after)
-    assert len(cells1) > 4 and cosine.max() < 0.99
-    coarse1, coarse2 = (cells // 2 @ (1, 2) for cells in (cells1, cells2))
-    assert np.array_equal(coarse1, (coarse2 + 1) % 4)
-
-
-def test_points_follow_a_shift_of_the_fine_level() -> None:
-    noise = np.random.default_rng(0).standard_normal((12, 12, 8), np.float32)
-    fine1 = _unit(cv2.resize(noise, (24, 24), interpolation=cv2.INTER_CUBIC))
-    fine2 = np.roll(fine1, (-2, 1), (0, 1))  # image 2 shows at x what image 1 shows at x + 2
-    cells = np.array([[5, 5], [6, 4], [4, 7]])
-    points1, points2 = subcell_points(fine1, fine2, cells, cells)
-    assert np.array_equal(points2, 2 * cells + 0.5)
-    np.testing.assert_allclose(points1 - points2, [[-1.0, 2.0]] * 3, atol=0.5)
-
-
 @pytest.mark.parametrize("angle", [0.0, 90.0, 270.0, 150.0])
 def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> None:
     """Image 2 is image 1 rotated; the map shows the rotation, with an error of 10 pixels."""
@@ -159,18 +134,6 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
     else:  # resampled, and with cells of the border
         assert (np.abs(off).max(1) < 3).sum() > 30
         assert within(found.points2, rotated.size).all()
-
-
-def test_parts_that_match_are_resized_instead_of_whole_images() -> None:
-    """Image 2 shows a small part of image 1, at the same scale."""
-    grid = _grid((160, 120))
-    guide = _guide(grid + (100, 200), grid, (640, 480), (160, 120))
-    (view1, cells1), (view2, cells2) = _views(guide, 160)
-    assert view2 == View.whole((160, 120)) and view1.centre == pytest.approx((179.5, 259.5), abs=1)
-    assert 230 < view1.size[0] < 245 and 172 < view1.size[1] < 185
-    factor = 160 / view1.size[0]  # of both images
-    assert cells1 == (10, round(view1.size[1] * factor / 16))
-    assert cells2 == (round(160 * factor / 16), round(120 * factor / 16))
 
 
 def test_a_random_map_does_no_harm(engine: TorchEngine) -> None:

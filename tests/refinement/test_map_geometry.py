@@ -22,12 +22,6 @@ def test_points_between_cells_lie_on_the_surface() -> None:
     np.testing.assert_allclose(found, dense_scene.points_in_image1(points2), atol=0.02)
 
 
-def test_beyond_the_outer_cells_the_map_is_constant() -> None:
-    scene = dense_scene.true_map()
-    corner = points_in_image1(scene, np.array([[-30.0, -30.0]]))[0]
-    np.testing.assert_allclose(corner, scene.map[0, 0], atol=1e-4)
-
-
 @pytest.mark.parametrize("angle", [-150.0, -20.0, 0.0, 75.0, 170.0])
 def test_the_map_shows_the_rotation_of_image_2(angle: float) -> None:
     """Image 2 such that it has the orientation of image 1 when it is rotated by the angle."""

@@ -10,7 +10,6 @@ from pretend_gpu import DEVICE, pretended_gpu
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching import DenseMatcher
-from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
 from dgc_pose.refinement import Refiner
@@ -28,18 +27,6 @@ def _there(net: DGCNet) -> DGCNet:
     with torch.inference_mode():
         copy.correlation_scales = copy.get_buffer("correlation_scales").clone()
     return copy
-
-
-@pytest.mark.parametrize("name", ["dgcm-lite0", "dgcm+flow"])
-def test_the_map_is_that_of_the_cpu(images: list[Image], name: str) -> None:
-    torch.manual_seed(0)
-    net = DGCNet(preset(name)).eval()
-    on_cpu = DenseMatcher(TorchEngine(net)).correspondence_map(*images)
-    with pretended_gpu():
-        matcher = DenseMatcher(TorchEngine(_there(net)))
-        on_device = matcher.correspondence_map(*images)
-    np.testing.assert_allclose(on_device.map, on_cpu.map, atol=0.05)
-    np.testing.assert_allclose(on_device.matchability, on_cpu.matchability, atol=1e-3)
 
 
 def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:

@@ -181,29 +181,6 @@ def test_a_search_without_features_has_no_more_matches(images: tuple[Image, Imag
         assert search.last is whole
 
 
-@pytest.mark.usefixtures("parts")
-def test_a_search_can_begin_again(images: tuple[Image, Image], engine: TorchEngine) -> None:
-    """What it has computed stays, so that a benchmark may estimate two poses of one search."""
-    matcher = _noisy()
-    matcher.engine = engine
-    search = Refiner(matcher, "features").search(*images)
-    whole, squeezed = search.whole(), search.squeezed()
-    assert search.whole() is whole
-    again = search.squeezed()
-    assert squeezed is not None and again is not None
-    assert np.array_equal(again.matches.points1, squeezed.matches.points1)
-
-
-def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: TorchEngine) -> None:
-    first = Image(dense_scene.pictures()[0])
-    grid = dense_scene.grid(dense_scene.CELLS, dense_scene.CELLS)
-    matcher = dense_scene.MapMatcher(dense_scene.make_map(grid + 6, grid), _OPTIONS, engine)
-    found = Refiner(matcher, "features").match(first, first).matches
-    off = np.abs(found.points1 - found.points2).max(1)
-    assert len(found) > 200 and np.median(off) < 0.1 and off.max() < 2
-    assert found.error_px == 0.5
-
-
 def test_a_source_that_there_is_not_is_named() -> None:
     with pytest.raises(InputError, match="source"):
         RefinementOptions(source="nothing")  # type: ignore[arg-type]

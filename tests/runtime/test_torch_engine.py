@@ -7,9 +7,7 @@ import torch.nn.functional as F
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import network_fingerprint
-from dgc_pose.runtime.torch_engine import TorchEngine, for_inference, load_torch_engine
-from dgc_pose.training.run import save_weights
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["single", "half"])
@@ -38,27 +36,3 @@ def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
         cosine = (wanted * level).sum(-1)
         assert cosine.min() > (0.99 if half else 1 - 1e-5)
         assert half == bool(cosine.min() < 1 - 1e-6)  # rounded where it is asked for alone
-
-
-def test_a_map_is_in_pixels_of_the_resized_source(net: DGCNet) -> None:
-    """That of the network itself, whose coordinates have their edges at -1 and +1."""
-    engine = TorchEngine(net)
-    source, target = (engine.encode(_noise(300, 200, seed)) for seed in (0, 1))
-    for finest, level in ((240, -1), (60, -3)):
-        found = engine.decode(source, target, finest)
-        assert found.size == (288, 192) and found.points.dtype == np.float32
-        with torch.inference_mode():
-            prediction = net.decode(source.levels, target.levels)
-        wanted = (prediction.maps[level][0].movedim(0, -1).numpy() + 1) * (144, 96) - 0.5
-        np.testing.assert_allclose(found.points, wanted, atol=1e-3)
-        mask = prediction.logits[level][0, 0].sigmoid().numpy()
-        np.testing.assert_allclose(found.matchability, mask, atol=1e-5)
-
-
-def test_the_fingerprint_is_that_of_the_weights_before_they_are_folded(tmp_path) -> None:
-    torch.manual_seed(1)
-    net = DGCNet(preset("dgcm-lite0")).half().float()
-    save_weights(net, tmp_path / "w.safetensors")
-    engine = load_torch_engine(tmp_path / "w.safetensors", torch.device("cpu"))
-    assert engine.fingerprint == network_fingerprint(net) == TorchEngine(net).fingerprint
-    assert engine.fingerprint != network_fingerprint(for_inference(net))
