@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from dgc_pose.network.config import COARSEST, DEVIATION, MEAN, STRIDE, preset
 from dgc_pose.network.net import DGCNet, upsample
 from dgc_pose.network.stored import COUNTER
-from dgc_pose.runtime import graphs
+from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.torch_engine import for_inference
 
 _OPSET = 20
@@ -116,7 +116,7 @@ def export(name: str, folder: Path) -> None:
         parts = [torch.rand(1, part, rows, columns) for part in (channels, channels, window)]
         previous = torch.rand(1, config.map_channels, rows, columns)
         write(
-            graphs.decoder_graph(level),
+            f"reg_{level}.onnx",
             _Decoder(net, level),
             [parts, previous, torch.rand(1, config.map_channels, 1, 1)],
             [[{2: h, 3: w}] * len(parts), {2: h, 3: w}, {}],

@@ -148,24 +148,19 @@ class DGCNet(nn.Module):
 
     def start(self, correlation: Tensor, source: Tensor, target: Tensor) -> Tensor:
         """The state of level 4 from the correlation and the level's features: (B, 2 or 3, h, w),
-        the map and, with matchability "decoder", the mask logit."""
-        if self.config.any_shape:
-            state = self.peak(correlation, _grid(source), _grid(target))
-            warped = self.warp(source, state)
-            return self.refine(COARSEST, warped, target, state, grid=_grid(source))
-        state = source.new_zeros(len(source), self.config.map_channels, *_grid(source))
-        return self._decode_level(COARSEST, l2_normalise(correlation.relu()), state, _grid(source))
-
-    def peak(self, evidence: Tensor, source: tuple[int, int], target: tuple[int, int]) -> Tensor:
-        """The state that corrections start from (B, 3, h2, w2): the peak of the evidence.
-
-        source, target: rows and columns of their grids at level 4.
-        """
-        scores = consensus(match_scores(evidence), PASSES, source, target)
-        cells, probability = peaks(scores, source)
-        points = to_normalised(cells.movedim(1, -1), source[::-1], self.config.align_corners)
+        the map and, with matchability "decoder", the mask logit. With `any_shape` it is corrected
+        from the peak of the evidence."""
+        grid, target_grid = _grid(source), _grid(target)
+        if not self.config.any_shape:
+            state = source.new_zeros(len(source), self.config.map_channels, *grid)
+            return self._decode_level(COARSEST, l2_normalise(correlation.relu()), state, grid)
+        cells, probability = peaks(
+            consensus(match_scores(correlation), PASSES, grid, target_grid), grid
+        )
+        points = to_normalised(cells.movedim(1, -1), grid[::-1], self.config.align_corners)
         logits = probability.clamp(*PEAK).logit()[:, None]
-        return torch.cat([points.movedim(-1, 1), logits], 1).view(len(evidence), 3, *target)
+        state = torch.cat([points.movedim(-1, 1), logits], 1).view(len(source), 3, *target_grid)
+        return self.refine(COARSEST, self.warp(source, state), target, state, grid=grid)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""

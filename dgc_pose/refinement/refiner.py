@@ -110,8 +110,10 @@ class RefinedSearch(PairSearch):
     def quick(self) -> MatchResult | None:
         """As `PairSearch`; None too if the quick pass leaves too few matches, and if the images may
         be rotated or of different scales, which it does not search."""
-        dense = self._coarse_map
-        if dense is None or dense.matchability.mean() < WEAK:
+        if self.matcher.coarser is None:
+            return None
+        dense = self.matcher.coarser.correspondence_map(self.image1, self.image2)
+        if dense.matchability.mean() < WEAK:
             return None
         matches = self.matcher.quick_features.at_scale(self.image1, self.image2, dense)
         aligned, agreeing = self._aligned(matches, QUICK_CORNER_RADIUS)
@@ -138,13 +140,6 @@ class RefinedSearch(PairSearch):
         if features is None or dense is None:
             return None
         return self._add(features.near(self.image1, self.image2, dense, hypotheses), dense)
-
-    @cached_property
-    def _coarse_map(self) -> CorrespondenceMap | None:
-        coarser = self.matcher.coarser
-        if coarser is None:
-            return None
-        return coarser.correspondence_map(self.image1, self.image2)
 
     @cached_property
     def _whole(self) -> MatchResult:

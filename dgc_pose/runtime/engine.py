@@ -1,12 +1,21 @@
-"""The contract of what runs the network. Nothing above it knows torch."""
+"""The contract of what runs the network, and its ONNX graphs. Nothing above it knows torch."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.network.config import NetworkConfig
+
+PRESETS = ("dgcm-lite0",)  # that have ONNX graphs
+GRAPHS = Path(__file__).parent / "graphs"  # one folder a preset
+LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the pyramid, all of it and its coarser levels
+WARP, UPSAMPLE, RESAMPLE = "warp.onnx", "upsample.onnx", "resample.onnx"  # without weights
+# Beside the graphs: "stored", the shape of each stored weight by name, and "graphs", for each graph
+# the names of the weights that it is to be given, their batch norms folded.
+WEIGHTS = "weights.json"
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ from typing import Literal
 from dgc_pose.errors import InputError, is_installed, require
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.network.stored import SUFFIX, find_weights, shipped
-from dgc_pose.runtime.engine import Engine
-from dgc_pose.runtime.graphs import PRESETS
+from dgc_pose.runtime.engine import PRESETS, Engine
 
 RuntimeName = Literal["auto", "onnx", "torch"]
 DEVICE_HELP = "auto, cpu, cuda or cuda:N."

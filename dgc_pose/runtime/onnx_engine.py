@@ -26,7 +26,7 @@ from dgc_pose.network.config import (
 )
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
 from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
-from dgc_pose.runtime import graphs
+from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 from dgc_pose.runtime.session import Session
 from dgc_pose.system.threads import in_threads
@@ -86,7 +86,7 @@ class OnnxEngine:
             # Corrections are in cells of the source; the mask logit has no unit.
             rows, columns = features1.shape[2:]
             cell = np.array([2 / columns, 2 / rows, 1], np.float32)[:, None, None]
-            decoder = self._session(graphs.decoder_graph(level))
+            decoder = self._session(f"reg_{level}.onnx")
             (state,) = decoder(warped, features2, local[None], previous, cell[None])
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2

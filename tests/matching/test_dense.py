@@ -17,7 +17,7 @@ from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime.engine import DecodedMap
-from dgc_pose.runtime.torch_engine import TorchEngine, network_input
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
@@ -71,30 +71,6 @@ def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
     assert result.correspondence_map is not None
     np.testing.assert_allclose(result.correspondence_map.cycle, 0, atol=0.05)
     assert len(result.matches) > 1000
-
-
-def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
-    """The same values as that level of the full pass, on that level's grid."""
-    torch.manual_seed(0)
-    net = DGCNet(SMALL).eval()
-    first, second = _image(480, 360, 1), _image(320, 240, 2)
-    with torch.no_grad():
-        inputs = [
-            network_input(image.pixels, (240, 240), torch.device("cpu"))
-            for image in (first, second)
-        ]
-        prediction = net(*inputs)
-    for level, cells in ((1, 120), (2, 60)):
-        options = MatchingOptions(finest=cells, cycle_px=10.0)  # type: ignore[arg-type]
-        found = _map(DenseMatcher(TorchEngine(net), options), first, second)
-        wanted = prediction.maps[-1 - level][0].movedim(0, -1).numpy()  # edges at -1 and +1
-        wanted = (wanted + 1) * first.size / np.array(2) - 0.5
-        np.testing.assert_allclose(found.map, wanted, atol=0.01)
-        step = np.divide(second.size, cells)
-        np.testing.assert_allclose(found.grid[0, 0], step / 2 - 0.5, atol=1e-4)
-        np.testing.assert_allclose(found.grid[2, 1] - found.grid[1, 0], step, atol=1e-4)
-        assert found.map.shape == (cells, cells, 2) and found.matchability.shape == (cells, cells)
-        assert found.cycle is not None and found.cycle.shape == (cells, cells)
 
 
 def test_a_mask_network_has_no_coarser_level() -> None:

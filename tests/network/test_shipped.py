@@ -8,13 +8,9 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
+from dgc_pose.network.config import PRESETS
 from dgc_pose.network.stored import shipped
 from dgc_pose.network.weights import load_network
-
-
-def test_the_default_is_shipped() -> None:
-    assert DEFAULT_WEIGHTS in shipped()
 
 
 @pytest.mark.parametrize("name", shipped())

@@ -16,7 +16,7 @@ from dgc_pose.images.image import load_image, resize
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import find_weights, folded
-from dgc_pose.runtime.graphs import GRAPHS, PRESETS, WEIGHTS
+from dgc_pose.runtime.engine import GRAPHS, PRESETS, WEIGHTS
 from dgc_pose.runtime.onnx_engine import OnnxEngine, load_onnx_engine
 from dgc_pose.runtime.session import session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
