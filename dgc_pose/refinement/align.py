@@ -67,14 +67,12 @@ def align(
     shrinks = min(1.0, 1 / scale), min(1.0, scale)
     if min(shrinks) > 1 / _SIMILAR:
         shrinks = 1.0, 1.0
-    small = _Shrunk.of(pixels1, pixels2, matches, *shrinks)
-    error = error_px * small.scale1  # along each axis
-    grey1, grey2 = (
-        cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small.pixels1, small.pixels2)
-    )
-    corners, strength = nearby_corners(grey2, small.matches.points2, corner_radius)
+    small1, small2, matches, scale1, scale2 = _shrunk(pixels1, pixels2, matches, *shrinks)
+    error = error_px * scale1  # along each axis
+    grey1, grey2 = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small1, small2))
+    corners, strength = nearby_corners(grey2, matches.points2, corner_radius)
     rows = spread(corners, strength, (grey2.shape[1], grey2.shape[0]), max_matches)
-    chosen, corners = small.matches.subset(rows), corners[rows]
+    chosen, corners = matches.subset(rows), corners[rows]
     moved = corners - chosen.points2
     start = chosen.points1 + np.einsum("nij,nj->ni", chosen.affinity, moved)
     chosen = replace(chosen, points1=start, points2=corners)
@@ -89,12 +87,12 @@ def align(
         again = rest[similar]
         points1[again], zncc[again], converged[again] = again1, again_zncc, True
     return Aligned(
-        _to_original(points1, small.scale1),
-        _to_original(corners, small.scale2),
+        _to_original(points1, scale1),
+        _to_original(corners, scale2),
         zncc,
         converged,
         chosen.index,
-        pixel=float((1 / small.scale1 + 1 / small.scale2).mean()) / 2,
+        pixel=float((1 / scale1 + 1 / scale2).mean()) / 2,
     )
 
 
@@ -105,12 +103,12 @@ def _from_coarse(
     their affinities, aligned on the originals if that succeeds; and which of the matches they are,
     indices (M,). error: along each axis."""
     shrink = min(1.0, 1 / float(error.mean()))
-    small = _Shrunk.of(grey1, grey2, matches, shrink, shrink)
-    coarse = align_patches(small.pixels1, small.pixels2, small.matches, PATCH_RADIUS, affine=True)
-    coarse = replace(coarse, points1=_to_original(coarse.points1, small.scale1))
+    small1, small2, moved, scale1, scale2 = _shrunk(grey1, grey2, matches, shrink, shrink)
+    coarse = align_patches(small1, small2, moved, PATCH_RADIUS, affine=True)
+    coarse = replace(coarse, points1=_to_original(coarse.points1, scale1))
     near = _converged(coarse, matches.points1, grey1, _SHIFT * error)
     similar = np.flatnonzero(near & (coarse.zncc >= MIN_ZNCC))
-    affinity = coarse.affinity[similar] * small.scale2 / small.scale1[:, None]
+    affinity = coarse.affinity[similar] * scale2 / scale1[:, None]
     points1, zncc = coarse.points1[similar], coarse.zncc[similar]
     start = replace(matches.subset(similar), points1=points1, affinity=affinity)
     fine = align_patches(grey1, grey2, start, PATCH_RADIUS)
@@ -119,30 +117,21 @@ def _from_coarse(
     return points1, np.where(better, fine.zncc, zncc), similar
 
 
-@dataclass(frozen=True, eq=False)
-class _Shrunk:
-    """Two images, each shrunk by a factor, and matches of their pixels."""
-
-    pixels1: np.ndarray
-    pixels2: np.ndarray
-    matches: LocalMatches
-    scale1: np.ndarray  # (2,) pixels of the shrunk image per pixel of the original
-    scale2: np.ndarray  # (2,)
-
-    @classmethod
-    def of(
-        cls, pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
-    ) -> _Shrunk:
-        small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
-        sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
-        scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
-        moved = LocalMatches(
-            rescale(matches.points1, *sizes[:2]),
-            rescale(matches.points2, *sizes[2:]),
-            scale1[:, None] * matches.affinity / scale2,
-            matches.index,
-        )
-        return cls(small1, small2, moved, scale1, scale2)
+def _shrunk(
+    pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
+) -> tuple[np.ndarray, np.ndarray, LocalMatches, np.ndarray, np.ndarray]:
+    """Both images, each shrunk by a factor, the matches of their pixels, and of each image the
+    pixels of the shrunk one per pixel of the original (2,)."""
+    small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
+    sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
+    scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
+    moved = LocalMatches(
+        rescale(matches.points1, *sizes[:2]),
+        rescale(matches.points2, *sizes[2:]),
+        scale1[:, None] * matches.affinity / scale2,
+        matches.index,
+    )
+    return small1, small2, moved, scale1, scale2
 
 
 def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:

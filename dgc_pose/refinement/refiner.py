@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -116,8 +116,7 @@ class RefinedSearch(PairSearch):
         if dense.matchability.mean() < WEAK:
             return None
         matches = self.matcher.quick_features.at_scale(self.image1, self.image2, dense)
-        aligned, agreeing = self._aligned(matches, QUICK_CORNER_RADIUS)
-        return self._keep(self._final(aligned, agreeing, dense))
+        return self._keep(self._final(*self._aligned(matches, QUICK_CORNER_RADIUS), dense))
 
     def fine(self) -> MatchResult | None:
         return None if self.result is None else self._keep(self._refined(self.result))
@@ -157,19 +156,15 @@ class RefinedSearch(PairSearch):
         return result
 
     def _refined(self, result: MatchResult) -> MatchResult | None:
-        """Refine the matches of the sources in turn, until one leaves enough."""
-        for matches in self._sources(result):
-            aligned, agreeing = self._aligned(matches)
-            if refined := self._final(aligned, agreeing, result.correspondence_map):
-                return refined
-        return None
-
-    def _sources(self, result: MatchResult) -> Iterator[Matches]:
+        """Refine the matches of the features, then those of the map, until one leaves enough."""
         features, dense = self.matcher.features, result.correspondence_map
         if features is not None and dense is not None:
-            yield features.at_scale(self.image1, self.image2, dense)
-        if self.matcher.source in ("auto", "map"):
-            yield result.matches
+            matches = features.at_scale(self.image1, self.image2, dense)
+            if refined := self._final(*self._aligned(matches), dense):
+                return refined
+        if self.matcher.source not in ("auto", "map"):
+            return None
+        return self._final(*self._aligned(result.matches), dense)
 
     def _add(self, parts: Sequence[Matches], dense: CorrespondenceMap) -> MatchResult | None:
         """The matches that are there with those of further parts, each refined by itself."""
