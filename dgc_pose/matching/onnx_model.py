@@ -50,19 +50,16 @@ class OnnxMatcher(KeyPointMatcher):
         self.name = self.path.stem
         self._digest = hashlib.sha256(read_bytes(self.path)).hexdigest()[:16]
         self._session = Session(self.path, {})
-        ((_, shape), *others) = self._session.inputs
-        if others or len(shape) != 4 or shape[1] not in (1, 3):
+        inputs, outputs = self._session.inputs, self._session.outputs
+        shape: Shape = inputs[0][1] if len(inputs) == 1 else []
+        self._roles = _find_roles([shape for _, shape in outputs])
+        if len(shape) != 4 or shape[1] not in (1, 3) or not self._roles:
             raise InputError(
-                f"{self.path}: expected one input (1, 3, H, W) or (1, 1, H, W), not "
-                f"{_described(self._session.inputs)}"
+                f"{self.path}: expected an image (1, 3, H, W) or (1, 1, H, W), and of it "
+                "descriptors and logits (1, 65, h, w), or key points (N, 2) and descriptors, not "
+                f"{_described(inputs)}, and {_described(outputs)}"
             )
         _, self._channels, *self._sides = shape
-        self._roles = _find_roles([shape for _, shape in self._session.outputs])
-        if not self._roles:
-            raise InputError(
-                f"{self.path}: expected outputs of descriptors and logits (1, 65, h, w), or of key "
-                f"points (N, 2) and descriptors, not {_described(self._session.outputs)}"
-            )
 
     @property
     def fingerprint(self) -> str:

@@ -71,21 +71,15 @@ class Engine(Protocol):
     and may be kept for later pairs.
     """
 
-    @property
-    def config(self) -> NetworkConfig:
-        """The network's."""
+    config: NetworkConfig
+    concurrent: bool  # whether several threads encode images faster than one
+
+    # (levels,) float32, inverse temperatures of the correlated levels, coarsest first
+    correlation_scales: np.ndarray
 
     @property
     def fingerprint(self) -> str:
         """16 hexadecimal digits that identify the weights, whatever runs them."""
-
-    @property
-    def correlation_scales(self) -> np.ndarray:
-        """(levels,) float32, inverse temperatures of the correlated levels, coarsest first."""
-
-    @property
-    def concurrent(self) -> bool:
-        """Whether several threads encode images faster than one."""
 
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         """Features of an image, resized as `config.input_size` says."""

@@ -1,9 +1,8 @@
 """The network run by torch: on any device, with any weights."""
 
 from copy import deepcopy
-from functools import cached_property
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -23,25 +22,15 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 class TorchEngine:
-    """A network as an `Engine`, on the device where its weights are.
-
-    fingerprint: of the weights before `for_inference`; None to compute it.
-    """
+    """A network as an `Engine`, on the device where its weights are; see `for_inference`."""
 
     concurrent = False  # its layers use all threads, or the GPU
 
-    def __init__(self, net: DGCNet, fingerprint: str | None = None) -> None:
-        self.net = net.eval().requires_grad_(False)
+    def __init__(self, net: DGCNet) -> None:
+        self.fingerprint = network_fingerprint(net)
+        self.net = for_inference(net)
         self.config = net.config
-        self._fingerprint = fingerprint
-
-    @cached_property
-    def fingerprint(self) -> str:
-        return self._fingerprint or network_fingerprint(self.net)
-
-    @cached_property
-    def correlation_scales(self) -> np.ndarray:
-        return cast(Tensor, self.net.correlation_scales).float().cpu().numpy()
+        self.correlation_scales = net.get_buffer("correlation_scales").float().cpu().numpy()
 
     @torch.inference_mode()
     def encode(self, pixels: np.ndarray) -> MapFeatures:
@@ -75,13 +64,13 @@ class TorchEngine:
 def load_torch_engine(
     weights: str | Path, device: torch.device, half_precision: bool = False
 ) -> TorchEngine:
-    """An engine of weights by name or path (see `load_network`), made faster for inference.
+    """An engine of weights by name or path (see `load_network`).
 
     half_precision: convolutions in bfloat16.
     """
     net = load_network(weights, device)
     net.half_precision = half_precision
-    return TorchEngine(for_inference(net), network_fingerprint(net))
+    return TorchEngine(net)
 
 
 def for_inference(net: Net) -> Net:

@@ -21,19 +21,19 @@ def images() -> list[Image]:
     return [Image(pixels) for pixels in dense_scene.pictures()]
 
 
-def _there(net: DGCNet) -> DGCNet:
-    """A copy on the device, whose inverse temperatures the pretended tensors can take views of."""
-    copy = deepcopy(net).to(DEVICE)
+def _there(net: DGCNet) -> TorchEngine:
+    """On the device, with inverse temperatures that the pretended tensors can take views of."""
+    engine = TorchEngine(deepcopy(net).to(DEVICE))
     with torch.inference_mode():
-        copy.correlation_scales = copy.get_buffer("correlation_scales").clone()
-    return copy
+        engine.net.correlation_scales = engine.net.get_buffer("correlation_scales").clone()
+    return engine
 
 
 def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
     net = load_network("dgcm-lite0").eval()
     on_cpu = Refiner(DenseMatcher(TorchEngine(net)), "features").match(*images).matches
     with pretended_gpu():
-        matcher = DenseMatcher(TorchEngine(_there(net)))
+        matcher = DenseMatcher(_there(net))
         on_device = Refiner(matcher, "features").match(*images).matches
     assert len(on_device) == len(on_cpu) > 50
     np.testing.assert_allclose(on_device.points1, on_cpu.points1, atol=0.01)
