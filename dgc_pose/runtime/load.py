@@ -41,9 +41,9 @@ def load_engine(
         raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
     by_default = runtime == "auto" and not half_precision
     if runtime == "onnx" or (by_default and _prefers_onnx(str(weights), path, device)):
-        from dgc_pose.runtime.onnx_engine import load_onnx_engine
+        from dgc_pose.runtime.onnx_engine import OnnxEngine
 
-        return load_onnx_engine(path)
+        return OnnxEngine(path)
     asked = {"runtime torch": runtime == "torch", "half_precision": half_precision}
     asked |= {f"device {device}": device not in ("auto", "cpu"), path.name: path.suffix != SUFFIX}
     require({what: "torch" for what, needed in asked.items() if needed})

@@ -3,7 +3,6 @@
 import json
 import os
 import threading
-from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -35,20 +34,31 @@ _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
 class OnnxEngine:
-    """Weights of a preset that has graphs, as an `Engine`.
+    """Weights of a safetensors file of ours, of a preset that has graphs, as an `Engine`.
 
-    weights: as stored, by name. Sessions are made on first use, anew in a forked process, whose
-    threads are gone.
+    Sessions are made on first use, anew in a forked process, whose threads are gone. Raises
+    WeightsError if it is no such file or holds other weights than its preset's, InputError if there
+    are no graphs of the preset.
     """
 
     concurrent = True  # each thread computes on, instead of waiting for the others at each layer
 
-    def __init__(self, name: str, weights: Mapping[str, np.ndarray]) -> None:
+    def __init__(self, path: Path) -> None:
+        name, self._stored = read_safetensors(path, "np")
+        if name not in graphs.PRESETS:
+            raise InputError(
+                f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
+                f"run it by torch"
+            )
         self.config = preset(name)
-        self._stored = weights
-        self._weights = folded(weights)
+        text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
+        names: dict[str, Any] = json.loads(text)
+        shapes = {key: value.shape for key, value in self._stored.items()}
+        check_state(path, name, shapes, names["stored"])
+        check_values(path, self._stored)
+        self._weights = folded(self._stored)
         self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
-        self._names = _weights_of(name)["graphs"]
+        self._names = names["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
 
     @cached_property
@@ -122,30 +132,6 @@ class OnnxEngine:
                 path = graphs.GRAPHS / self.config.name / graph
                 self._sessions[key] = Session(path, weights)
             return self._sessions[key]
-
-
-def load_onnx_engine(path: Path) -> OnnxEngine:
-    """An engine of a safetensors file of ours.
-
-    Raises WeightsError if it is none or holds other weights than its preset's, InputError if there
-    are no graphs of the preset.
-    """
-    name, weights = read_safetensors(path, "np")
-    if name not in graphs.PRESETS:
-        raise InputError(
-            f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
-            f"run it by torch"
-        )
-    shapes = {key: value.shape for key, value in weights.items()}
-    check_state(path, name, shapes, _weights_of(name)["stored"])
-    check_values(path, weights)
-    return OnnxEngine(name, weights)
-
-
-def _weights_of(name: str) -> dict[str, Any]:
-    """The content of `graphs.WEIGHTS` of a preset."""
-    text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
-    return json.loads(text)
 
 
 def l2_normalised(features: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import find_weights, folded
 from dgc_pose.runtime.engine import GRAPHS, PRESETS, WEIGHTS
-from dgc_pose.runtime.onnx_engine import OnnxEngine, load_onnx_engine
+from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.session import session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 from dgc_pose.training.run import save_weights
@@ -28,7 +28,7 @@ Engines = tuple[OnnxEngine, TorchEngine]
 @pytest.fixture(scope="module", params=PRESETS)
 def engines(request: pytest.FixtureRequest) -> Engines:
     path = find_weights(request.param)
-    return load_onnx_engine(path), load_torch_engine(path, torch.device("cpu"))
+    return OnnxEngine(path), load_torch_engine(path, torch.device("cpu"))
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np
             if name.startswith("reg_"):
                 value.add_(0.1 * torch.randn_like(value))
     save_weights(net, tmp_path / "own.safetensors")
-    onnx = load_onnx_engine(tmp_path / "own.safetensors")
+    onnx = OnnxEngine(tmp_path / "own.safetensors")
     wanted = load_torch_engine(tmp_path / "own.safetensors", torch.device("cpu")).net.state_dict()
     own = folded(load_file(tmp_path / "own.safetensors"))
     assert set(own) == set(wanted)
@@ -112,7 +112,7 @@ def test_the_graphs_hold_no_weights_and_know_their_presets() -> None:
 
 
 def test_the_same_in_threads_and_in_a_forked_process(pictures: list[np.ndarray]) -> None:
-    engine = load_onnx_engine(find_weights("dgcm-lite0"))
+    engine = OnnxEngine(find_weights("dgcm-lite0"))
     small = [resize(one, (96, 64)) for one in pictures]
     alone = [engine.native(one, (6, 4)).fine for one in small]
     with ThreadPoolExecutor(3) as pool:
@@ -144,4 +144,4 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         weights.pop("reg_0.final.bias", None)
         save_file(weights, tmp_path / "w.safetensors", {"preset": preset_name})
         with pytest.raises(error, match=words):
-            load_onnx_engine(tmp_path / "w.safetensors")
+            OnnxEngine(tmp_path / "w.safetensors")
