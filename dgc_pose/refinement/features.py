@@ -135,8 +135,8 @@ class FeatureMatches:
         coarse, middle = None, None
         if hypothesis is not None:
             seen = (source, view1), (target, view2)
-            coarse = EpipolarBand.of(hypothesis, *seen, children=False).all()
-            middle = EpipolarBand.of(hypothesis, *seen, children=True)
+            coarse = EpipolarBand(hypothesis, *seen, children=False).all()
+            middle = EpipolarBand(hypothesis, *seen, children=True)
         candidates = likely_cells(
             source,
             target,

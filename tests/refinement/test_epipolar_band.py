@@ -63,7 +63,7 @@ def test_cells_may_match_within_a_cell_of_their_lines(
 ) -> None:
     source, target = _features(views[0], 10, 7), _features(views[1], 8, 6)
     seen = (source, views[0]), (target, views[1])
-    band = EpipolarBand.of(HYPOTHESIS, *seen, children=stride == 8)
+    band = EpipolarBand(HYPOTHESIS, *seen, children=stride == 8)
     allowed, distances = band.all(), _distances(views, stride)
     assert allowed.shape == distances.shape and 0.02 < allowed.mean() < 0.6
     told = np.abs(distances - 1) > 1e-3

@@ -101,7 +101,7 @@ def test_with_all_cells_as_candidates_it_is_the_full_mutual_search(banded: bool)
         seen = ((features, View.whole(features.size)) for features in (source, target))
         camera = Camera(np.array([[60.0, 0, 30], [0, 60, 30], [0, 0, 1]]))
         turned = TwoViews(camera, camera, dense_scene.R, dense_scene.T)
-        band = EpipolarBand.of(turned, *seen, children=True)
+        band = EpipolarBand(turned, *seen, children=True)
         full[~band.all().T] = -np.inf
     cells1, cells2, cosine = mutual_neighbours(source, target, every, band)
     expected = {
