@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -127,29 +127,16 @@ class RefinedSearch(PairSearch):
         return self.result
 
     def squeezed(self) -> MatchResult | None:
-        features, dense = self.matcher.features, self._searched_map
-        if features is None or dense is None:
-            return None
-        return self._add(features.squeezed(self.image1, self.image2, dense), dense)
+        return self._add(FeatureMatches.squeezed)
 
     def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
         """As `PairSearch`. The matches of all hypotheses go together: those near the lines of a
         single pose would agree with it, right or wrong."""
-        features, dense = self.matcher.features, self._searched_map
-        if features is None or dense is None:
-            return None
-        return self._add(features.near(self.image1, self.image2, dense, hypotheses), dense)
+        return self._add(FeatureMatches.near, hypotheses)
 
     @cached_property
     def _whole(self) -> MatchResult:
         return self._refined(self.unrefined) or self.unrefined
-
-    @property
-    def _searched_map(self) -> CorrespondenceMap | None:
-        """The map of the matches that are there, if these are refined."""
-        if self.result is None or self.result.aligned is None:
-            return None
-        return self.result.correspondence_map
 
     def _keep(self, result: MatchResult | None) -> MatchResult | None:
         self.result = result or self.result
@@ -166,13 +153,21 @@ class RefinedSearch(PairSearch):
             return None
         return self._final(*self._aligned(result.matches), dense)
 
-    def _add(self, parts: Sequence[Matches], dense: CorrespondenceMap) -> MatchResult | None:
-        """The matches that are there with those of further parts, each refined by itself."""
-        if not parts or self.result is None or self.result.aligned is None:
+    def _add(
+        self, match: Callable[..., list[Matches]], *arguments: Sequence[TwoViews]
+    ) -> MatchResult | None:
+        """The refined matches that are there with those of further parts by the features, each
+        refined by itself."""
+        features, result = self.matcher.features, self.result
+        if features is None or result is None or result.aligned is None:
+            return None
+        dense = result.correspondence_map
+        parts = match(features, self.image1, self.image2, dense, *arguments)
+        if not parts:
             return None
         refined = [self._aligned(matches) for matches in parts]
-        aligned = Matches.joined([self.result.aligned, *(part for part, _ in refined)])
-        agreeing = Matches.joined([self.result.matches, *(part for _, part in refined)])
+        aligned = Matches.joined([result.aligned, *(part for part, _ in refined)])
+        agreeing = Matches.joined([result.matches, *(part for _, part in refined)])
         return self._keep(self._final(aligned, agreeing, dense))
 
     def _aligned(

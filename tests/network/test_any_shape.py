@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
 
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.dense import load_dense_matcher
 from dgc_pose.network.config import preset
-from dgc_pose.network.net import DGCNet
 
 
 def test_the_grid_has_the_images_shape_and_about_225_cells():
@@ -22,19 +20,6 @@ def test_the_grid_has_the_images_shape_and_about_225_cells():
             assert abs(np.log(columns / rows / (width / 300))) < 0.15
     assert config.input_size((5000, 10)) == (720, 80)  # squeezed to 9:1
     assert preset("dgcm").input_size((1242, 375)) == (240, 240)
-
-
-def test_corrections_are_in_cells_of_the_source():
-    """A decoder that gives (1, 1) moves each point by a source cell along both axes."""
-    net = DGCNet(preset("dgcm-lite0")).eval()
-    for parameter in net.reg_2.parameters():
-        torch.nn.init.zeros_(parameter)
-    net.reg_2.final.bias.data[:2] = 1.0
-    warped = target = torch.zeros(1, 64, 12, 20)
-    previous = torch.zeros(1, 3, 12, 20)
-    with torch.no_grad():
-        moved = net.refine(2, warped, target, previous, grid=(8, 40))
-    torch.testing.assert_close(moved[0, :, 5, 5], torch.tensor([2 / 40, 2 / 8, 0.0]))
 
 
 def test_a_wide_pair_is_matched_in_its_shape():

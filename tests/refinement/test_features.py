@@ -136,17 +136,6 @@ def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> 
         assert within(found.points2, rotated.size).all()
 
 
-def test_a_random_map_does_no_harm(engine: TorchEngine) -> None:
-    pixels = _picture(192, 160)
-    grid = _grid((192, 160))
-    random = np.random.default_rng(0).uniform(-500, 700, grid.shape)
-    guide = _guide(random, grid, (192, 160), (192, 160))
-    guide.matchability[:] = 0.0  # so that its rotation does not count
-    found = _match(engine, pixels, pixels, guide)
-    off = np.abs(found.points1 - found.points2).max(1)
-    assert len(found) > 200 and (off < 3).mean() > 0.9
-
-
 def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngine) -> None:
     """Whatever the map says, and of a wrong hypothesis near wrong lines."""
     first, second = (Image(pixels) for pixels in dense_scene.pictures())

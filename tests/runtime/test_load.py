@@ -12,7 +12,6 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime import load
 from dgc_pose.runtime.load import device_type, load_engine
-from dgc_pose.runtime.torch_engine import TorchEngine
 from dgc_pose.training.run import save_weights
 
 
@@ -42,14 +41,6 @@ def test_shipped_weights_on_the_cpu_run_by_onnx_runtime(no_gpu: None, own_weight
     assert _kind() == _kind(device="cpu") == _kind("dgcm-lite0") == "OnnxEngine"
     assert _kind(runtime="torch") == _kind(own_weights) == "TorchEngine"
     assert _kind(own_weights, runtime="onnx") == "OnnxEngine"
-
-
-def test_half_precision_is_torch_s_and_only_where_it_is_asked_for(no_gpu: None) -> None:
-    for runtime in ("auto", "torch"):
-        engine = load_engine(runtime=runtime, half_precision=True)  # type: ignore[arg-type]
-        assert isinstance(engine, TorchEngine) and engine.net.half_precision
-    single = load_engine(runtime="torch")
-    assert isinstance(single, TorchEngine) and not single.net.half_precision
 
 
 def test_a_gpu_is_torch_s(monkeypatch: pytest.MonkeyPatch, own_weights: Path) -> None:
