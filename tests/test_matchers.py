@@ -11,11 +11,9 @@ import torch
 from dgc_pose import MatcherCaches, load_dense_matcher, load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.refinement import RefinementOptions, Refiner
-from dgc_pose.runtime.torch_engine import TorchEngine
+from dgc_pose.refinement import RefinementOptions
 from dgc_pose.training.run import save_weights
 
 
@@ -102,11 +100,3 @@ def test_images_that_may_be_rotated_and_those_without_structure_have_no_quick_pa
     assert matcher.search(first, blank).quick() is None
     for other in (load_matcher(refinement=RefinementOptions(source="map")), load_matcher("sift")):
         assert other.search(first, second).quick() is None
-
-
-def test_a_mask_network_which_needs_the_finest_map_has_no_quick_pass(
-    images: tuple[Image, Image],
-) -> None:
-    torch.manual_seed(0)
-    dense = DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))))
-    assert Refiner(dense, "features").search(*images).quick() is None

@@ -73,8 +73,8 @@ class EfficientPyramid(nn.Module):
             if index in LAST_BLOCKS:
                 taken.append(features)
         level2, level3, level4 = taken
-        mixed3 = F.relu(self.head_3(level3) + _upsampled(self.lift_4(level4)))
-        mixed2 = F.relu(self.head_2(level2) + _upsampled(self.lift_3(mixed3)))
+        mixed3 = F.relu(self.head_3(level3) + upsample(self.lift_4(level4)))
+        mixed2 = F.relu(self.head_2(level2) + upsample(self.lift_3(mixed3)))
         return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
 
 
@@ -103,5 +103,7 @@ def _strided(inputs: int, outputs: int, kernel: int, groups: int = 1) -> nn.Conv
     return nn.Conv2d(inputs, outputs, kernel + 1, 2, kernel // 2, groups=groups)
 
 
-def _upsampled(features: Tensor) -> Tensor:
+def upsample(features: Tensor) -> Tensor:
+    """Features, or the state of a level, at twice its size, bilinear, align_corners False in every
+    preset."""
     return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)

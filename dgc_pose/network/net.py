@@ -25,7 +25,7 @@ from dgc_pose.network.config import (
 )
 from dgc_pose.network.coordinates import identity_map, to_normalised
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
-from dgc_pose.network.efficientnet import EfficientPyramid
+from dgc_pose.network.efficientnet import EfficientPyramid, upsample
 from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
@@ -301,8 +301,3 @@ def normalise(images: Tensor) -> Tensor:
     """RGB images (B, 3, H, W) in [0, 1] to the network's input, by ImageNet's statistics."""
     mean, deviation = (images.new_tensor(v)[:, None, None] for v in (MEAN, DEVIATION))
     return (images - mean) / deviation
-
-
-def upsample(state: Tensor) -> Tensor:
-    """The state of a level at twice its size, bilinear, align_corners False in every preset."""
-    return F.interpolate(state, scale_factor=2, mode="bilinear", align_corners=False)

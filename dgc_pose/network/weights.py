@@ -23,8 +23,6 @@ from dgc_pose.network.stored import (
     read_tensors,
 )
 
-_MASK = "matchability_net."
-
 
 def load_network(
     weights: str | Path = DEFAULT_WEIGHTS, device: torch.device | str = "cpu"
@@ -39,7 +37,9 @@ def load_network(
     if path.suffix == SUFFIX:
         name, state = read_safetensors(path, "pt")
     else:
-        name, state = _read_checkpoint(path)
+        state = {key.removeprefix("module."): value for key, value in read_state(path).items()}
+        state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
+        name = "dgcm" if any(key.startswith("matchability_net.") for key in state) else "dgc"
     net = DGCNet(preset(name))
     check_tensors(path, name, state, net.state_dict())
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
@@ -73,7 +73,13 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     try:
         require_regular(path, WeightsError)
         with read_as("a checkpoint", path, WeightsError):
-            _check_archive(path)
+            if zipfile.is_zipfile(path):
+                with zipfile.ZipFile(path) as archive:
+                    # A packed one could need any amount of memory; torch packs none.
+                    if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
+                        raise WeightsError(
+                            f"{path}: not a checkpoint of torch: its archive is packed"
+                        )
             try:
                 return torch.load(path, map_location=device, weights_only=True)
             except pickle.UnpicklingError as error:
@@ -82,15 +88,6 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
                 raise WeightsError(f"{path}: {what}") from error
     except OSError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
-
-
-def _check_archive(path: Path) -> None:
-    """Raise WeightsError for a packed archive, which could need any amount of memory: torch stores
-    tensors as they are."""
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
 
 
 def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tensor]:
@@ -107,14 +104,6 @@ def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tens
     ):
         raise WeightsError(f"{path}: holds no state_dict")
     return state
-
-
-def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
-    state = read_state(path)
-    state = {key.removeprefix("module."): value for key, value in state.items()}
-    state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
-    has_mask = any(key.startswith(_MASK) for key in state)
-    return "dgcm" if has_mask else "dgc", state
 
 
 def check_tensors(

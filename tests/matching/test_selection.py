@@ -8,7 +8,6 @@ import pytest
 from dgc_pose.errors import InputError
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.selection import (
-    ERROR_CELLS,
     MatchingOptions,
     even_subsample,
     select_matches,
@@ -42,12 +41,6 @@ def test_filters_against_a_loop() -> None:
         np.column_stack([found.points1, found.points2]), np.array(expected, dtype=np.float64)
     )
     assert found.confidence.min() >= 0.6
-
-
-def test_error_follows_the_cell() -> None:
-    correspondence_map = _map()
-    assert correspondence_map.cell_size == pytest.approx(10.0)
-    assert select_matches(correspondence_map, MatchingOptions()).error_px == 10 * ERROR_CELLS
 
 
 def test_subsample_is_even_takes_the_confident_and_never_exceeds() -> None:

@@ -10,7 +10,7 @@ import torch
 
 from dgc_pose.network.config import FLOOR, REACH, WEIGHT
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
-from dgc_pose.network.net import global_correlation, l2_normalise, local_correlation
+from dgc_pose.network.net import l2_normalise, local_correlation
 from dgc_pose.runtime import onnx_engine
 
 # To an array of the library, with torch's batch, and back.
@@ -45,15 +45,6 @@ def test_unit_length_over_channels_and_local_correlation(library: Library) -> No
             v, u = y + dy - 2, x + dx - 2
             expected = warped[:, v, u] @ target[:, y, x] if 0 <= v < 6 and 0 <= u < 7 else 0.0
             assert found[channel, y, x] == pytest.approx(expected, abs=1e-5)
-
-
-def test_global_correlation_is_column_by_column_over_the_source() -> None:
-    source, target = _noise(0, 3, 2, 4), _noise(1, 3, 4, 6)
-    found = global_correlation(torch.from_numpy(source)[None], torch.from_numpy(target)[None])[0]
-    assert found.shape == (8, 4, 6)
-    for x, y in np.ndindex(4, 2):
-        expected = (source[:, y, x, None, None] * target).sum(0)
-        np.testing.assert_allclose(found[x * 2 + y].numpy(), expected, atol=1e-5)
 
 
 def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:

@@ -54,12 +54,6 @@ def test_a_window_holds_the_points_with_a_margin() -> None:
     assert centre[0] - (width - 1) / 2 == centre[1] - (height - 1) / 2 == 0
 
 
-def test_a_large_window_is_the_whole_image() -> None:
-    whole = (640, 480), (319.5, 239.5)
-    assert window_shown(np.array([[30.0, 20.0], [500.0, 440.0]]), (640, 480)) == whole
-    assert window_shown(np.zeros((0, 2)), (640, 480)) == whole
-
-
 @pytest.mark.parametrize("scale", [0.3, 1.0, 2.5])
 def test_the_map_shows_the_scale(scale: float) -> None:
     """Rotated, sheared at constant area, noisy, and wrong at low matchability."""

@@ -90,21 +90,6 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
     assert by_auto.error_px == 0.5 and len(by_auto) > 150
 
 
-def test_few_aligned_matches_are_completed(
-    images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Patches that differ too much stay where they were matched, with the error that they had."""
-    plain, aligned = (m.match(*images).matches for m in (_noisy(), Refiner(_noisy())))
-    monkeypatch.setattr(refiner, "MIN_ZNCC", 0.97)
-    monkeypatch.setattr(refiner, "MIN_ALIGNED", 2000)
-    completed = Refiner(_noisy()).match(*images).matches
-    assert aligned.error_px == 0.5
-    assert completed.error_px == plain.error_px > 0.5
-    assert len(completed) > len(aligned) - 50
-    moved = _errors(completed) < 0.1
-    assert 0.02 < moved.mean() and np.median(_errors(completed)) < np.median(_errors(plain))
-
-
 def _points(x: tuple[int, int], y: tuple[int, int], count: int, seed: int) -> Matches:
     """Random true matches with x and y in image 2 between limits, off by half a pixel."""
     rng = np.random.default_rng(seed)
