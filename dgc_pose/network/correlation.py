@@ -18,6 +18,7 @@ Grid = tuple[int, int]  # rows and columns
 
 
 def _library(values: Array) -> Any:
+    """NumPy, or torch, which is imported only where its tensors are."""
     return np if isinstance(values, np.ndarray) else importlib.import_module("torch")
 
 

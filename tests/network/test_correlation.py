@@ -38,13 +38,13 @@ def test_unit_length_over_channels_and_local_correlation(library: Library) -> No
     lengths = np.sqrt((warped.astype(float) ** 2).sum(0) + 1e-6)
     np.testing.assert_allclose(back(unit(to(warped))), warped / lengths, rtol=1e-5)
     correlate = module.local_correlation if module else local_correlation
-    found = back(correlate(to(warped), to(target), 2))
-    assert found.shape == (25, 6, 7)
+    values = back(correlate(to(warped), to(target), 2))
+    assert values.shape == (25, 6, 7)
     for y, x in np.ndindex(6, 7):
         for channel, (dy, dx) in enumerate(np.ndindex(5, 5)):
             v, u = y + dy - 2, x + dx - 2
             expected = warped[:, v, u] @ target[:, y, x] if 0 <= v < 6 and 0 <= u < 7 else 0.0
-            assert found[channel, y, x] == pytest.approx(expected, abs=1e-5)
+            assert values[channel, y, x] == pytest.approx(expected, abs=1e-5)
 
 
 def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
@@ -55,8 +55,8 @@ def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
     target = [_noise(17 + k, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
     sources, targets = list(map(to, source)), list(map(to, target))
     factors = scales if isinstance(sources[0], np.ndarray) else torch.from_numpy(scales)
-    found = back(match_evidence(sources, targets, factors))
-    assert found.shape == (8, 6)
+    values = back(match_evidence(sources, targets, factors))
+    assert values.shape == (8, 6)
     for xs, ys, yt, xt in np.ndindex(4, 2, 2, 3):
         expected = 0.0
         for k, scale in enumerate(scales):
@@ -64,7 +64,7 @@ def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
             inside = source[k][:, f * ys : f * ys + f, f * xs : f * xs + f].reshape(3, -1)
             seen = target[k][:, f * yt : f * yt + f, f * xt : f * xt + f].reshape(3, -1)
             expected += scale * (seen.T @ inside).max(1).mean()
-        assert found[xs * 2 + ys, yt * 3 + xt] == pytest.approx(expected, abs=1e-4)
+        assert values[xs * 2 + ys, yt * 3 + xt] == pytest.approx(expected, abs=1e-4)
 
 
 def test_scores_are_the_product_of_both_softmaxes(library: Library) -> None:
@@ -100,9 +100,9 @@ def _belief(scores: np.ndarray, passes: int) -> np.ndarray:
 def test_consensus_is_belief_propagation(library: Library, passes: int) -> None:
     to, back = library
     scores = 4 * _noise(3, 12, 10)
-    found = back(consensus(to(scores), passes, (3, 4), (2, 5)))
+    values = back(consensus(to(scores), passes, (3, 4), (2, 5)))
     expected = _belief(scores.reshape(4, 3, 2, 5).astype(float), passes)
-    np.testing.assert_allclose(found.reshape(4, 3, 2, 5), expected, atol=1e-4)
+    np.testing.assert_allclose(values.reshape(4, 3, 2, 5), expected, atol=1e-4)
 
 
 def test_a_far_second_peak_does_not_move_the_place(library: Library) -> None:

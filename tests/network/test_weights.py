@@ -37,8 +37,8 @@ def test_authors_checkpoints_load_and_give_the_same(tmp_path: Path, name: str, p
     source, target = torch.randn(2, 1, 3, 240, 240, generator=torch.Generator().manual_seed(11))
     with torch.no_grad():
         outputs = [each(source, target) for each in (loaded, net)]
-    for one, other in zip(*(out.maps + out.logits for out in outputs), strict=True):
-        assert torch.equal(one, other)
+    for a, b in zip(*(out.maps + out.logits for out in outputs), strict=True):
+        assert torch.equal(a, b)
 
 
 def test_own_weights_survive_the_disk_at_half_precision(tmp_path: Path) -> None:
