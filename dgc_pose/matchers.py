@@ -10,9 +10,9 @@ from pathlib import Path
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching.dense import FeatureCache, feature_cache, load_dense_matcher
+from dgc_pose.matching.cache import ImageCache, image_cache
+from dgc_pose.matching.dense import load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
-from dgc_pose.matching.key_points import KeyPointCache, key_point_cache
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.onnx_model import OnnxMatcher
 from dgc_pose.matching.selection import MatchingOptions
@@ -20,9 +20,7 @@ from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.vismatch import VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
 from dgc_pose.network.stored import shipped
-from dgc_pose.refinement.features import NativeCache, native_cache
-from dgc_pose.refinement.options import RefinementOptions
-from dgc_pose.refinement.refiner import Refiner
+from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName
 from dgc_pose.system.options import check_options, check_type, option
@@ -41,15 +39,14 @@ class MatcherCaches:
         key_points: Key points of a detector.
     """
 
-    features: FeatureCache = field(default_factory=feature_cache)
-    native: NativeCache = field(default_factory=native_cache)
-    key_points: KeyPointCache = field(default_factory=key_point_cache)
+    features: ImageCache = field(default_factory=image_cache)
+    native: ImageCache = field(default_factory=image_cache)
+    key_points: ImageCache = field(default_factory=image_cache)
 
     def forget(self, image: Image) -> None:
         """Drop all that is kept of an image."""
-        self.features.drop(lambda key: key[0] is image)
-        self.native.drop(lambda key: key[0] is image)
-        self.key_points.drop(lambda key: key is image)
+        for cache in (self.features, self.native, self.key_points):
+            cache.drop(lambda key: key[0] is image)
 
 
 @dataclass(frozen=True)
@@ -166,7 +163,7 @@ def _network(
     return Refiner(matcher, options.refinement.source, options.matching.max_matches, native)
 
 
-def _key_points(caches: MatcherCaches | None) -> KeyPointCache | None:
+def _key_points(caches: MatcherCaches | None) -> ImageCache | None:
     return caches.key_points if caches else None
 
 

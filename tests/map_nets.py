@@ -4,13 +4,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import PRESETS, Conv, DecoderConfig, NetworkConfig, Pool
+from dgc_pose.network.config import PRESETS, DecoderConfig, NetworkConfig
 from dgc_pose.network.net import Prediction
 
 # For squared images, with a mask, and fast.
 SMALL = NetworkConfig(
     "small",
-    pyramid=((Conv(8),), *[(Conv(8), Pool())] * 4),
+    pyramid=((8,),) * 5,
     decoders=(DecoderConfig((8,), (1,)),) * 5,
     output="displacement",
     matchability="decoder",

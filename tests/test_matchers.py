@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose import MatcherCaches, MatchingOptions, load_dense_matcher, load_matcher
+from dgc_pose import MatcherCaches, load_dense_matcher, load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching import DenseMatcher
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
-from dgc_pose.refinement import RefinementOptions, Refiner
-from dgc_pose.runtime.torch_engine import TorchEngine
+from dgc_pose.refinement import RefinementOptions
+from dgc_pose.training.run import save_weights
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +37,6 @@ def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image
         for found in (bare.matches, refined.matches)
     ]
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
-
-
-@pytest.mark.parametrize("name", ["sift", "dis"])
-def test_matchers_without_weights(images: tuple[Image, Image], name: str) -> None:
-    options = MatchingOptions(max_matches=100)
-    matcher = load_matcher(name, matching=options)
-    assert matcher.name == name and matcher.fingerprint is None
-    found = matcher.match(*images)
-    assert (found.correspondence_map is None) == (name == "sift")
-    assert found.matches.key_points == (name == "sift")
-    assert name == "sift" or len(found.matches) <= 100
 
 
 def test_caches_keep_what_is_computed_of_an_image(images: tuple[Image, Image]) -> None:
@@ -113,11 +100,3 @@ def test_images_that_may_be_rotated_and_those_without_structure_have_no_quick_pa
     assert matcher.search(first, blank).quick() is None
     for other in (load_matcher(refinement=RefinementOptions(source="map")), load_matcher("sift")):
         assert other.search(first, second).quick() is None
-
-
-def test_a_mask_network_which_needs_the_finest_map_has_no_quick_pass(
-    images: tuple[Image, Image],
-) -> None:
-    torch.manual_seed(0)
-    dense = DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))))
-    assert Refiner(dense, "features").search(*images).quick() is None

@@ -19,12 +19,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import COARSEST, STRIDE, preset
-from dgc_pose.network.constants import DEVIATION, MEAN
-from dgc_pose.network.inference import for_inference
+from dgc_pose.network.config import COARSEST, DEVIATION, MEAN, STRIDE, preset
 from dgc_pose.network.net import DGCNet, upsample
 from dgc_pose.network.stored import COUNTER
-from dgc_pose.runtime import graphs
+from dgc_pose.runtime import engine as graphs
+from dgc_pose.runtime.torch_engine import for_inference
 
 _OPSET = 20
 _CELLS = (8, 11)  # rows and columns at stride 16 of the example that a graph is traced with
@@ -117,7 +116,7 @@ def export(name: str, folder: Path) -> None:
         parts = [torch.rand(1, part, rows, columns) for part in (channels, channels, window)]
         previous = torch.rand(1, config.map_channels, rows, columns)
         write(
-            graphs.decoder_graph(level),
+            f"reg_{level}.onnx",
             _Decoder(net, level),
             [parts, previous, torch.rand(1, config.map_channels, 1, 1)],
             [[{2: h, 3: w}] * len(parts), {2: h, 3: w}, {}],

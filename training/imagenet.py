@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.constants import DEVIATION, MEAN
-from dgc_pose.network.efficientnet import EfficientPyramid, InvertedResidual, even_kernel
+from dgc_pose.network.config import DEVIATION, MEAN
+from dgc_pose.network.efficientnet import EfficientPyramid, InvertedResidual
 from dgc_pose.network.pyramid import Pyramid
 
 _EPSILON = 1e-3  # of the checkpoint's batch norms
@@ -53,6 +53,16 @@ def load_backbone(pyramid: EfficientPyramid, state: Mapping[str, Tensor], images
                 _fold(layer, state[f"{prefix}{name}.weight"], _norm(state, prefix + norm), inside)
             inside = layer(inside)
         features = block(features)
+
+
+def even_kernel(kernel: Tensor) -> Tensor:
+    """An odd kernel (..., k, k) of stride 2 as an even one (..., k + 1, k + 1) without the offset.
+
+    The mean of the kernel shifted by half a pixel to each of the four diagonal directions.
+    """
+    return torch.stack(
+        [F.pad(kernel, (dx, 1 - dx, dy, 1 - dy)) for dx in (0, 1) for dy in (0, 1)]
+    ).mean(0)
 
 
 def _norm(state: Mapping[str, Tensor], prefix: str) -> list[Tensor]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from dgc_pose.errors import InputError
-from dgc_pose.network.config import EfficientNet, NetworkConfig, preset
+from dgc_pose.network.config import NetworkConfig, preset
 from dgc_pose.system.options import MAX_SEED, check_options, option
 from dgc_pose.training.schedule import Schedule
 from dgc_pose.training.synthesis.options import PairOptions
@@ -89,7 +89,7 @@ class TrainingOptions:
     @property
     def encoder_is_frozen(self) -> bool:
         """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper."""
-        is_vgg = not isinstance(self.config.pyramid, EfficientNet)
+        is_vgg = self.config.pyramid != "efficientnet-lite0"
         return is_vgg and self.encoder is not None
 
     @property

@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import load_checkpoint, save_weights
+from dgc_pose.network.stored import COUNTER
+from dgc_pose.network.weights import load_checkpoint
 from dgc_pose.training.active_stage import ActiveStage
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.log import Row, append
@@ -252,3 +254,16 @@ class Trainer:
                 f"{stage} stage; the checkpoint is from before"
             )
         return row
+
+
+def save_weights(net: DGCNet, path: str | Path) -> None:
+    """Write a network as safetensors in half precision, its preset's name in the header."""
+    state = {
+        key: value.detach().cpu().half().contiguous()
+        for key, value in net.state_dict().items()
+        if not key.endswith(COUNTER)
+    }
+    header = {"preset": net.config.name}
+    with replaced(Path(path)) as temporary, writing(temporary):
+        # Not save_file, whose files only their owner may read.
+        temporary.write_bytes(save(state, metadata=header))

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import to_normalised, to_pixels
-from dgc_pose.network.correlation import cell_correlations, l2_normalise, match_evidence
+from dgc_pose.network.correlation import match_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid
-from dgc_pose.network.net import DGCNet, normalise, upsample
-from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
+from dgc_pose.network.net import DGCNet, l2_normalise, normalise, upsample
+from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss, masked_mean
 from dgc_pose.training.synthesis.draw import Draw
 from dgc_pose.training.synthesis.map_pairs import MapPairs, level_known, level_truth
@@ -44,7 +46,9 @@ class EncoderStage(nn.Module):
         self.pyramid: Pyramid | EfficientPyramid
         if isinstance(net.pyramid, EfficientPyramid):
             self.pyramid = deepcopy(net.pyramid)
-            self.pyramid.freeze_fine_levels()
+            self.pyramid.requires_grad_(True)
+            for level in (self.pyramid.level_0, self.pyramid.level_1):
+                level.requires_grad_(False)
         else:
             self.pyramid = Pyramid(net.config, batch_norm=True)
             for module in self.pyramid.modules():
@@ -68,8 +72,8 @@ class EncoderStage(nn.Module):
         features = dict(enumerate(coarse, start=2))
         scales = self.log_scales.exp().clamp(max=60)
         halves = [l2_normalise(features[k].float()).chunk(2) for k in self.correlated]
-        correlations = cell_correlations(*zip(*halves, strict=True))
-        evidence = match_evidence(correlations, scales[: len(self.correlated)])
+        source, target = zip(*halves, strict=True)
+        evidence = match_evidence(source, target, scales[: len(self.correlated)])
         contrasted = {level: features[level] for level in _CONTRASTED}
         return _contrast(evidence, contrasted, scales[len(self.correlated) :], pairs, draw)
 
@@ -83,6 +87,22 @@ class EncoderStage(nn.Module):
         if net.config.any_shape:
             scales = self.log_scales[: len(self.correlated)].detach()
             net.correlation_scales = scales.exp().clamp(max=60).clone()
+
+
+def fold_batch_norm(trained: Pyramid, plain: Pyramid) -> None:
+    """Load a pyramid trained with batch norm into one without, which then gives the same features.
+
+    VGG without batch norm does not learn from random weights; with it, folded afterwards, it does.
+    """
+    convolutions = [m for m in plain.modules() if isinstance(m, nn.Conv2d)]
+    modules = [m for m in trained.modules() if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]
+    was_training = trained.training
+    trained.eval()
+    pairs = zip(modules[::2], modules[1::2], strict=True)
+    for target, (convolution, norm) in zip(convolutions, pairs, strict=True):
+        assert isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d)
+        target.load_state_dict(fuse_conv_bn_eval(convolution, norm).state_dict())
+    trained.train(was_training)
 
 
 class DecoderStage(nn.Module):
@@ -203,10 +223,9 @@ def _contrast(
     features: (2B, C, n, n) of these levels, each with its inverse temperature. The figures are the
     shares of cells whose match is right.
     """
-    truth, valid = level_truth(pairs.map, pairs.valid, evidence.shape[-1])
-    total, share = contrastive_loss(
-        evidence.flatten(2), truth.flatten(1, 2), valid.flatten(1), 2**COARSEST
-    )
+    cells = math.isqrt(evidence.shape[-1])
+    truth, valid = level_truth(pairs.map, pairs.valid, cells)
+    total, share = contrastive_loss(evidence, truth.flatten(1, 2), valid.flatten(1), 2**COARSEST)
     shares = {f"found{COARSEST}": share}
     for (level, values), scale in zip(features.items(), scales, strict=True):
         part, share = _level_contrast(level, values, pairs, scale, draw)

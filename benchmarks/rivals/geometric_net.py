@@ -7,8 +7,7 @@ from torch import Tensor, nn
 
 from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.network.coordinates import identity_map
-from dgc_pose.network.correlation import global_correlation, l2_normalise
-from dgc_pose.network.net import DGCNet, Prediction
+from dgc_pose.network.net import DGCNet, Prediction, global_correlation, l2_normalise
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import load_network
 from dgc_pose.training.synthesis.spline import TPS_KNOTS, thin_plate_spline

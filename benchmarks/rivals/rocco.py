@@ -15,10 +15,8 @@ from dgc_pose.matching import (
 )
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.device import choose_device
-from dgc_pose.network.inference import for_inference
-from dgc_pose.network.weights import network_fingerprint
-from dgc_pose.runtime.torch_engine import network_input
+from dgc_pose.network.weights import choose_device, network_fingerprint
+from dgc_pose.runtime.torch_engine import for_inference, network_input
 
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
 

@@ -76,7 +76,7 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     """
     import torch
 
-    from dgc_pose.network.device import choose_device
+    from dgc_pose.network.weights import choose_device
     from dgc_pose.training.log import ProgressLine
     from dgc_pose.training.run import Trainer
     from dgc_pose.training.synthesis.photos import load_photos

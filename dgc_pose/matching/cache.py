@@ -3,7 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from dgc_pose.system.threads import in_threads
 
@@ -69,3 +69,12 @@ class BoundedCache(Generic[Key, Value]):
         value = self._kept.pop(key)
         self.held_bytes -= self._size(key, value)
         self._dropped(value)
+
+
+# What is computed of an image, by the image first (the object, not its pixels).
+ImageCache = BoundedCache[tuple[Any, ...], Any]
+
+
+def image_cache(limit_bytes: int = 2 * 2**30) -> ImageCache:
+    """A cache of this size of values with `nbytes`. The images that it keeps alive count, too."""
+    return BoundedCache(lambda key, value: key[0].pixels.nbytes + value.nbytes, limit_bytes)

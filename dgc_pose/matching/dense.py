@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import cell_centres, rescale, within
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.cache import ImageCache, image_cache
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.search import search_views
 from dgc_pose.matching.selection import WEAK, MatchingOptions, select_matches
@@ -22,22 +21,15 @@ from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
 from dgc_pose.runtime.load import RuntimeName, load_engine
 
-# The encoder's features by image and view of it; keyed by the object, not by its pixels.
-FeatureCache = BoundedCache[tuple[Image, View], MapFeatures]
 _PAIR_BYTES = 2**27  # enough for a pair
-
-
-def feature_cache(limit_bytes: int = 2 * 2**30) -> FeatureCache:
-    """A cache of this size. The images that it keeps alive count towards it."""
-    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes, limit_bytes)
 
 
 class DenseMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    cache: of the encoder's features; None to keep those of the last pair or a few. search_below:
-    the network is trained on upright photographs of similar scale; if the mean matchability is
-    below this, other rotations of image 2 and other scales are searched.
+    cache: of the encoder's features, by view; None to keep those of the last pair or a few.
+    search_below: the network is trained on upright photographs of similar scale; if the mean
+    matchability is below this, other rotations of image 2 and other scales are searched.
 
     Raises InputError if `finest` is a level that the network's mask is not made for.
     """
@@ -48,7 +40,7 @@ class DenseMatcher(Matcher):
         self,
         engine: Engine,
         options: MatchingOptions | None = None,
-        cache: FeatureCache | None = None,
+        cache: ImageCache | None = None,
         search_below: float = WEAK,
     ) -> None:
         self.engine = engine
@@ -60,7 +52,7 @@ class DenseMatcher(Matcher):
                 f"the mask network of {self.name} works at {INPUT_SIZE} cells alone: finest must "
                 f"be {INPUT_SIZE}, not {self.options.finest}"
             )
-        self.cache = cache or feature_cache(_PAIR_BYTES)
+        self.cache = cache or image_cache(_PAIR_BYTES)
 
     @property
     def fingerprint(self) -> str:
@@ -87,59 +79,36 @@ class DenseMatcher(Matcher):
         return np.concatenate(self.engine.coarsest(features))
 
     def correspondence_map(self, image1: Image, image2: Image) -> CorrespondenceMap:
-        """The map of a pair, see `correspondence_maps`."""
-        return self.correspondence_maps([(image1, image2)])[0]
-
-    def correspondence_maps(self, pairs: Sequence[tuple[Image, Image]]) -> list[CorrespondenceMap]:
-        """The map of each pair, with the cycle error if the options ask for it.
-
-        Pairs are decoded together. Each image is encoded alone, so that its features do not depend
-        on the batch.
-        """
-        views = [(View.whole(image1.size), View.whole(image2.size)) for image1, image2 in pairs]
-        decoded = self._decode(pairs, views)
-        likely = {
-            i: pair_views
-            for i, (upright, _) in enumerate(decoded)
-            if upright.matchability.mean() < self.search_below
-            and (pair_views := search_views(self.engine, *pairs[i]))
-        }
-        again = self._decode([pairs[i] for i in likely], list(likely.values()))
-        for (i, pair_views), other in zip(likely.items(), again, strict=True):
-            matchability = other[0].matchability
-            inside = pair_views[1].inside(pairs[i][1].size, matchability.shape[::-1])
-            if matchability[inside].mean() > decoded[i][0].matchability.mean():
-                views[i], decoded[i] = pair_views, other
-        return [
-            self._upright_map(*images, *pair_views, *decoded_map)
-            for images, pair_views, decoded_map in zip(pairs, views, decoded, strict=True)
-        ]
+        """The map of a pair, with the cycle error if the options ask for it."""
+        images = image1, image2
+        views = View.whole(image1.size), View.whole(image2.size)
+        decoded = self._decode(images, views)
+        mean = decoded[0].matchability.mean()
+        if mean < self.search_below and (likely := search_views(self.engine, *images)):
+            again = self._decode(images, likely)
+            matchability = again[0].matchability
+            inside = likely[1].inside(image2.size, matchability.shape[::-1])
+            if matchability[inside].mean() > mean:
+                views, decoded = likely, again
+        return self._upright_map(*images, *views, *decoded)
 
     def _encode(self, image: Image, view: View) -> MapFeatures:
         return self.engine.encode(view.cut(image.pixels))
 
     def _decode(
-        self,
-        pairs: Sequence[tuple[Image, Image]],
-        views: Sequence[tuple[View, View]],
-    ) -> list[tuple[DecodedMap, np.ndarray | None]]:
-        """The map between the views of each pair, and the cycle error if the options ask for it."""
-        sources, targets = (
-            [(pair[k], pair_views[k]) for pair, pair_views in zip(pairs, views, strict=True)]
-            for k in (0, 1)
+        self, images: tuple[Image, Image], views: tuple[View, View]
+    ) -> tuple[DecodedMap, np.ndarray | None]:
+        """The map between views of both images, and the cycle error if the options ask for it."""
+        keys = zip(images, views, strict=True)
+        source, target = self.cache.get_all(
+            [(key, partial(self._encode, *key)) for key in keys],
+            in_turn=not self.engine.concurrent,
         )
-        keys = [*sources, *targets]
-        wanted = [(key, partial(self._encode, *key)) for key in keys]
-        features = self.cache.get_all(wanted, in_turn=not self.engine.concurrent)
-        source, target = features[: len(pairs)], features[len(pairs) :]
         forward = self.engine.decode(source, target, self.options.finest)
         if self.options.cycle_px is None:
-            return [(decoded, None) for decoded in forward]
+            return forward, None
         reverse = self.engine.decode(target, source, self.options.finest)
-        return [
-            (there, _cycle_error(there, back, view2))
-            for there, back, (_, view2) in zip(forward, reverse, views, strict=True)
-        ]
+        return forward, _cycle_error(forward, reverse, views[1])
 
     def _upright_map(
         self,
@@ -178,7 +147,7 @@ def load_dense_matcher(
     *,
     device: str = "auto",
     options: MatchingOptions | None = None,
-    cache: FeatureCache | None = None,
+    cache: ImageCache | None = None,
     runtime: RuntimeName = "auto",
     half_precision: bool = False,
     engine: Engine | None = None,

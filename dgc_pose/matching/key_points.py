@@ -1,23 +1,25 @@
 """Matchers of key points: what they detect in an image is kept for its next pair."""
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.cache import ImageCache, image_cache
 from dgc_pose.matching.matcher import Matcher, MatchResult
 
-KeyPoints = tuple[np.ndarray, np.ndarray]  # points (N, 2), pixels of the image; descriptors (N, D)
-KeyPointCache = BoundedCache[Image, KeyPoints]  # by the object, not by its pixels
 
+class KeyPoints(NamedTuple):
+    """The key points of an image and their descriptors."""
 
-def key_point_cache() -> KeyPointCache:
-    """A cache of the default size. The images that it keeps alive count towards it."""
-    return BoundedCache(
-        lambda image, arrays: image.pixels.nbytes + sum(array.nbytes for array in arrays)
-    )
+    points: np.ndarray  # (N, 2), pixels of the image
+    descriptors: np.ndarray  # (N, D)
+
+    @property
+    def nbytes(self) -> int:
+        return self.points.nbytes + self.descriptors.nbytes
 
 
 class KeyPointMatcher(Matcher, ABC):
@@ -26,12 +28,12 @@ class KeyPointMatcher(Matcher, ABC):
     cache: of key points; None to detect them anew for each pair.
     """
 
-    def __init__(self, cache: KeyPointCache | None = None) -> None:
+    def __init__(self, cache: ImageCache | None = None) -> None:
         self.cache = cache
 
     @abstractmethod
     def _detect(self, image: Image) -> KeyPoints:
-        """The key points of an image and their descriptors."""
+        """Detect in an image."""
 
     @abstractmethod
     def _matched(
@@ -44,9 +46,9 @@ class KeyPointMatcher(Matcher, ABC):
         """Expected error of a good match, pixels of the images."""
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        cache = self.cache or key_point_cache()
-        points1, descriptors1 = cache.get(image1, lambda: self._detect(image1))
-        points2, descriptors2 = cache.get(image2, lambda: self._detect(image2))
+        cache = self.cache or image_cache()
+        points1, descriptors1 = cache.get((image1,), lambda: self._detect(image1))
+        points2, descriptors2 = cache.get((image2,), lambda: self._detect(image2))
         rows1 = rows2 = np.zeros(0, int)
         confidence = np.zeros(0)
         if min(len(points1), len(points2)) > 1:  # a ratio test needs a second one

@@ -184,7 +184,5 @@ class PairSearch:
 
     @cached_property
     def _textures(self) -> tuple[Texture, Texture]:
-        if self.image1 is self.image2:
-            return (texture(self.image1),) * 2
         first, second = in_threads(texture, [self.image1, self.image2])
         return first, second

@@ -22,7 +22,8 @@ from dgc_pose.files.inputs import read_bytes
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.key_points import KeyPointCache, KeyPointMatcher, KeyPoints
+from dgc_pose.matching.cache import ImageCache
+from dgc_pose.matching.key_points import KeyPointMatcher, KeyPoints
 from dgc_pose.network.stored import find_weights
 
 LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model takes one size alone
@@ -41,7 +42,7 @@ class OnnxMatcher(KeyPointMatcher):
     Raises WeightsError if the model cannot be loaded, InputError if it has another layout.
     """
 
-    def __init__(self, path: str | Path, cache: KeyPointCache | None = None) -> None:
+    def __init__(self, path: str | Path, cache: ImageCache | None = None) -> None:
         from dgc_pose.runtime.session import Session  # ONNX Runtime takes its time to import
 
         super().__init__(cache)
@@ -49,19 +50,16 @@ class OnnxMatcher(KeyPointMatcher):
         self.name = self.path.stem
         self._digest = hashlib.sha256(read_bytes(self.path)).hexdigest()[:16]
         self._session = Session(self.path, {})
-        ((_, shape), *others) = self._session.inputs
-        if others or len(shape) != 4 or shape[1] not in (1, 3):
+        inputs, outputs = self._session.inputs, self._session.outputs
+        shape: Shape = inputs[0][1] if len(inputs) == 1 else []
+        self._roles = _find_roles([shape for _, shape in outputs])
+        if len(shape) != 4 or shape[1] not in (1, 3) or not self._roles:
             raise InputError(
-                f"{self.path}: expected one input (1, 3, H, W) or (1, 1, H, W), not "
-                f"{_described(self._session.inputs)}"
+                f"{self.path}: expected an image (1, 3, H, W) or (1, 1, H, W), and of it "
+                "descriptors and logits (1, 65, h, w), or key points (N, 2) and descriptors, not "
+                f"{_described(inputs)}, and {_described(outputs)}"
             )
         _, self._channels, *self._sides = shape
-        self._roles = _find_roles([shape for _, shape in self._session.outputs])
-        if not self._roles:
-            raise InputError(
-                f"{self.path}: expected outputs of descriptors and logits (1, 65, h, w), or of key "
-                f"points (N, 2) and descriptors, not {_described(self._session.outputs)}"
-            )
 
     @property
     def fingerprint(self) -> str:
@@ -83,7 +81,8 @@ class OnnxMatcher(KeyPointMatcher):
         best = np.argsort(-scores, kind="stable")[:MAX_POINTS]
         lengths = np.linalg.norm(descriptors[best], axis=1, keepdims=True)
         unit = descriptors[best] / np.maximum(lengths, 1e-9)
-        return rescale(points[best].astype(np.float64), size, image.size), unit.astype(np.float32)
+        points = rescale(points[best].astype(np.float64), size, image.size)
+        return KeyPoints(points, unit.astype(np.float32))
 
     def _matched(
         self, descriptors1: np.ndarray, descriptors2: np.ndarray

@@ -21,7 +21,7 @@ from dgc_pose.geometry.pixels import Size, cell_centres, rescale
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
-from dgc_pose.runtime.correlation import log_softmax, match_scores
+from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
@@ -45,20 +45,22 @@ _SCALE_OFF = 2.0  # and the factor
 class _Thumbnail:
     """A small copy of an image."""
 
-    view: View  # of the image resized to `size`
-    size: Size
+    size: Size  # of the image
+    shrunk: Size  # of the image resized for all copies
+    view: View  # of that one
     features: NativeFeatures
     inside: np.ndarray  # (h, w) bool, which cells of stride 16 show the image
 
-    def points(self, size: Size) -> np.ndarray:
-        """Centres (N, 2) of the cells inside, pixels of the image at `size`."""
+    def points(self) -> np.ndarray:
+        """Centres (N, 2) of the cells inside, pixels of the image."""
         rows, columns = self.inside.shape
         centres = cell_centres((columns, rows), self.view.size)[self.inside]
-        return rescale(self.view.to_image(centres), self.size, size)
+        return rescale(self.view.to_image(centres), self.shrunk, self.size)
 
-    def pixel_of(self, size: Size) -> float:
-        """Side of a pixel of the copy in pixels of the image at `size`."""
-        return math.sqrt(math.prod(size) / math.prod(self.size)) / self.view.scale
+    @property
+    def pixel(self) -> float:
+        """Side of a pixel of the copy in pixels of the image."""
+        return math.sqrt(math.prod(self.size) / math.prod(self.shrunk)) / self.view.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +69,10 @@ class _Candidate:
 
     angle_deg: float  # that image 2 is rotated by
     octave: int  # log2 of the ratio of the fields of view: positive if image 1 shows more
+    wide: _Thumbnail  # of the image with the larger field of view
+    narrow: _Thumbnail
+    logarithms: np.ndarray  # see `matching_distribution`
     entropy: float  # mean over the cells of the small copy, 1 for a uniform distribution
-    # (N, 2) most probable matches, pixels of the images with the larger and the smaller field
-    in_wide: np.ndarray
-    in_narrow: np.ndarray
-    ratio: float  # pixels of the image with the larger field of view per pixel of the other
-    cell_px: float  # side of a cell of the larger copy in pixels of its image
 
 
 def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
@@ -127,18 +127,8 @@ class _Thumbnails:
         logarithms = matching_distribution(
             wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
         )
-        peaks = logarithms.max(0)
-        sure = peaks >= np.median(peaks)
-        pixel = wide.pixel_of(self._sizes[1 - small])
-        return _Candidate(
-            angle_deg,
-            octave,
-            mean_entropy(logarithms),
-            wide.points(self._sizes[1 - small])[logarithms.argmax(0)][sure],
-            rotated.points(self._sizes[small])[sure],
-            pixel / rotated.pixel_of(self._sizes[small]),
-            STRIDE * pixel,
-        )
+        entropy = mean_entropy(logarithms)
+        return _Candidate(angle_deg, octave, wide, rotated, logarithms, entropy)
 
     def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
         key = (image, angle_deg % 360, octave)
@@ -150,7 +140,7 @@ class _Thumbnails:
             columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
             features = self.engine.native(view.cut(pixels), (columns, rows))
             inside = view.inside(size, (columns, rows))
-            self._made[key] = _Thumbnail(view, size, features, inside)
+            self._made[key] = _Thumbnail(self._sizes[image], size, view, features, inside)
         return self._made[key]
 
 
@@ -214,17 +204,18 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
 
     That which most of the matches fit; without one, by the angle and the octave that were compared.
     """
-    narrow, wide = best.in_narrow, best.in_wide
+    peaks = best.logarithms.max(0)
+    sure = peaks >= np.median(peaks)
+    wide = best.wide.points()[best.logarithms.argmax(0)][sure]
+    narrow = best.narrow.points()[sure]
     matrix, fits = None, 0
     if len(narrow) >= _MIN_MATCHES:
         matrix, mask = cv2.estimateAffinePartial2D(
-            narrow, wide, ransacReprojThreshold=_REACH * best.cell_px
+            narrow, wide, ransacReprojThreshold=_REACH * STRIDE * best.wide.pixel
         )
         fits = int(mask.sum())
-    expected = View(
-        best.angle_deg if best.octave >= 0 else -best.angle_deg, best.ratio, (0, 0), (1, 1)
-    )
-    linear = expected.matrix[:, :2]
+    angle = best.angle_deg if best.octave >= 0 else -best.angle_deg
+    linear = View(angle, best.wide.pixel / best.narrow.pixel, (0, 0), (1, 1)).matrix[:, :2]
     if matrix is not None and fits >= _MIN_MATCHES:
         change = np.linalg.solve(linear, matrix[:, :2])  # near the identity, if the fit is right
         off, grown = abs(math.atan2(change[0, 1], change[0, 0])), float(np.hypot(*change[0]))

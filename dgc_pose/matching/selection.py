@@ -11,8 +11,6 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import ERROR_CELLS, CorrespondenceMap
 from dgc_pose.system.options import check_options, option
 
-FinestLevel = Literal[240, 120, 60]
-
 MIN_SHARE = 0.01  # of all cells that must pass; a smaller patch matches by chance
 WEAK = 0.25  # mean matchability of a map that may be of images rotated or of different scales
 
@@ -26,7 +24,7 @@ class MatchingOptions:
         finest: Cells a side of the level that the map is taken from.
     """
 
-    finest: FinestLevel = option(
+    finest: Literal[240, 120, 60] = option(
         240,
         "Cells a side of the dense map, 240, 120 or 60: fewer are faster.",
         metavar="CELLS",

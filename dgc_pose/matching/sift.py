@@ -22,8 +22,8 @@ class SiftMatcher(KeyPointMatcher):
         grey = cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)
         points, descriptors = detector.detectAndCompute(grey, None)
         if descriptors is None:
-            return np.zeros((0, 2)), np.zeros((0, 128), np.float32)
-        return np.array([point.pt for point in points], dtype=np.float64), descriptors
+            return KeyPoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
+        return KeyPoints(np.array([point.pt for point in points], np.float64), descriptors)
 
     def _matched(
         self, descriptors1: np.ndarray, descriptors2: np.ndarray

@@ -1,4 +1,4 @@
-"""Network configurations: the presets and their ablations."""
+"""Network configurations: fixed numbers, the presets, and their ablations."""
 
 from __future__ import annotations
 
@@ -19,30 +19,18 @@ CORRELATED = (4, 3)  # levels whose features are correlated, the coarsest first
 SECOND_SIZE = 128  # pixels, for 240: both images are also encoded at this scale
 LOCAL_RADIUS = 4  # cells of level 4, of the paper's PWCm-Net
 LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
+EPSILON = 1e-6  # under the root of a feature's length
+PEAK = (0.01, 0.99)  # bounds of the peak's probability, from which the coarsest mask logit starts
+PEAK_WINDOW = 2  # cells along each axis around the highest that belong to the peak
 
+# Of the consensus. Chosen on training photographs; factors from one half to two change little.
+PASSES = 4  # rounds of belief propagation
+REACH = 1.4  # source cells, sigma of a neighbour's match about the match plus the cells' offset
+WEIGHT = 0.4  # of the messages: neighbours are not independent of each other
+FLOOR = 0.01  # smallest message: the neighbour may lie on another surface
 
-@dataclass(frozen=True)
-class Conv:
-    """A 3x3 convolution, padded to keep the size, then ReLU."""
-
-    channels: int
-    stride: int = 1
-
-
-@dataclass(frozen=True)
-class Pool:
-    """A 2x2 max-pool with stride 2."""
-
-
-PyramidLevel = tuple[Conv | Pool, ...]
-
-
-@dataclass(frozen=True)
-class EfficientNet:
-    """A pyramid with EfficientNet-Lite0 as the backbone of levels 2 to 4; see `efficientnet.py`."""
-
-    fine: tuple[PyramidLevel, PyramidLevel]  # levels 0 and 1, computed from the image
-    channels: tuple[int, int, int] = (64, 128, 128)  # of levels 2, 3 and 4
+MEAN = (0.485, 0.456, 0.406)  # of ImageNet's channels, which the network's input is normalised by
+DEVIATION = (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True)
@@ -57,10 +45,11 @@ class DecoderConfig:
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """Configuration of a network. Raises InputError if the parts do not fit together."""
+    """Configuration of a network."""
 
     name: str
-    pyramid: tuple[PyramidLevel, ...] | EfficientNet  # levels 0 (finest, 240) to 4 (coarsest, 15)
+    # Channels of each 3x3 convolution of levels 0 to 4 (see `pyramid.py`), or `efficientnet.py`.
+    pyramid: tuple[tuple[int, ...], ...] | Literal["efficientnet-lite0"]
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
     # A decoder's output: the map itself (the paper), the displacement from the identity (the
     # paper's DGC-Net-flow), or a correction of the previous map in cells, where the first map is
@@ -75,25 +64,12 @@ class NetworkConfig:
     # their outer edges (False, the same point at every level).
     align_corners: bool = True
 
-    def __post_init__(self) -> None:
-        if self.any_shape and (
-            self.correlation == "local"
-            or self.matchability == "network"
-            or any(decoder.local_radius is None for decoder in self.decoders)
-        ):
-            raise InputError(
-                "a residual output needs the global correlation, a local_radius of every decoder, "
-                "and no mask network"
-            )
-        if not self.any_shape and self.decoders[COARSEST].local_radius is not None:
-            raise InputError("a local_radius at level 4 needs a residual output")
-
     @property
     def level_channels(self) -> tuple[int, ...]:
         """Channels of each pyramid level, 0 to 4."""
-        if isinstance(self.pyramid, EfficientNet):
-            return (*map(output_channels, self.pyramid.fine), *self.pyramid.channels)
-        return tuple(map(output_channels, self.pyramid))
+        if self.pyramid == "efficientnet-lite0":
+            return 16, 32, 64, 128, 128
+        return tuple(channels[-1] for channels in self.pyramid)
 
     @property
     def any_shape(self) -> bool:
@@ -136,18 +112,7 @@ class NetworkConfig:
         return 2 * self.level_channels[level] + local + self.map_channels
 
 
-def output_channels(level: PyramidLevel) -> int:
-    """Output channels of a level."""
-    return [part.channels for part in level if not isinstance(part, Pool)][-1]
-
-
-_VGG16: tuple[PyramidLevel, ...] = (
-    (Conv(64),),
-    (Conv(64), Pool()),
-    (Conv(128), Conv(128), Pool()),
-    (Conv(256), Conv(256), Conv(256), Pool()),
-    (Conv(512), Conv(512), Conv(512), Pool()),
-)
+_VGG16 = ((64,), (64,), (128, 128), (256, 256, 256), (512, 512, 512))
 _PAPER_DECODERS = (
     DecoderConfig((128, 96, 64, 32), (1, 4, 12, 16)),
     DecoderConfig((128, 96, 64, 32), (1, 4, 6, 8)),
@@ -155,7 +120,6 @@ _PAPER_DECODERS = (
     DecoderConfig((128, 128, 96, 64, 32), (1, 1, 1, 1, 1)),
     DecoderConfig((128, 128, 96, 64, 32), (1, 1, 1, 1, 1)),
 )
-_LITE_PYRAMID = EfficientNet(((Conv(16),), (Conv(24, stride=2), Conv(32))))
 _LITE_DECODERS = (
     DecoderConfig((32, 16), (1, 2), local_radius=2),
     DecoderConfig((48, 32, 24), (1, 2, 4), local_radius=3),
@@ -169,7 +133,7 @@ PRESETS: dict[str, NetworkConfig] = {
     "dgcm": NetworkConfig("dgcm", _VGG16, _PAPER_DECODERS, matchability="network"),
     "dgcm-lite0": NetworkConfig(
         "dgcm-lite0",
-        _LITE_PYRAMID,
+        "efficientnet-lite0",
         _LITE_DECODERS,
         output="residual",
         matchability="decoder",
@@ -190,10 +154,9 @@ def preset(name: str) -> NetworkConfig:
     for ablation in ablations:
         if ablation not in ABLATIONS:
             raise InputError(f"no ablation '{ablation}'; there are {', '.join(ABLATIONS)}")
-        try:
-            config = ABLATIONS[ablation](config)
-        except InputError as error:
-            raise InputError(f"{ablation} is no ablation of {base}: {error}") from None
+        if config.any_shape and ablation in ("flow", "local-correlation"):
+            raise InputError(f"{ablation} is no ablation of {base}, whose output is a residual")
+        config = ABLATIONS[ablation](config)
     return replace(config, name=name)
 
 

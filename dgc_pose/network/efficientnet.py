@@ -7,12 +7,8 @@ output cell (with TensorFlow's padding); over four such layers that adds up to h
 16. The offset cancels between two upright views, but not if one is rotated or scaled.
 """
 
-import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-
-from dgc_pose.network.config import EfficientNet, output_channels
-from dgc_pose.network.pyramid import plain_level
 
 STEM_CHANNELS = 32
 # Of each inverted residual block: output channels, kernel, stride, and expansion of the channels.
@@ -39,10 +35,15 @@ class EfficientPyramid(nn.Module):
     heads and a top-down path that adds each level, upsampled, to the next finer one.
     """
 
-    def __init__(self, config: EfficientNet) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.level_0 = plain_level(config.fine[0], 3)
-        self.level_1 = plain_level(config.fine[1], output_channels(config.fine[0]))
+        self.level_0 = nn.Sequential(nn.Conv2d(3, 16, 3, padding=1), nn.ReLU())
+        self.level_1 = nn.Sequential(
+            nn.Conv2d(16, 24, 3, 2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(24, 32, 3, padding=1),
+            nn.ReLU(),
+        )
         self.stem = nn.Sequential(_strided(3, STEM_CHANNELS, 3), nn.ReLU6())
         inputs, taken = STEM_CHANNELS, {}
         self.blocks = nn.ModuleList()
@@ -51,14 +52,13 @@ class EfficientPyramid(nn.Module):
             inputs = channels
             if index in LAST_BLOCKS:
                 taken[LAST_BLOCKS[index]] = channels
-        channels2, channels3, channels4 = config.channels
-        self.head_4 = nn.Conv2d(taken[4], channels4, 1)
-        self.lift_4 = nn.Conv2d(taken[4], channels3, 1)
-        self.head_3 = nn.Conv2d(taken[3], channels3, 1)
-        self.merge_3 = nn.Conv2d(channels3, channels3, 3, padding=1)
-        self.lift_3 = nn.Conv2d(channels3, channels2, 1)
-        self.head_2 = nn.Conv2d(taken[2], channels2, 1)
-        self.merge_2 = nn.Conv2d(channels2, channels2, 3, padding=1)
+        self.head_4 = nn.Conv2d(taken[4], 128, 1)
+        self.lift_4 = nn.Conv2d(taken[4], 128, 1)
+        self.head_3 = nn.Conv2d(taken[3], 128, 1)
+        self.merge_3 = nn.Conv2d(128, 128, 3, padding=1)
+        self.lift_3 = nn.Conv2d(128, 64, 1)
+        self.head_2 = nn.Conv2d(taken[2], 64, 1)
+        self.merge_2 = nn.Conv2d(64, 64, 3, padding=1)
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
@@ -73,15 +73,9 @@ class EfficientPyramid(nn.Module):
             if index in LAST_BLOCKS:
                 taken.append(features)
         level2, level3, level4 = taken
-        mixed3 = F.relu(self.head_3(level3) + _upsampled(self.lift_4(level4)))
-        mixed2 = F.relu(self.head_2(level2) + _upsampled(self.lift_3(mixed3)))
+        mixed3 = F.relu(self.head_3(level3) + upsample(self.lift_4(level4)))
+        mixed2 = F.relu(self.head_2(level2) + upsample(self.lift_3(mixed3)))
         return [self.merge_2(mixed2), self.merge_3(mixed3), self.head_4(level4)]
-
-    def freeze_fine_levels(self) -> None:
-        """Make levels 2 to 4 trainable, and freeze levels 0 and 1."""
-        self.requires_grad_(True)
-        for level in (self.level_0, self.level_1):
-            level.requires_grad_(False)
 
 
 class InvertedResidual(nn.Module):
@@ -104,20 +98,12 @@ class InvertedResidual(nn.Module):
         return features + change if self.skips else change
 
 
-def even_kernel(kernel: Tensor) -> Tensor:
-    """An odd kernel (..., k, k) of stride 2 as an even one (..., k + 1, k + 1) without the offset.
-
-    The mean of the kernel shifted by half a pixel to each of the four diagonal directions.
-    """
-    return torch.stack(
-        [F.pad(kernel, (dx, 1 - dx, dy, 1 - dy)) for dx in (0, 1) for dy in (0, 1)]
-    ).mean(0)
-
-
 def _strided(inputs: int, outputs: int, kernel: int, groups: int = 1) -> nn.Conv2d:
     """A convolution of stride 2, its kernel of side `kernel` + 1 centred on the output cell."""
     return nn.Conv2d(inputs, outputs, kernel + 1, 2, kernel // 2, groups=groups)
 
 
-def _upsampled(features: Tensor) -> Tensor:
+def upsample(features: Tensor) -> Tensor:
+    """Features, or the state of a level, at twice its size, bilinear, align_corners False in every
+    preset."""
     return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)

@@ -1,5 +1,6 @@
 """The assembled network: pyramid, correlation, five decoders, matchability."""
 
+import itertools
 from dataclasses import dataclass
 from typing import cast
 
@@ -9,27 +10,22 @@ from torch import Tensor, nn
 
 from dgc_pose.network.config import (
     COARSEST,
+    DEVIATION,
+    EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
     LOCAL_RADIUS,
+    MEAN,
+    PASSES,
+    PEAK,
     SECOND_SIZE,
     STRIDE,
-    EfficientNet,
+    DecoderConfig,
     NetworkConfig,
 )
-from dgc_pose.network.constants import DEVIATION, MEAN, PASSES, PEAK
 from dgc_pose.network.coordinates import identity_map, to_normalised
-from dgc_pose.network.correlation import (
-    cell_correlations,
-    consensus,
-    l2_normalise,
-    local_correlation,
-    match_evidence,
-    match_scores,
-    peaks,
-)
-from dgc_pose.network.decoder import Decoder, MatchabilityNet
-from dgc_pose.network.efficientnet import EfficientPyramid
+from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
+from dgc_pose.network.efficientnet import EfficientPyramid, upsample
 from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
@@ -48,17 +44,6 @@ class Prediction:
     logits: tuple[Tensor, ...]
 
 
-@dataclass(frozen=True)
-class Correlation:
-    """The correlation of the features of a batch of pairs."""
-
-    # (B, h1 * w1, h2, w2) of level 4 for grids of h1 x w1 source cells and h2 x w2 target cells
-    # (15 x 15 in squared images), or (B, n^2, h2, w2) if it is local
-    coarsest: Tensor
-    # (B, h1 * w1, h2, w2) for each pair of cells, by all correlated levels; None if it is local
-    evidence: Tensor | None
-
-
 class DGCNet(nn.Module):
     """DGC-Net and its variants (Melekhov et al., WACV 2019), by a `NetworkConfig`.
 
@@ -73,8 +58,8 @@ class DGCNet(nn.Module):
         # Convolutions in bfloat16; correlations and maps stay in single precision.
         self.half_precision = False
         self.pyramid: Pyramid | EfficientPyramid
-        if isinstance(config.pyramid, EfficientNet):
-            self.pyramid = EfficientPyramid(config.pyramid)
+        if config.pyramid == "efficientnet-lite0":
+            self.pyramid = EfficientPyramid()
         else:
             self.pyramid = Pyramid(config)
         for level in range(COARSEST, -1, -1):
@@ -86,11 +71,6 @@ class DGCNet(nn.Module):
         self.register_buffer("correlation_scales", scales, persistent=config.any_shape)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
-        sides = {side for image in (source, target) for side in image.shape[2:]}
-        any_shape = self.config.any_shape
-        if any(side % STRIDE for side in sides) if any_shape else sides != {INPUT_SIZE}:
-            needed = f"multiples of {STRIDE}" if any_shape else str(INPUT_SIZE)
-            raise ValueError(f"the sides of source and target must be {needed}, not {sides}")
         return self.decode(self.features(source), self.features(target))
 
     def features(self, image: Tensor) -> list[Tensor]:
@@ -144,54 +124,43 @@ class DGCNet(nn.Module):
             return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
 
-    def correlate(self, source: list[Tensor], target: list[Tensor]) -> Correlation:
-        """The correlation of both images' features, as `features` gives them."""
-        config = self.config
-        (source, *source_smaller), (target, *target_smaller) = map(self._scales, (source, target))
-        if config.correlation == "local":
-            return Correlation(local_correlation(source[0], target[0], LOCAL_RADIUS), None)
+    def correlate(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
+        """The correlation of both images' features, as `features` gives them: (B, n, 15, 15) of
+        level 4, or with `any_shape` the evidence (B, h1 * w1, h2 * w2) of all correlated levels."""
+        (source1, *smaller1), (target1, *smaller2) = map(self._scales, (source, target))
+        if self.config.correlation == "local":
+            return local_correlation(source1[0], target1[0], LOCAL_RADIUS)
+        if not self.config.any_shape:
+            return global_correlation(source1[0], target1[0])
         scales = cast(Tensor, self.correlation_scales)
-        correlations = cell_correlations(source, target)
-        evidence = match_evidence(correlations, scales)
-        across = [(smaller, target) for smaller in source_smaller]
-        across += [(source, smaller) for smaller in target_smaller]
-        for pair in across:
-            evidence = evidence.maximum(match_evidence(cell_correlations(*pair), scales))
-        return Correlation(correlations[0], evidence)
+        evidence = match_evidence(source1, target1, scales)
+        for pair in ((smaller1[0], target1), (source1, smaller2[0])):
+            evidence = evidence.maximum(match_evidence(*pair, scales))
+        return evidence
 
     def _scales(self, features: list[Tensor]) -> list[list[Tensor]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
         scales = [[features[level] for level in self.config.correlated]]
-        if self.config.any_shape:
-            scales.append(features[len(LEVEL_SIZES) :])
+        scales.append(features[len(LEVEL_SIZES) :])
         if self.config.normalise_features:
             return [[l2_normalise(level) for level in levels] for levels in scales]
         return scales
 
-    def start(self, correlation: Correlation, source: Tensor, target: Tensor) -> Tensor:
+    def start(self, correlation: Tensor, source: Tensor, target: Tensor) -> Tensor:
         """The state of level 4 from the correlation and the level's features: (B, 2 or 3, h, w),
-        the map and, with matchability "decoder", the mask logit."""
-        if self.config.any_shape:
-            state = self.peak(correlation, _grid(source))
-            warped = self.warp(source, state)
-            return self.refine(COARSEST, warped, target, state, grid=_grid(source))
-        scores = correlation.coarsest
-        state = scores.new_zeros(len(scores), self.config.map_channels, *scores.shape[2:])
-        return self._decode_level(COARSEST, l2_normalise(scores.relu()), state, _grid(source))
-
-    def peak(self, correlation: Correlation, grid: tuple[int, int]) -> Tensor:
-        """The state that corrections start from (B, 2 or 3, h2, w2): the peak of the evidence.
-
-        grid: rows and columns of the source at level 4.
-        """
-        assert correlation.evidence is not None
-        scores = consensus(match_scores(correlation.evidence), PASSES, grid)
-        cells, probability = peaks(scores, grid)
+        the map and, with matchability "decoder", the mask logit. With `any_shape` it is corrected
+        from the peak of the evidence."""
+        grid, target_grid = _grid(source), _grid(target)
+        if not self.config.any_shape:
+            state = source.new_zeros(len(source), self.config.map_channels, *grid)
+            return self._decode_level(COARSEST, l2_normalise(correlation.relu()), state, grid)
+        cells, probability = peaks(
+            consensus(match_scores(correlation), PASSES, grid, target_grid), grid
+        )
         points = to_normalised(cells.movedim(1, -1), grid[::-1], self.config.align_corners)
-        parts = [points.movedim(-1, 1)]
-        if self.config.matchability == "decoder":
-            parts.append(probability.clamp(*PEAK).logit()[:, None])
-        return torch.cat(parts, 1)
+        logits = probability.clamp(*PEAK).logit()[:, None]
+        state = torch.cat([points.movedim(-1, 1), logits], 1).view(len(source), 3, *target_grid)
+        return self.refine(COARSEST, self.warp(source, state), target, state, grid=grid)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
@@ -216,16 +185,11 @@ class DGCNet(nn.Module):
         part of it.
         """
         grid = grid or (LEVEL_SIZES[level], LEVEL_SIZES[level])
-        features = self.level_features(level, warped, target)
-        return self._decode_level(level, features, previous, grid, window)
-
-    def level_features(self, level: int, warped: Tensor, target: Tensor) -> Tensor:
-        """What the decoder of a level reads beside the previous state: (B, C, H, W)."""
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
         if radius is not None:
             parts.append(local_correlation(l2_normalise(warped), l2_normalise(target), radius))
-        return torch.cat(parts, 1)
+        return self._decode_level(level, torch.cat(parts, 1), previous, grid, window)
 
     def _decode_level(
         self,
@@ -235,21 +199,17 @@ class DGCNet(nn.Module):
         grid: tuple[int, int],
         window: tuple[slice, slice] | None = None,
     ) -> Tensor:
-        if self.config.output == "absolute":
-            return self._regress(level, features, previous)
-        if self.config.output == "residual":
-            # Corrections are in cells; the mask logit has no unit.
-            change = self._regress(level, features, previous)
-            cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
-            return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
-        identity = self._identity(level, previous, window)
-        return identity + self._regress(level, features, previous - identity)
-
-    def _regress(self, level: int, features: Tensor, previous: Tensor) -> Tensor:
-        inputs = torch.cat([features, previous], 1)
+        displaced = self.config.output == "displacement"
+        identity = self._identity(level, previous, window) if displaced else 0
+        inputs = torch.cat([features, previous - identity], 1)
         with self._precision(inputs):
             outputs = self.get_submodule(f"reg_{level}")(inputs)
-        return outputs.to(inputs.dtype)
+        change = outputs.to(inputs.dtype)
+        if self.config.output == "residual":
+            # Corrections are in cells; the mask logit has no unit.
+            cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
+            return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
+        return identity + change
 
     def warp(self, features: Tensor, previous: Tensor) -> Tensor:
         """Source features (B, C, S, S) sampled at a map (B, 2.., H, W): (B, C, H, W)."""
@@ -271,6 +231,67 @@ class DGCNet(nn.Module):
         return torch.cat([identity, extra], 1)
 
 
+class Decoder(nn.Sequential):
+    """One correspondence decoder (paper, section 3.3): (B, inputs, S, S) to (B, outputs, S, S)."""
+
+    def __init__(self, inputs: int, config: DecoderConfig, outputs: int) -> None:
+        super().__init__()
+        for index, dilation in enumerate(config.dilations):
+            channels = config.channels[index]
+            self.add_module(f"conv{index}", _block(inputs, channels, dilation))
+            inputs = channels
+        self.final = nn.Conv2d(inputs, outputs, 3, padding=1)
+
+
+class MatchabilityNet(nn.Sequential):
+    """The paper's mask network (section 3.4): (B, inputs, S, S) to logits (B, 1, S, S)."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.conv0 = _block(inputs, 64)
+        self.conv1 = _block(64, 32)
+        self.conv2 = _block(32, 16)
+        self.conv3 = nn.Conv2d(16, 1, 1)
+
+
+def _block(inputs: int, outputs: int, dilation: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, padding=dilation, dilation=dilation),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(),
+    )
+
+
+def l2_normalise(features: Tensor) -> Tensor:
+    """Unit length over the channels of (B, C, H, W): f / sqrt(sum f^2 + 1e-6)."""
+    return features / torch.sqrt(features.square().sum(1, keepdim=True) + EPSILON)
+
+
+def global_correlation(source: Tensor, target: Tensor) -> Tensor:
+    """Every source cell against every target cell (paper, section 3.2).
+
+    Takes (B, C, h1, w1) and (B, C, h2, w2); returns (B, h1 * w1, h2, w2): channel xs * h1 + ys
+    (column-major over the source) at (yt, xt) is <source(ys, xs), target(yt, xt)>.
+    """
+    columns = source.transpose(2, 3).flatten(2)  # (B, C, xs * h + ys)
+    return torch.einsum("bcs,bcyx->bsyx", columns, target)
+
+
+def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
+    """Target cells against the warped source in a window around the same cell.
+
+    Takes (B, C, H, W) of both; returns (B, (2 radius + 1)^2, H, W), channels row by row over
+    (dy, dx) from -radius to radius: <warped(y + dy, x + dx), target(y, x)>, zero outside.
+    """
+    height, width = target.shape[2:]
+    padded = F.pad(warped, (radius,) * 4)
+    scores = [
+        (padded[:, :, dy : dy + height, dx : dx + width] * target).sum(1)
+        for dy, dx in itertools.product(range(2 * radius + 1), repeat=2)
+    ]
+    return torch.stack(scores, 1)
+
+
 def _grid(features: Tensor) -> tuple[int, int]:
     """Rows and columns of a level's features (B, C, H, W)."""
     return features.shape[2], features.shape[3]
@@ -280,8 +301,3 @@ def normalise(images: Tensor) -> Tensor:
     """RGB images (B, 3, H, W) in [0, 1] to the network's input, by ImageNet's statistics."""
     mean, deviation = (images.new_tensor(v)[:, None, None] for v in (MEAN, DEVIATION))
     return (images - mean) / deviation
-
-
-def upsample(state: Tensor) -> Tensor:
-    """The state of a level at twice its size, bilinear, align_corners False in every preset."""
-    return F.interpolate(state, scale_factor=2, mode="bilinear", align_corners=False)

@@ -41,10 +41,8 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
     return path
 
 
-def read_safetensors(
-    path: Path, framework: Literal["pt", "np"]
-) -> tuple[dict[str, str], dict[str, Any]]:
-    """The header, with the preset's name, and the tensors or arrays of a file of ours.
+def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, dict[str, Any]]:
+    """The preset's name, and the tensors or arrays of a file of ours.
 
     Raises WeightsError, naming the file, if it is none.
     """
@@ -56,7 +54,7 @@ def read_safetensors(
         raise WeightsError(
             f"{path}: its header names no preset of ours ({name or 'nothing'})"
         ) from None
-    return metadata, state
+    return name, state
 
 
 def read_tensors(

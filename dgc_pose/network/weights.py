@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save
 from torch import Tensor, nn
 
-from dgc_pose.errors import WeightsError
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
-from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import (
@@ -25,11 +23,10 @@ from dgc_pose.network.stored import (
     read_tensors,
 )
 
-DEFAULT = DEFAULT_WEIGHTS
-_MASK = "matchability_net."
 
-
-def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cpu") -> DGCNet:
+def load_network(
+    weights: str | Path = DEFAULT_WEIGHTS, device: torch.device | str = "cpu"
+) -> DGCNet:
     """A network with its weights, in evaluation mode and frozen.
 
     weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;
@@ -38,27 +35,31 @@ def load_network(weights: str | Path = DEFAULT, device: torch.device | str = "cp
     """
     path = find_weights(weights)
     if path.suffix == SUFFIX:
-        header, state = read_safetensors(path, "pt")
-        name = header["preset"]
+        name, state = read_safetensors(path, "pt")
     else:
-        name, state = _read_checkpoint(path)
+        state = {key.removeprefix("module."): value for key, value in read_state(path).items()}
+        state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
+        name = "dgcm" if any(key.startswith("matchability_net.") for key in state) else "dgc"
     net = DGCNet(preset(name))
     check_tensors(path, name, state, net.state_dict())
     net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
     return net.eval().requires_grad_(False).to(device)
 
 
-def save_weights(net: DGCNet, path: str | Path) -> None:
-    """Write a network as safetensors in half precision, its preset's name in the header."""
-    state = {
-        key: value.detach().cpu().half().contiguous()
-        for key, value in net.state_dict().items()
-        if not key.endswith(COUNTER)
-    }
-    header = {"preset": net.config.name}
-    with replaced(Path(path)) as temporary, writing(temporary):
-        # Not save_file, whose files only their owner may read.
-        temporary.write_bytes(save(state, metadata=header))
+def choose_device(name: str = "auto") -> torch.device:
+    """The torch device of that name; "auto" is a CUDA device if there is one, else the CPU.
+
+    Raises InputError for an unknown name or a missing device.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"device must be auto, cpu, cuda or cuda:N, not '{name}'") from None
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"device {name}: no CUDA device is available here")
+    return device
 
 
 def network_fingerprint(net: nn.Module) -> str:
@@ -72,7 +73,13 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     try:
         require_regular(path, WeightsError)
         with read_as("a checkpoint", path, WeightsError):
-            _check_archive(path)
+            if zipfile.is_zipfile(path):
+                with zipfile.ZipFile(path) as archive:
+                    # A packed one could need any amount of memory; torch packs none.
+                    if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
+                        raise WeightsError(
+                            f"{path}: not a checkpoint of torch: its archive is packed"
+                        )
             try:
                 return torch.load(path, map_location=device, weights_only=True)
             except pickle.UnpicklingError as error:
@@ -81,15 +88,6 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
                 raise WeightsError(f"{path}: {what}") from error
     except OSError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
-
-
-def _check_archive(path: Path) -> None:
-    """Raise WeightsError for a packed archive, which could need any amount of memory: torch stores
-    tensors as they are."""
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
 
 
 def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tensor]:
@@ -106,14 +104,6 @@ def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tens
     ):
         raise WeightsError(f"{path}: holds no state_dict")
     return state
-
-
-def _read_checkpoint(path: Path) -> tuple[str, dict[str, Tensor]]:
-    state = read_state(path)
-    state = {key.removeprefix("module."): value for key, value in state.items()}
-    state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
-    has_mask = any(key.startswith(_MASK) for key in state)
-    return "dgcm" if has_mask else "dgc", state
 
 
 def check_tensors(

@@ -1,6 +1,5 @@
 """Refinement: matches at the accuracy of the original photographs."""
 
-from dgc_pose.refinement.options import RefinementOptions, SourceName
-from dgc_pose.refinement.refiner import Refiner
+from dgc_pose.refinement.refiner import RefinementOptions, Refiner, SourceName
 
 __all__ = ["RefinementOptions", "Refiner", "SourceName"]

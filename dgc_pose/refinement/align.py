@@ -22,6 +22,8 @@ from dgc_pose.refinement.consistency import LocalMatches
 from dgc_pose.refinement.lucas_kanade import Patches, align_patches
 
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
+PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
+MIN_ZNCC = 0.8  # least correlation of a pair of aligned patches
 CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner, by default
 _CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels beyond, which the block and its gradients reach
 _STRIP = 256  # rows measured at a time: of a large image all take hundreds of MiB
@@ -50,120 +52,86 @@ def align(
     pixels2: np.ndarray,
     matches: LocalMatches,
     *,
-    radius: int,
     error_px: float,
-    min_zncc: float,
     max_matches: int,
     corner_radius: int = CORNER_RADIUS,
 ) -> Aligned:
     """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
 
-    pixels: (H, W, 3) uint8. radius: of a patch, pixels of image 2. corner_radius: pixels of image 2
-    that a match moves along each axis at most, to a corner. error_px: of the matches,
-    pixels of image 1; each moves by a few times that at most. min_zncc: least correlation of a pair
-    of aligned patches.
+    pixels: (H, W, 3) uint8. error_px: of the matches, pixels of image 1; each moves by a few times
+    that at most. corner_radius: pixels of image 2 that a match moves along each axis at most, to a
+    corner.
     """
     areas = np.linalg.det(matches.affinity) if len(matches.index) else np.ones(1)
     scale = float(np.median(np.sqrt(areas)))
     shrinks = min(1.0, 1 / scale), min(1.0, scale)
     if min(shrinks) > 1 / _SIMILAR:
         shrinks = 1.0, 1.0
-    small = _Shrunk.of(pixels1, pixels2, matches, *shrinks)
-    aligned = _align(small, radius, corner_radius, error_px * small.scale1, min_zncc, max_matches)
-    return replace(
-        aligned,
-        points1=_to_original(aligned.points1, small.scale1),
-        points2=_to_original(aligned.points2, small.scale2),
-        pixel=float((1 / small.scale1 + 1 / small.scale2).mean()) / 2,
-    )
-
-
-def _align(
-    images: _Shrunk,
-    radius: int,
-    corner_radius: int,
-    error: np.ndarray,
-    min_zncc: float,
-    max_matches: int,
-) -> Aligned:
-    """As `align`, of images of similar scale; error along each axis."""
-    grey1, grey2 = (
-        cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (images.pixels1, images.pixels2)
-    )
-    corners, strength = nearby_corners(grey2, images.matches.points2, corner_radius)
+    small1, small2, matches, scale1, scale2 = _shrunk(pixels1, pixels2, matches, *shrinks)
+    error = error_px * scale1  # along each axis
+    grey1, grey2 = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small1, small2))
+    corners, strength = nearby_corners(grey2, matches.points2, corner_radius)
     rows = spread(corners, strength, (grey2.shape[1], grey2.shape[0]), max_matches)
-    chosen, corners = images.matches.subset(rows), corners[rows]
+    chosen, corners = matches.subset(rows), corners[rows]
     moved = corners - chosen.points2
     start = chosen.points1 + np.einsum("nij,nj->ni", chosen.affinity, moved)
-    chosen = LocalMatches(start, corners, chosen.affinity, chosen.index)
+    chosen = replace(chosen, points1=start, points2=corners)
     grey1, grey2 = grey1.astype(np.float32), grey2.astype(np.float32)
 
-    patches = align_patches(grey1, grey2, chosen, radius)
+    patches = align_patches(grey1, grey2, chosen, PATCH_RADIUS)
     converged = _converged(patches, start, grey1, _SHIFT * error)
     points1, zncc = patches.points1, patches.zncc
-    rest = np.flatnonzero(~(converged & (zncc >= min_zncc)))
+    rest = np.flatnonzero(~(converged & (zncc >= MIN_ZNCC)))
     if len(rows) - len(rest) < _ENOUGH:
-        coarse, similar = _from_coarse(grey1, grey2, chosen.subset(rest), radius, error, min_zncc)
+        again1, again_zncc, similar = _from_coarse(grey1, grey2, chosen.subset(rest), error)
         again = rest[similar]
-        points1[again], zncc[again], converged[again] = coarse.points1, coarse.zncc, True
-    return Aligned(points1, corners, zncc, converged, chosen.index)
+        points1[again], zncc[again], converged[again] = again1, again_zncc, True
+    return Aligned(
+        _to_original(points1, scale1),
+        _to_original(corners, scale2),
+        zncc,
+        converged,
+        chosen.index,
+        pixel=float((1 / scale1 + 1 / scale2).mean()) / 2,
+    )
 
 
 def _from_coarse(
-    grey1: np.ndarray,
-    grey2: np.ndarray,
-    matches: LocalMatches,
-    radius: int,
-    error: np.ndarray,
-    min_zncc: float,
-) -> tuple[Patches, np.ndarray]:
-    """Patches that become similar on shrunk images, aligned on the originals if that succeeds; and
-    which of the matches they are, indices."""
+    grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, error: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (M, 2) and correlations (M,) of patches that become similar on shrunk images, with
+    their affinities, aligned on the originals if that succeeds; and which of the matches they are,
+    indices (M,). error: along each axis."""
     shrink = min(1.0, 1 / float(error.mean()))
-    coarse = _Shrunk.of(grey1, grey2, matches, shrink, shrink).align_affine(radius)
-    similar = _converged(coarse, matches.points1, grey1, _SHIFT * error) & (coarse.zncc >= min_zncc)
-    coarse, matches = coarse.subset(similar), matches.subset(similar)
-    start = LocalMatches(coarse.points1, matches.points2, coarse.affinity, matches.index)
-    fine = align_patches(grey1, grey2, start, radius)
-    better = _converged(fine, start.points1, grey1, _SHIFT * error) & (fine.zncc >= min_zncc)
-    points1 = np.where(better[:, None], fine.points1, coarse.points1)
-    zncc = np.where(better, fine.zncc, coarse.zncc)
-    return replace(coarse, points1=points1, zncc=zncc), np.flatnonzero(similar)
+    small1, small2, moved, scale1, scale2 = _shrunk(grey1, grey2, matches, shrink, shrink)
+    coarse = align_patches(small1, small2, moved, PATCH_RADIUS, affine=True)
+    coarse = replace(coarse, points1=_to_original(coarse.points1, scale1))
+    near = _converged(coarse, matches.points1, grey1, _SHIFT * error)
+    similar = np.flatnonzero(near & (coarse.zncc >= MIN_ZNCC))
+    affinity = coarse.affinity[similar] * scale2 / scale1[:, None]
+    points1, zncc = coarse.points1[similar], coarse.zncc[similar]
+    start = replace(matches.subset(similar), points1=points1, affinity=affinity)
+    fine = align_patches(grey1, grey2, start, PATCH_RADIUS)
+    better = _converged(fine, points1, grey1, _SHIFT * error) & (fine.zncc >= MIN_ZNCC)
+    points1 = np.where(better[:, None], fine.points1, points1)
+    return points1, np.where(better, fine.zncc, zncc), similar
 
 
-@dataclass(frozen=True, eq=False)
-class _Shrunk:
-    """Two images, each shrunk by a factor, and matches of their pixels."""
-
-    pixels1: np.ndarray
-    pixels2: np.ndarray
-    matches: LocalMatches
-    scale1: np.ndarray  # (2,) pixels of the shrunk image per pixel of the original
-    scale2: np.ndarray  # (2,)
-
-    @classmethod
-    def of(
-        cls, pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
-    ) -> _Shrunk:
-        small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
-        sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
-        scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
-        moved = LocalMatches(
-            rescale(matches.points1, *sizes[:2]),
-            rescale(matches.points2, *sizes[2:]),
-            scale1[:, None] * matches.affinity / scale2,
-            matches.index,
-        )
-        return cls(small1, small2, moved, scale1, scale2)
-
-    def align_affine(self, radius: int) -> Patches:
-        """Patches and affinities aligned on the shrunk images, in pixels of the originals."""
-        patches = align_patches(self.pixels1, self.pixels2, self.matches, radius, affine=True)
-        return replace(
-            patches,
-            points1=_to_original(patches.points1, self.scale1),
-            affinity=patches.affinity * self.scale2 / self.scale1[:, None],
-        )
+def _shrunk(
+    pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
+) -> tuple[np.ndarray, np.ndarray, LocalMatches, np.ndarray, np.ndarray]:
+    """Both images, each shrunk by a factor, the matches of their pixels, and of each image the
+    pixels of the shrunk one per pixel of the original (2,)."""
+    small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
+    sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
+    scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
+    moved = LocalMatches(
+        rescale(matches.points1, *sizes[:2]),
+        rescale(matches.points2, *sizes[2:]),
+        scale1[:, None] * matches.affinity / scale2,
+        matches.index,
+    )
+    return small1, small2, moved, scale1, scale2
 
 
 def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from dgc_pose.network.constants import FLOOR, PASSES, REACH, WEIGHT
-from dgc_pose.runtime.correlation import log_softmax
+from dgc_pose.network.config import FLOOR, PASSES, REACH, WEIGHT
+from dgc_pose.network.correlation import log_softmax
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
 
@@ -37,7 +37,48 @@ def likely_cells(
     stride 16 alone is compared. allowed: (n, m) bool, which of the source's m cells each of the
     target's may match; None for all.
     """
-    candidates, scores = _candidates(source, target, guided, scales, similar, allowed)
+    # Log-likelihoods: the dual softmax over cosines at stride 16, up to a constant of the cell, and
+    # the cosines at stride 8.
+    coarse1, coarse2 = (
+        features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
+    )
+    children1, children2 = source.middle_by_cell, target.middle_by_cell
+    parts = slices(len(coarse2), _CHUNK)
+    similar = min(similar, len(coarse1))
+    scaled = scales[0] * coarse2
+
+    def evidence(rows: slice) -> np.ndarray:
+        return scaled[rows] @ coarse1.T
+
+    def sums_over(rows: slice) -> np.ndarray:
+        values = evidence(rows)
+        values -= scales[0]
+        np.exp(values, out=values)
+        return values.sum(0) if allowed is None else (values * allowed[rows]).sum(0)
+
+    # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
+    normaliser = np.log(np.sum(in_threads(sums_over, parts), 0) + _UNMATCHED)
+
+    def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        scores = evidence(rows)
+        scores *= 2
+        scores -= normaliser
+        if allowed is not None:
+            scores[~allowed[rows]] = _NEVER
+        candidates = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)
+        likelihood = np.take_along_axis(scores, candidates, 1)
+        if len(scales) > 1:
+            count = len(candidates)
+            children = children1[candidates].reshape(count, -1, children1.shape[2])
+            four = (children2[rows] @ children.transpose(0, 2, 1)).reshape(count, 4, -1, 4)
+            best = np.maximum(four[..., :2], four[..., 2:])  # in two steps: short axes are slow
+            likelihood += 2 * scales[1] * np.maximum(best[..., 0], best[..., 1]).mean(1)
+        return candidates, likelihood
+
+    compared = in_threads(compare, parts)
+    candidates, scores = (np.concatenate(values) for values in zip(*compared, strict=True))
+    repeated = np.tril(candidates[:, :, None] == candidates[:, None], -1).any(2)
+    scores = np.where(repeated, _NEVER, scores)
     beliefs = propagate(candidates, scores, source.coarse.shape[1], target.coarse.shape[:2])
     best = np.argsort(-beliefs, 1, kind="stable")[:, :likely]
     return np.take_along_axis(candidates, best, 1)
@@ -85,58 +126,6 @@ def propagate(
                 total[to] += WEIGHT * np.log(FLOOR + messages)
         beliefs = log_softmax(total, 1)
     return beliefs
-
-
-def _candidates(
-    source: NativeFeatures,
-    target: NativeFeatures,
-    guided: np.ndarray,
-    scales: np.ndarray,
-    similar: int,
-    allowed: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Candidates (n, K) of each of the target's cells, and their log-likelihoods (n, K): the dual
-    softmax over cosines at stride 16, up to a constant of the cell, and the cosines at stride 8."""
-    coarse1, coarse2 = (
-        features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
-    )
-    children1, children2 = source.middle_by_cell, target.middle_by_cell
-    parts = slices(len(coarse2), _CHUNK)
-    similar = min(similar, len(coarse1))
-    scaled = scales[0] * coarse2
-
-    def evidence(rows: slice) -> np.ndarray:
-        return scaled[rows] @ coarse1.T
-
-    def sums_over(rows: slice) -> np.ndarray:
-        values = evidence(rows)
-        values -= scales[0]
-        np.exp(values, out=values)
-        return values.sum(0) if allowed is None else (values * allowed[rows]).sum(0)
-
-    # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
-    normaliser = np.log(np.sum(in_threads(sums_over, parts), 0) + _UNMATCHED)
-
-    def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        scores = evidence(rows)
-        scores *= 2
-        scores -= normaliser
-        if allowed is not None:
-            scores[~allowed[rows]] = _NEVER
-        candidates = np.concatenate([_largest(scores.copy(), similar), guided[rows]], 1)
-        likelihood = np.take_along_axis(scores, candidates, 1)
-        if len(scales) > 1:
-            count = len(candidates)
-            children = children1[candidates].reshape(count, -1, children1.shape[2])
-            four = (children2[rows] @ children.transpose(0, 2, 1)).reshape(count, 4, -1, 4)
-            best = np.maximum(four[..., :2], four[..., 2:])  # in two steps: short axes are slow
-            likelihood += 2 * scales[1] * np.maximum(best[..., 0], best[..., 1]).mean(1)
-        return candidates, likelihood
-
-    compared = in_threads(compare, parts)
-    candidates, scores = (np.concatenate(values) for values in zip(*compared, strict=True))
-    repeated = np.tril(candidates[:, :, None] == candidates[:, None], -1).any(2)
-    return candidates, np.where(repeated, _NEVER, scores)
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:

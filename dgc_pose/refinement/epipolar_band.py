@@ -4,7 +4,6 @@ epipolar lines."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,36 +16,30 @@ from dgc_pose.runtime.engine import NativeFeatures
 _CELLS = 1.0  # Sampson distance of the centres of two cells, in cells, below which they may match
 
 
-@dataclass(frozen=True, eq=False)
 class EpipolarBand:
-    """The cells of one stride of a source and a target, row by row."""
+    """The cells of stride 16 of a source and a target, or their `children` of stride 8, row by row.
 
-    points1: np.ndarray  # (m, 3) float32, the source's cells, normalised and homogeneous
-    points2: np.ndarray  # (n, 3) float32, the target's
-    E: np.ndarray  # (3, 3) float32
-    limit: float  # Sampson distance, in the points' unit
+    source, target: features of the views of the images.
+    """
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         views: TwoViews,
         source: tuple[NativeFeatures, View],
         target: tuple[NativeFeatures, View],
         *,
         children: bool,
-    ) -> EpipolarBand:
-        """That of the cells of stride 16, or of their children of stride 8. The features are of the
-        views of the images."""
-        points1, side1 = _normalised(*source, views.camera1, 2 if children else 1)
-        points2, side2 = _normalised(*target, views.camera2, 2 if children else 1)
-        return cls(points1, points2, views.E.astype(np.float32), _CELLS * (side1 + side2) / 2)
+    ) -> None:
+        finer = 2 if children else 1
+        self.points1, side1 = _normalised(*source, views.camera1, finer)
+        self.points2, side2 = _normalised(*target, views.camera2, finer)
+        self.E = views.E.astype(np.float32)
+        self.limit = _CELLS * (side1 + side2) / 2  # Sampson distance, in the points' unit
 
     def all(self) -> np.ndarray:
         """(n, m) bool, for each cell of the target which of the source it may match."""
-        lines1, lines2 = self.points2 @ self.E, self.points1 @ self.E.T
-        distance = np.abs(lines1 @ self.points1.T)
-        norms = (lines1[:, :2] ** 2).sum(1)[:, None] + (lines2[:, :2] ** 2).sum(1)
-        return distance < self.limit * np.sqrt(norms)
+        every1, every2 = (np.arange(len(points))[None] for points in (self.points1, self.points2))
+        return self.among(every2, every1)[0]
 
     def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
         """(n, q, m) bool, which of the source's cells (n, m) each of the target's (n, q) may
@@ -61,7 +54,8 @@ class EpipolarBand:
 def _normalised(
     features: NativeFeatures, view: View, camera: Camera, finer: int
 ) -> tuple[np.ndarray, float]:
-    """Centres (n, 3) of the cells, and the side of one, by the camera of the whole image."""
+    """Centres (n, 3) float32 of the cells, normalised by the camera of the whole image and
+    homogeneous, and the side of one."""
     rows, columns = (finer * side for side in features.coarse.shape[:2])
     centres = cell_centres((columns, rows), features.size).reshape(-1, 2)
     points = homogeneous(camera.normalise(view.to_image(centres)))

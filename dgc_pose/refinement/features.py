@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import product
 
@@ -21,7 +20,7 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.matching.cache import ImageCache, image_cache
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.selection import WEAK
 from dgc_pose.matching.view import View
@@ -30,9 +29,9 @@ from dgc_pose.refinement.cell_consensus import likely_cells
 from dgc_pose.refinement.epipolar_band import EpipolarBand
 from dgc_pose.refinement.map_geometry import (
     matchable_points,
-    octave_between,
     points_in_image1,
     rotation_between,
+    scale_between,
     window_shown,
 )
 from dgc_pose.runtime.engine import Engine, NativeFeatures
@@ -55,45 +54,33 @@ _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
 _PAIR_BYTES = 2**28  # enough for a pair and what is squeezed of it
-# Features by image (the object, not its pixels), view of it, and columns and rows of stride 16.
-NativeCache = BoundedCache[tuple[Image, View, Size], NativeFeatures]
-
-
-def native_cache(limit_bytes: int = 2 * 2**30) -> NativeCache:
-    """A cache of this size. The images that it keeps alive count towards it."""
-    return BoundedCache(lambda key, features: key[0].pixels.nbytes + features.nbytes, limit_bytes)
 
 
 class FeatureMatches:
     """Matches of the features of a frozen network, guided by a map.
 
-    long_side: most pixels of the images that features are computed on. cache: of the features; None
-    to keep those of the last pair or a few.
+    long_side: most pixels of the images that features are computed on. cache: of the features, by
+    view and columns and rows of stride 16; None to keep those of the last pair or a few.
     """
 
     def __init__(
-        self, engine: Engine, long_side: int = LONG_SIDE, cache: NativeCache | None = None
+        self, engine: Engine, long_side: int = LONG_SIDE, cache: ImageCache | None = None
     ) -> None:
         self.engine = engine
         self.long_side = long_side
-        self.cache = cache or native_cache(_PAIR_BYTES)
+        self.cache = cache or image_cache(_PAIR_BYTES)
 
     def at_scale(
-        self,
-        image1: Image,
-        image2: Image,
-        correspondence_map: CorrespondenceMap,
-        scale: float | None = None,
+        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
     ) -> Matches:
         """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
 
-        scale: pixels of image 1 per pixel of image 2; by default as the map shows, to the octave.
         Features are invariant neither to scale nor to rotation: the images, or the parts that the
         map shows to match, are resized to one scale, with long sides of about `long_side` pixels,
         and image 2 is rotated as the map shows.
         """
-        views = _views(correspondence_map, self.long_side, scale)
-        return self._matches(self._pair(image1, image2, correspondence_map, views))
+        views = _views(correspondence_map, self.long_side)
+        return self._matches(image1, image2, correspondence_map, views)
 
     def near(
         self,
@@ -103,83 +90,68 @@ class FeatureMatches:
         hypotheses: Sequence[TwoViews],
     ) -> list[Matches]:
         """As `at_scale`, of each of the first hypotheses the matches near its epipolar lines."""
-        if not hypotheses:
-            return []
         views = _views(correspondence_map, self.long_side)
-        pair = self._pair(image1, image2, correspondence_map, views)
-        return [self._matches(pair, views) for views in hypotheses[:MOST_HYPOTHESES]]
+        return [
+            self._matches(image1, image2, correspondence_map, views, hypothesis)
+            for hypothesis in hypotheses[:MOST_HYPOTHESES]
+        ]
 
     def squeezed(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
     ) -> list[Matches]:
         """As `at_scale`, with one image narrower or lower than it is: a surface that one camera
         sees from the side and the other from the front becomes alike."""
-        views = _views(correspondence_map, self.long_side)
-        return [
-            self._matches(self._pair(image1, image2, correspondence_map, changed))
-            for factor, axis, number in product(_SQUEEZES, (0, 1), (0, 1))
-            for changed in [_squeezed(views, factor, axis, number)]
-        ]
+        views, matches = _views(correspondence_map, self.long_side), []
+        for factor, axis, number in product(_SQUEEZES, (0, 1), (0, 1)):
+            changed = list(views)
+            view, (columns, rows) = views[number]
+            if axis == 0:
+                columns = max(1, round(factor * columns))
+            else:
+                rows = max(1, round(factor * rows))
+            changed[number] = view, (columns, rows)
+            matches.append(self._matches(image1, image2, correspondence_map, changed))
+        return matches
 
-    def _pair(
+    def _matches(
         self,
         image1: Image,
         image2: Image,
         correspondence_map: CorrespondenceMap,
         views: Sequence[tuple[View, Size]],
-    ) -> _FeaturePair:
-        engine, cache = self.engine, self.cache
-        source, target = cache.get_all(
+        hypothesis: TwoViews | None = None,
+    ) -> Matches:
+        """Mutual nearest neighbours, with a hypothesis those near its epipolar lines, in pixels of
+        the images."""
+        engine, (view1, view2) = self.engine, (view for view, _ in views)
+        source, target = self.cache.get_all(
             [
                 ((image, view, cells), partial(_features, engine, image, view, cells))
                 for image, (view, cells) in zip((image1, image2), views, strict=True)
             ],
             in_turn=not engine.concurrent,
         )
-        view1, view2 = (view for view, _ in views)
         guided = _guided_cells(correspondence_map, source, target, view1, view2)
-        return _FeaturePair(image1, image2, source, target, view1, view2, guided)
-
-    def _matches(self, pair: _FeaturePair, hypothesis: TwoViews | None = None) -> Matches:
-        """Mutual nearest neighbours, with a hypothesis those near its epipolar lines."""
-        source, target, guided = pair.source, pair.target, pair.guided
         coarse, middle = None, None
         if hypothesis is not None:
-            seen = (source, pair.view1), (target, pair.view2)
-            coarse = EpipolarBand.of(hypothesis, *seen, children=False).all()
-            middle = EpipolarBand.of(hypothesis, *seen, children=True)
+            seen = (source, view1), (target, view2)
+            coarse = EpipolarBand(hypothesis, *seen, children=False).all()
+            middle = EpipolarBand(hypothesis, *seen, children=True)
         candidates = likely_cells(
             source,
             target,
             guided,
-            self.engine.correlation_scales,
+            engine.correlation_scales,
             similar=SIMILAR_CELLS,
             likely=LIKELY_CELLS,
             allowed=coarse,
         )
         candidates = np.concatenate([candidates, guided], 1)
-        return pair.matches(*mutual_neighbours(source, target, candidates, middle))
-
-
-@dataclass(frozen=True, eq=False)
-class _FeaturePair:
-    """The features of two images, or of the parts that the map shows to match, at one scale."""
-
-    image1: Image
-    image2: Image
-    source: NativeFeatures
-    target: NativeFeatures
-    view1: View
-    view2: View
-    guided: np.ndarray  # (n, 4), see `_guided_cells`
-
-    def matches(self, cells1: np.ndarray, cells2: np.ndarray, cosine: np.ndarray) -> Matches:
-        """The matches of cells (M, 2) of stride 8, in pixels of the images."""
-        source, target, view1, view2 = self.source, self.target, self.view1, self.view2
+        cells1, cells2, cosine = mutual_neighbours(source, target, candidates, middle)
         fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
         points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
         points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
-        inside = within(points1, self.image1.size) & within(points2, self.image2.size)
+        inside = within(points1, image1.size) & within(points2, image2.size)
         area1, area2 = (  # of a cell of stride 4, pixels of the original
             math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
             for features, view in ((source, view1), (target, view2))
@@ -192,13 +164,13 @@ class _FeaturePair:
         )
 
 
-def _views(
-    correspondence_map: CorrespondenceMap, long_side: int, scale: float | None = None
-) -> list[tuple[View, Size]]:
+def _views(correspondence_map: CorrespondenceMap, long_side: int) -> list[tuple[View, Size]]:
     """Views of the parts of both images that the map shows to match, at one orientation; and the
-    columns and rows of stride 16 at one scale: by default that of the map, to the octave."""
-    scale = octave_between(correspondence_map) if scale is None else scale
+    columns and rows of stride 16 at one scale: that of the map, to the octave, as features tolerate
+    half of one."""
+    scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
     points1, points2 = matchable_points(correspondence_map)
+    angle = rotation_between(points1, points2)
     size1, size2 = correspondence_map.size1, correspondence_map.size2
     # What a weak map shows is too little to crop by, unless the fields of view differ.
     wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
@@ -206,39 +178,20 @@ def _views(
         points1, points2 = points1[:0], points2[:0]
     window1 = window_shown(points1[within(points1, size1)], size1)
     window2 = window_shown(points2, size2)
-    angle = rotation_between(correspondence_map)
     angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
     views = []
     for window, turn, factor in ((window1, 0.0, factors[0]), (window2, angle, factors[1])):
         # Before a rotation by other than quarter turns the image is resized: mostly it is shrunk.
         view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
-        views.append((view, cells_at(view.size, factor / view.scale)))
+        # Sides become the nearest multiples of 16, so the actual scale differs a little.
+        columns, rows = (max(1, round(side * (factor / view.scale) / STRIDE)) for side in view.size)
+        views.append((view, (columns, rows)))
     return views
-
-
-def _squeezed(
-    views: Sequence[tuple[View, Size]], factor: float, axis: int, number: int
-) -> list[tuple[View, Size]]:
-    """Views with the columns (axis 0) or the rows of one of them made fewer."""
-    changed = list(views)
-    view, cells = changed[number]
-    fewer = [max(1, round(factor * side)) if k == axis else side for k, side in enumerate(cells)]
-    changed[number] = view, (fewer[0], fewer[1])
-    return changed
 
 
 def _features(engine: Engine, image: Image, view: View, cells: Size) -> NativeFeatures:
     return engine.native(view.cut(image.pixels), cells)
-
-
-def cells_at(size: Size, scale: float) -> Size:
-    """Columns and rows of stride 16 of an image of `size` (width, height) resized by `scale`.
-
-    Each side becomes the nearest multiple of 16, so the actual scale differs a little.
-    """
-    columns, rows = (max(1, round(side * scale / STRIDE)) for side in size)
-    return columns, rows
 
 
 def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tuple[float, float]:

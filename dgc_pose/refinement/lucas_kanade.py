@@ -37,10 +37,6 @@ class Patches:
     zncc: np.ndarray
     step: np.ndarray  # (N,) float64, pixels of the last step
 
-    def subset(self, kept: np.ndarray) -> Patches:
-        """Some of the patches. kept: (N,) bool, or indices."""
-        return Patches(self.points1[kept], self.affinity[kept], self.zncc[kept], self.step[kept])
-
 
 def align_patches(
     grey1: np.ndarray,

@@ -29,13 +29,12 @@ def points_in_image1(correspondence_map: CorrespondenceMap, points2: np.ndarray)
     ).astype(np.float64)
 
 
-def rotation_between(correspondence_map: CorrespondenceMap) -> float:
+def rotation_between(points1: np.ndarray, points2: np.ndarray) -> float:
     """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
     `numpy.rot90`) to have the orientation of image 1.
 
-    From the similarity that best fits the map over its matchable cells; 0 if they are few.
+    From the similarity that best fits points (N, 2) of one image and the other; 0 without any.
     """
-    points1, points2 = matchable_points(correspondence_map)
     if len(points1) == 0:
         return 0.0
     points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
@@ -74,11 +73,6 @@ def window_shown(
         return whole
     x, y = (float(middle) for middle in (first + last) / 2)
     return (width, height), (x, y)
-
-
-def octave_between(correspondence_map: CorrespondenceMap) -> float:
-    """`scale_between` to the octave: features tolerate half of one."""
-    return 2.0 ** round(math.log2(scale_between(correspondence_map)))
 
 
 def scale_between(correspondence_map: CorrespondenceMap) -> float:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -12,23 +13,44 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.dense import DenseMatcher
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult, PairSearch
 from dgc_pose.matching.selection import WEAK
-from dgc_pose.refinement.align import CORNER_RADIUS, align, spread
+from dgc_pose.refinement.align import CORNER_RADIUS, MIN_ZNCC, align, spread
 from dgc_pose.refinement.consistency import consistent
-from dgc_pose.refinement.features import FeatureMatches, NativeCache
-from dgc_pose.refinement.options import SourceName
+from dgc_pose.refinement.features import FeatureMatches
+from dgc_pose.system.options import check_options, option
 
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
 QUICK_SIDE = 512  # most pixels of the images that a quick pass computes features on
 QUICK_CORNER_RADIUS = 12  # its cells are larger, so that the strongest corner of one is further
 NEIGHBOURS = 12  # nearest matches whose affinity a match must fit
-PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
-MIN_ZNCC = 0.8  # least correlation of a pair of aligned patches
 MIN_MATCHES = 50  # a source that leaves fewer is passed over
 MIN_ALIGNED = 100  # fewer aligned matches are completed by the consistent ones
+
+# The source of the matches to align: those selected from the map, or matches of the encoder's
+# features at native resolution. "auto": the features', and the map's if those are too few. "none":
+# no refinement.
+SourceName = Literal["none", "auto", "map", "features"]
+
+
+@dataclass(frozen=True)
+class RefinementOptions:
+    """How `load_matcher` refines a network's matches. Raises InputError for an unknown source."""
+
+    source: SourceName = option(
+        "auto",
+        "Matches aligned on the originals: none; map; features, of the encoder at native "
+        "resolution; auto: these, and the map's if they are few.",
+        metavar="SOURCE",
+        flag="--refine",
+        section="matching",
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 class Refiner(Matcher):
@@ -45,7 +67,7 @@ class Refiner(Matcher):
         matcher: Matcher,
         source: SourceName = "map",
         max_matches: int = 2000,
-        cache: NativeCache | None = None,
+        cache: ImageCache | None = None,
     ) -> None:
         self.matcher, self.name, self.engine = matcher, matcher.name, matcher.engine
         self.source, self.max_matches = source, max_matches
@@ -88,12 +110,13 @@ class RefinedSearch(PairSearch):
     def quick(self) -> MatchResult | None:
         """As `PairSearch`; None too if the quick pass leaves too few matches, and if the images may
         be rotated or of different scales, which it does not search."""
-        dense = self._coarse_map
-        if dense is None or dense.matchability.mean() < WEAK:
+        if self.matcher.coarser is None:
+            return None
+        dense = self.matcher.coarser.correspondence_map(self.image1, self.image2)
+        if dense.matchability.mean() < WEAK:
             return None
         matches = self.matcher.quick_features.at_scale(self.image1, self.image2, dense)
-        aligned, agreeing = self._aligned(matches, QUICK_CORNER_RADIUS)
-        return self._keep(self._final(aligned, agreeing, dense))
+        return self._keep(self._final(*self._aligned(matches, QUICK_CORNER_RADIUS), dense))
 
     def fine(self) -> MatchResult | None:
         return None if self.result is None else self._keep(self._refined(self.result))
@@ -104,63 +127,47 @@ class RefinedSearch(PairSearch):
         return self.result
 
     def squeezed(self) -> MatchResult | None:
-        features, dense = self.matcher.features, self._searched_map
-        if features is None or dense is None:
-            return None
-        return self._add(features.squeezed(self.image1, self.image2, dense), dense)
+        return self._add(FeatureMatches.squeezed)
 
     def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
         """As `PairSearch`. The matches of all hypotheses go together: those near the lines of a
         single pose would agree with it, right or wrong."""
-        features, dense = self.matcher.features, self._searched_map
-        if features is None or dense is None:
-            return None
-        return self._add(features.near(self.image1, self.image2, dense, hypotheses), dense)
-
-    @cached_property
-    def _coarse_map(self) -> CorrespondenceMap | None:
-        coarser = self.matcher.coarser
-        if coarser is None:
-            return None
-        return coarser.correspondence_map(self.image1, self.image2)
+        return self._add(FeatureMatches.near, hypotheses)
 
     @cached_property
     def _whole(self) -> MatchResult:
         return self._refined(self.unrefined) or self.unrefined
-
-    @property
-    def _searched_map(self) -> CorrespondenceMap | None:
-        """The map of the matches that are there, if these are refined."""
-        if self.result is None or self.result.aligned is None:
-            return None
-        return self.result.correspondence_map
 
     def _keep(self, result: MatchResult | None) -> MatchResult | None:
         self.result = result or self.result
         return result
 
     def _refined(self, result: MatchResult) -> MatchResult | None:
-        """Refine the matches of the sources in turn, until one leaves enough."""
-        for matches in self._sources(result):
-            aligned, agreeing = self._aligned(matches)
-            if refined := self._final(aligned, agreeing, result.correspondence_map):
-                return refined
-        return None
-
-    def _sources(self, result: MatchResult) -> Iterator[Matches]:
+        """Refine the matches of the features, then those of the map, until one leaves enough."""
         features, dense = self.matcher.features, result.correspondence_map
         if features is not None and dense is not None:
-            yield features.at_scale(self.image1, self.image2, dense)
-        if self.matcher.source in ("auto", "map"):
-            yield result.matches
+            matches = features.at_scale(self.image1, self.image2, dense)
+            if refined := self._final(*self._aligned(matches), dense):
+                return refined
+        if self.matcher.source not in ("auto", "map"):
+            return None
+        return self._final(*self._aligned(result.matches), dense)
 
-    def _add(self, parts: Sequence[Matches], dense: CorrespondenceMap) -> MatchResult | None:
-        """The matches that are there with those of further parts, each refined by itself."""
-        if not parts or self.result is None or self.result.aligned is None:
+    def _add(
+        self, match: Callable[..., list[Matches]], *arguments: Sequence[TwoViews]
+    ) -> MatchResult | None:
+        """The refined matches that are there with those of further parts by the features, each
+        refined by itself."""
+        features, result = self.matcher.features, self.result
+        if features is None or result is None or result.aligned is None:
+            return None
+        dense = result.correspondence_map
+        parts = match(features, self.image1, self.image2, dense, *arguments)
+        if not parts:
             return None
         refined = [self._aligned(matches) for matches in parts]
-        aligned = Matches.joined([self.result.aligned, *(part for part, _ in refined)])
-        agreeing = Matches.joined([self.result.matches, *(part for _, part in refined)])
+        aligned = Matches.joined([result.aligned, *(part for part, _ in refined)])
+        agreeing = Matches.joined([result.matches, *(part for _, part in refined)])
         return self._keep(self._final(aligned, agreeing, dense))
 
     def _aligned(
@@ -177,11 +184,9 @@ class RefinedSearch(PairSearch):
             self.image1.pixels,
             self.image2.pixels,
             local,
-            radius=PATCH_RADIUS,
-            corner_radius=corner_radius,
             error_px=matches.error_px,
-            min_zncc=MIN_ZNCC,
             max_matches=self.matcher.max_matches,
+            corner_radius=corner_radius,
         )
         good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
         moved = Matches(

@@ -1,20 +1,35 @@
-"""The contract of what runs the network. Nothing above it knows torch."""
+"""The contract of what runs the network, and its ONNX graphs. Nothing above it knows torch."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from dgc_pose.geometry.pixels import Size
 from dgc_pose.network.config import NetworkConfig
 
+PRESETS = ("dgcm-lite0",)  # that have ONNX graphs
+GRAPHS = Path(__file__).parent / "graphs"  # one folder a preset
+LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the pyramid, all of it and its coarser levels
+WARP, UPSAMPLE, RESAMPLE = "warp.onnx", "upsample.onnx", "resample.onnx"  # without weights
+# Beside the graphs: "stored", the shape of each stored weight by name, and "graphs", for each graph
+# the names of the weights that it is to be given, their batch norms folded.
+WEIGHTS = "weights.json"
 
-class MapFeatures(Protocol):
+
+@dataclass(frozen=True, eq=False)
+class MapFeatures:
     """Features of an image for the dense map; those of an engine mean nothing to another."""
+
+    # (1, C, h, w) of levels 0 to 4, then those of the correlated levels at the second scale, if the
+    # network has one: arrays of the engine's library
+    levels: list[Any]
+    size: Size  # (width, height) of the image as it was resized
 
     @property
     def nbytes(self) -> int:
-        """Their size in memory."""
+        return sum(level.nbytes for level in self.levels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,30 +71,24 @@ class Engine(Protocol):
     and may be kept for later pairs.
     """
 
-    @property
-    def config(self) -> NetworkConfig:
-        """The network's."""
+    config: NetworkConfig
+    concurrent: bool  # whether several threads encode images faster than one
+
+    # (levels,) float32, inverse temperatures of the correlated levels, coarsest first
+    correlation_scales: np.ndarray
 
     @property
     def fingerprint(self) -> str:
         """16 hexadecimal digits that identify the weights, whatever runs them."""
 
-    @property
-    def correlation_scales(self) -> np.ndarray:
-        """(levels,) float32, inverse temperatures of the correlated levels, coarsest first."""
-
-    @property
-    def concurrent(self) -> bool:
-        """Whether several threads encode images faster than one."""
-
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         """Features of an image, resized as `config.input_size` says."""
 
-    def coarsest(self, features: Any) -> np.ndarray:
+    def coarsest(self, features: MapFeatures) -> np.ndarray:
         """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
 
-    def decode(self, source: Sequence[Any], target: Sequence[Any], finest: int) -> list[DecodedMap]:
-        """The map of each pair from the features that `encode` gives.
+    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+        """The map of a pair from the features that `encode` gives.
 
         finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
         """

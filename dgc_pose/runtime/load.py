@@ -7,8 +7,7 @@ from typing import Literal
 from dgc_pose.errors import InputError, is_installed, require
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.network.stored import SUFFIX, find_weights, shipped
-from dgc_pose.runtime.engine import Engine
-from dgc_pose.runtime.graphs import PRESETS
+from dgc_pose.runtime.engine import PRESETS, Engine
 
 RuntimeName = Literal["auto", "onnx", "torch"]
 DEVICE_HELP = "auto, cpu, cuda or cuda:N."
@@ -42,13 +41,13 @@ def load_engine(
         raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
     by_default = runtime == "auto" and not half_precision
     if runtime == "onnx" or (by_default and _prefers_onnx(str(weights), path, device)):
-        from dgc_pose.runtime.onnx_engine import load_onnx_engine
+        from dgc_pose.runtime.onnx_engine import OnnxEngine
 
-        return load_onnx_engine(path)
+        return OnnxEngine(path)
     asked = {"runtime torch": runtime == "torch", "half_precision": half_precision}
     asked |= {f"device {device}": device not in ("auto", "cpu"), path.name: path.suffix != SUFFIX}
     require({what: "torch" for what, needed in asked.items() if needed})
-    from dgc_pose.network.device import choose_device
+    from dgc_pose.network.weights import choose_device
     from dgc_pose.runtime.torch_engine import load_torch_engine
 
     return load_torch_engine(path, choose_device(device), half_precision)
@@ -77,7 +76,7 @@ def device_type(name: str) -> str:
     if name == "cpu" or (name == "auto" and not (is_installed("torch") and _may_have_gpu())):
         return "cpu"
     require({f"device {name}": "torch"})
-    from dgc_pose.network.device import choose_device
+    from dgc_pose.network.weights import choose_device
 
     return choose_device(name).type
 

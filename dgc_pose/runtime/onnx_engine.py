@@ -3,8 +3,6 @@
 import json
 import os
 import threading
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,91 +11,80 @@ import numpy as np
 import PIL.Image
 
 from dgc_pose.errors import InputError
-from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import (
     COARSEST,
+    EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
+    PASSES,
+    PEAK,
     SECOND_SIZE,
     STRIDE,
     preset,
 )
-from dgc_pose.network.constants import PASSES, PEAK
+from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
 from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
-from dgc_pose.runtime import graphs
-from dgc_pose.runtime.correlation import (
-    consensus,
-    l2_normalised,
-    local_correlation,
-    match_evidence,
-    match_scores,
-    peaks,
-)
-from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
+from dgc_pose.runtime import engine as graphs
+from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 from dgc_pose.runtime.session import Session
+from dgc_pose.system.threads import in_threads
 
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
-@dataclass(frozen=True, eq=False)
-class OnnxFeatures:
-    """`MapFeatures`: levels 0 to 4, then those of the second scale, each (1, C, H, W) float32."""
-
-    levels: list[np.ndarray]
-    size: Size  # (width, height) of the resized image
-
-    @property
-    def nbytes(self) -> int:
-        return sum(level.nbytes for level in self.levels)
-
-
 class OnnxEngine:
-    """Weights of a preset that has graphs, as an `Engine`.
+    """Weights of a safetensors file of ours, of a preset that has graphs, as an `Engine`.
 
-    weights: as stored, by name. Sessions are made on first use, anew in a forked process, whose
-    threads are gone.
+    Sessions are made on first use, anew in a forked process, whose threads are gone. Raises
+    WeightsError if it is no such file or holds other weights than its preset's, InputError if there
+    are no graphs of the preset.
     """
 
     concurrent = True  # each thread computes on, instead of waiting for the others at each layer
 
-    def __init__(self, name: str, weights: Mapping[str, np.ndarray]) -> None:
+    def __init__(self, path: Path) -> None:
+        name, self._stored = read_safetensors(path, "np")
+        if name not in graphs.PRESETS:
+            raise InputError(
+                f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
+                f"run it by torch"
+            )
         self.config = preset(name)
-        self._stored = weights
-        self._weights = folded(weights)
+        text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
+        names: dict[str, Any] = json.loads(text)
+        shapes = {key: value.shape for key, value in self._stored.items()}
+        check_state(path, name, shapes, names["stored"])
+        check_values(path, self._stored)
+        self._weights = folded(self._stored)
         self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
-        self._names = _weights_of(name)["graphs"]
+        self._names = names["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
 
     @cached_property
     def fingerprint(self) -> str:
         return fingerprint(self._stored.items())
 
-    def encode(self, pixels: np.ndarray) -> OnnxFeatures:
+    def encode(self, pixels: np.ndarray) -> MapFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
         image = resize(pixels, size).astype(np.float32)
         levels = self._session(graphs.LEVELS)(image)
         smaller = self._session(graphs.LEVELS)(_shrunk(image, SECOND_SIZE / INPUT_SIZE))
         resample = self._session(graphs.RESAMPLE)
         levels += [resample(smaller[i], levels[i])[0] for i in self.config.correlated]
-        return OnnxFeatures(levels, size)
+        return MapFeatures(levels, size)
 
-    def coarsest(self, features: OnnxFeatures) -> np.ndarray:
+    def coarsest(self, features: MapFeatures) -> np.ndarray:
         level = features.levels[COARSEST][0].transpose(1, 2, 0)
         length = np.linalg.norm(level, axis=-1, keepdims=True)
         return level / np.maximum(length, np.float32(1e-12))
-
-    def decode(
-        self, source: Sequence[OnnxFeatures], target: Sequence[OnnxFeatures], finest: int
-    ) -> list[DecodedMap]:
-        return [self._decode(*pair, finest) for pair in zip(source, target, strict=True)]
 
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         image = resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)).astype(np.float32)
         fine, middle, coarse = self._session(graphs.NATIVE)(image)
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
 
-    def _decode(self, source: OnnxFeatures, target: OnnxFeatures, finest: int) -> DecodedMap:
+    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
         state = self._start(source, target)
         for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
             previous = state if level == COARSEST else self._session(graphs.UPSAMPLE)(state)[0]
@@ -109,13 +96,13 @@ class OnnxEngine:
             # Corrections are in cells of the source; the mask logit has no unit.
             rows, columns = features1.shape[2:]
             cell = np.array([2 / columns, 2 / rows, 1], np.float32)[:, None, None]
-            decoder = self._session(graphs.decoder_graph(level))
+            decoder = self._session(f"reg_{level}.onnx")
             (state,) = decoder(warped, features2, local[None], previous, cell[None])
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2
         return DecodedMap(points, 1 / (1 + np.exp(-state[0, 2])), source.size)
 
-    def _start(self, source: OnnxFeatures, target: OnnxFeatures) -> np.ndarray:
+    def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
         """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
         full1, smaller1 = self._correlated(source)
         full2, smaller2 = self._correlated(target)
@@ -131,7 +118,7 @@ class OnnxEngine:
         state = np.concatenate([points, logits[None]])
         return state.reshape(1, 3, *grid2).astype(np.float32)
 
-    def _correlated(self, features: OnnxFeatures) -> list[list[np.ndarray]]:
+    def _correlated(self, features: MapFeatures) -> list[list[np.ndarray]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
         levels = features.levels
         scales = [[levels[level] for level in self.config.correlated], levels[len(LEVEL_SIZES) :]]
@@ -147,29 +134,30 @@ class OnnxEngine:
             return self._sessions[key]
 
 
-def load_onnx_engine(path: Path) -> OnnxEngine:
-    """An engine of a safetensors file of ours.
+def l2_normalised(features: np.ndarray) -> np.ndarray:
+    """Unit length over the channels of (C, H, W): f / sqrt(sum f^2 + 1e-6)."""
+    squares = np.einsum("chw,chw->hw", features, features)
+    return features * (1 / np.sqrt(squares + np.float32(EPSILON)))
 
-    Raises WeightsError if it is none or holds other weights than its preset's, InputError if there
-    are no graphs of the preset.
+
+def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np.ndarray:
+    """As `network.net.local_correlation`, of (C, H, W): ((2 radius + 1)^2, H, W) float32.
+
+    One pass over the features for each offset, without the arrays of products between, which took
+    most of the time in torch and in ONNX Runtime.
     """
-    header, weights = read_safetensors(path, "np")
-    name = header["preset"]
-    if name not in graphs.PRESETS:
-        raise InputError(
-            f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
-            f"run it by torch"
-        )
-    shapes = {key: value.shape for key, value in weights.items()}
-    check_state(path, name, shapes, _weights_of(name)["stored"])
-    check_values(path, weights)
-    return OnnxEngine(name, weights)
+    height, width = target.shape[1:]
+    padded = np.pad(warped, ((0, 0), (radius, radius), (radius, radius)))
+    side = 2 * radius + 1
+    scores = np.empty((side**2, height, width), np.float32)
 
+    def correlate(index: int) -> None:
+        y, x = divmod(index, side)
+        shifted = padded[:, y : y + height, x : x + width]
+        np.einsum("chw,chw->hw", shifted, target, out=scores[index])
 
-def _weights_of(name: str) -> dict[str, Any]:
-    """The content of `graphs.WEIGHTS` of a preset."""
-    text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
-    return json.loads(text)
+    in_threads(correlate, range(side**2))
+    return scores
 
 
 def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:

@@ -1,95 +1,55 @@
 """The network run by torch: on any device, with any weights."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from copy import deepcopy
 from pathlib import Path
-from typing import cast
+from typing import TypeVar
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import load_network, network_fingerprint
-from dgc_pose.runtime.engine import DecodedMap, NativeFeatures
+from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 
-
-@dataclass(frozen=True, eq=False)
-class TorchFeatures:
-    """`MapFeatures` as `DGCNet.features` gives them, of a batch of one."""
-
-    levels: list[Tensor]
-    size: tuple[int, int]  # (width, height) of the resized image
-
-    @property
-    def nbytes(self) -> int:
-        return sum(level.nbytes for level in self.levels)
+Net = TypeVar("Net", bound=nn.Module)
 
 
 class TorchEngine:
-    """A network as an `Engine`, on the device where its weights are.
-
-    fingerprint: of the weights before `for_inference`; None to compute it.
-    """
+    """A network as an `Engine`, on the device where its weights are; see `for_inference`."""
 
     concurrent = False  # its layers use all threads, or the GPU
 
-    def __init__(self, net: DGCNet, fingerprint: str | None = None) -> None:
-        self.net = net.eval().requires_grad_(False)
+    def __init__(self, net: DGCNet) -> None:
+        self.fingerprint = network_fingerprint(net)
+        self.net = for_inference(net)
         self.config = net.config
-        self._fingerprint = fingerprint
-
-    @cached_property
-    def fingerprint(self) -> str:
-        return self._fingerprint or network_fingerprint(self.net)
-
-    @cached_property
-    def correlation_scales(self) -> np.ndarray:
-        return cast(Tensor, self.net.correlation_scales).float().cpu().numpy()
+        self.correlation_scales = net.get_buffer("correlation_scales").float().cpu().numpy()
 
     @torch.inference_mode()
-    def encode(self, pixels: np.ndarray) -> TorchFeatures:
+    def encode(self, pixels: np.ndarray) -> MapFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
-        return TorchFeatures(self.net.features(self._input(pixels, size)), size)
+        return MapFeatures(self.net.features(self._input(pixels, size)), size)
 
     @torch.inference_mode()
-    def coarsest(self, features: TorchFeatures) -> np.ndarray:
+    def coarsest(self, features: MapFeatures) -> np.ndarray:
         return _unit(features.levels[COARSEST])
 
     @torch.inference_mode()
-    def decode(
-        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
-    ) -> list[DecodedMap]:
-        """As `Engine.decode`; pairs of images of the same shapes are decoded together."""
-        groups: dict[tuple[Size, Size], list[int]] = {}
-        for index, (first, second) in enumerate(zip(source, target, strict=True)):
-            groups.setdefault((first.size, second.size), []).append(index)
-        decoded: dict[int, DecodedMap] = {}
-        for indices in groups.values():
-            maps = self._decode([source[i] for i in indices], [target[i] for i in indices], finest)
-            decoded |= zip(indices, maps, strict=True)
-        return [decoded[index] for index in range(len(source))]
-
-    def _decode(
-        self, source: Sequence[TorchFeatures], target: Sequence[TorchFeatures], finest: int
-    ) -> list[DecodedMap]:
-        """As `decode`, of images of the same shapes."""
-        size = source[0].size
-        prediction = self.net.decode(_stacked(source), _stacked(target), finest)
-        maps = prediction.maps[-1].movedim(1, -1).float().nan_to_num(-2.0)
-        points = to_pixels(maps, size, self.config.align_corners)
-        masks = torch.ones(points.shape[:3])
+    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+        prediction = self.net.decode(source.levels, target.levels, finest)
+        normalised = prediction.maps[-1][0].movedim(0, -1).float().nan_to_num(-2.0)
+        points = to_pixels(normalised, source.size, self.config.align_corners)
+        mask = torch.ones(points.shape[:2])
         if prediction.logits:
-            masks = prediction.logits[-1][:, 0].float().sigmoid()
-        arrays = zip(points.cpu().numpy(), masks.cpu().numpy(), strict=True)
-        return [DecodedMap(*pair, size) for pair in arrays]
+            mask = prediction.logits[-1][0, 0].float().sigmoid()
+        return DecodedMap(points.cpu().numpy(), mask.cpu().numpy(), source.size)
 
     @torch.inference_mode()
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
@@ -104,13 +64,34 @@ class TorchEngine:
 def load_torch_engine(
     weights: str | Path, device: torch.device, half_precision: bool = False
 ) -> TorchEngine:
-    """An engine of weights by name or path (see `load_network`), made faster for inference.
+    """An engine of weights by name or path (see `load_network`).
 
     half_precision: convolutions in bfloat16.
     """
     net = load_network(weights, device)
     net.half_precision = half_precision
-    return TorchEngine(for_inference(net), network_fingerprint(net))
+    return TorchEngine(net)
+
+
+def for_inference(net: Net) -> Net:
+    """A frozen copy that gives the same maps up to rounding: batch norms folded into the
+    convolutions before them, ReLUs in place, filters channels last."""
+    copy = deepcopy(net).eval().requires_grad_(False)
+    for module in list(copy.modules()):
+        if isinstance(module, nn.Sequential):
+            _fold(module)
+    copy.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return copy
+
+
+def _fold(layers: nn.Sequential) -> None:
+    """Fold the batch norms into identities: the names of the other layers are unchanged."""
+    for index, (before, layer) in enumerate(zip(layers, list(layers)[1:], strict=False), 1):
+        if isinstance(layer, nn.BatchNorm2d) and isinstance(before, nn.Conv2d):
+            layers[index - 1] = fuse_conv_bn_eval(before, layer)
+            layers[index] = nn.Identity()
+        elif isinstance(layer, nn.ReLU):
+            layer.inplace = True  # its input, a convolution's output, is not read again
 
 
 def network_input(pixels: np.ndarray, size: tuple[int, int], device: torch.device) -> Tensor:
@@ -125,10 +106,3 @@ def _unit(level: Tensor) -> np.ndarray:
     """Features (1, C, h, w) as (h, w, C) of unit length over the channels."""
     unit: np.ndarray = F.normalize(level[0].float().permute(1, 2, 0), dim=-1).cpu().numpy()
     return np.ascontiguousarray(unit)
-
-
-def _stacked(images: Sequence[TorchFeatures]) -> list[Tensor]:
-    """The features of several images as those of one batch, level by level."""
-    if len(images) == 1:
-        return images[0].levels
-    return [torch.cat(level) for level in zip(*(image.levels for image in images), strict=True)]

@@ -59,8 +59,3 @@ def test_matches_are_those_of_the_matcher_alone(matcher_class: type) -> None:
     np.testing.assert_allclose(result["matched_kpts0"], expected.points1)
     np.testing.assert_allclose(result["matched_kpts1"], expected.points2)
     np.testing.assert_allclose(result["matched_confidences"], expected.confidence)
-
-
-def test_images_without_matches(matcher_class: type) -> None:
-    black = torch.zeros(3, 20, 20)
-    assert len(matcher_class(matcher=load_matcher("sift"))(black, black)["matched_kpts0"]) == 0

@@ -7,7 +7,7 @@ from command_line import run
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
+from dgc_pose.training.run import save_weights
 
 TRUE, OFF = dense_scene.true_map(), dense_scene.true_map(error_px=0.7)
 

@@ -44,8 +44,9 @@ from dgc_pose.images.image import Image, image_header, image_size, load_image, r
 from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_checkpoint, load_network, save_weights
+from dgc_pose.network.weights import load_checkpoint, load_network
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
+from dgc_pose.training.run import save_weights
 from dgc_pose.training.synthesis.photos import load_photos
 from dgc_pose.training.synthesis.posed_depth import read_rgbd
 

@@ -29,9 +29,10 @@ from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.network.weights import load_network
 from dgc_pose.serve.cameras import command
 from dgc_pose.training.initialise import initialise_encoder
+from dgc_pose.training.run import save_weights
 
 
 @pytest.fixture(autouse=True)

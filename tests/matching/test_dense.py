@@ -17,7 +17,7 @@ from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime.engine import DecodedMap
-from dgc_pose.runtime.torch_engine import TorchEngine, network_input
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
@@ -39,7 +39,7 @@ def _image(width: int, height: int, seed: int = 0) -> Image:
 
 
 def _map(matcher: DenseMatcher, first: Image, second: Image) -> CorrespondenceMap:
-    return matcher.correspondence_maps([(first, second)])[0]
+    return matcher.correspondence_map(first, second)
 
 
 @pytest.mark.parametrize("align_corners", [True, False])
@@ -54,14 +54,6 @@ def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> No
         np.testing.assert_allclose(points[:, 9, 1], (cells + 0.5) * size[1] / 240 - 0.5, atol=2e-3)
     assert found.map.dtype == found.grid.dtype == found.matchability.dtype == np.float32
     assert found.matchability.shape == (240, 240) and found.cycle is None
-
-
-def test_a_shift_of_the_map_is_a_shift_in_pixels() -> None:
-    """2 / 240 of the normalised width, edges at -1 and +1, is one cell: 1600 / 240 pixels."""
-    matcher = DenseMatcher(TorchEngine(_constant_net(2 / 240, align_corners=False)))
-    found = _map(matcher, _image(1600, 1200), _image(1600, 1200))
-    shift = np.broadcast_to((1600 / 240, 0), found.map.shape)
-    np.testing.assert_allclose(found.map - found.grid, shift, atol=3e-3)
 
 
 def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
@@ -79,41 +71,6 @@ def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
     assert result.correspondence_map is not None
     np.testing.assert_allclose(result.correspondence_map.cycle, 0, atol=0.05)
     assert len(result.matches) > 1000
-
-
-def test_a_coarser_finest_level_is_the_network_s_own_coarser_map() -> None:
-    """The same values as that level of the full pass, on that level's grid."""
-    torch.manual_seed(0)
-    net = DGCNet(SMALL).eval()
-    first, second = _image(480, 360, 1), _image(320, 240, 2)
-    with torch.no_grad():
-        inputs = [
-            network_input(image.pixels, (240, 240), torch.device("cpu"))
-            for image in (first, second)
-        ]
-        prediction = net(*inputs)
-    for level, cells in ((1, 120), (2, 60)):
-        options = MatchingOptions(finest=cells, cycle_px=10.0)  # type: ignore[arg-type]
-        found = _map(DenseMatcher(TorchEngine(net), options), first, second)
-        wanted = prediction.maps[-1 - level][0].movedim(0, -1).numpy()  # edges at -1 and +1
-        wanted = (wanted + 1) * first.size / np.array(2) - 0.5
-        np.testing.assert_allclose(found.map, wanted, atol=0.01)
-        step = np.divide(second.size, cells)
-        np.testing.assert_allclose(found.grid[0, 0], step / 2 - 0.5, atol=1e-4)
-        np.testing.assert_allclose(found.grid[2, 1] - found.grid[1, 0], step, atol=1e-4)
-        assert found.map.shape == (cells, cells, 2) and found.matchability.shape == (cells, cells)
-        assert found.cycle is not None and found.cycle.shape == (cells, cells)
-
-
-def test_the_cycle_error_at_a_coarser_level() -> None:
-    """Forward and back by 1/60 of the width each: 2/60 of image 2's width, at any level."""
-    options = MatchingOptions(cycle_px=5.0, finest=60)
-    net = _constant_net(align_corners=False)
-    with torch.no_grad():
-        net.get_submodule("reg_2.final").bias[0] = 2 / 60
-    found = _map(DenseMatcher(TorchEngine(net), options), _image(480, 480), _image(960, 480))
-    assert found.cycle is not None
-    np.testing.assert_allclose(found.cycle[:, :50], 2 * 960 / 60, atol=0.05)
 
 
 def test_a_mask_network_has_no_coarser_level() -> None:
@@ -147,59 +104,16 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
     engine = TorchEngine(_constant_net(align_corners=False))
     decode, calls = engine.decode, []
 
-    def decode_upright_alone(*given: Any) -> list[DecodedMap]:
-        calls.append(len(given[0]))
+    def decode_upright_alone(*given: Any) -> DecodedMap:
+        calls.append(given)
         value = np.float32(0.1 if len(calls) == 1 else 0.9)
-        return [replace(one, matchability=np.full((240, 240), value)) for one in decode(*given)]
+        return replace(decode(*given), matchability=np.full((240, 240), value))
 
     monkeypatch.setattr(engine, "decode", decode_upright_alone)
     found = _map(DenseMatcher(engine), upright, second)
-    assert calls == [1, 1] and found.matchability.shape == (240, 240)
+    assert len(calls) == 2 and found.matchability.shape == (240, 240)
     # The identity between the whole of image 1 and the view of image 2.
     truth = (view2.to_view(found.grid) + 0.5) / view2.size * upright.size - 0.5
     shown = within(view2.to_view(found.grid), view2.size)
     np.testing.assert_allclose(found.map[shown], truth[shown], atol=0.8)
     assert (found.matchability[shown] > 0.8).all() and (found.matchability[~shown] == 0).all()
-
-
-def test_a_part_of_image_1_is_decoded_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = _image(300, 200), _image(90, 60)
-    view1 = View(0.0, 2.0, (100.0, 80.0), (180, 120))
-    suggested = (view1, View.whole(second.size))
-    monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
-    engine = TorchEngine(_constant_net(align_corners=False))
-    means = iter([0.1, 0.9])
-    decode = engine.decode
-    monkeypatch.setattr(
-        engine,
-        "decode",
-        lambda *given: [
-            replace(one, matchability=np.full((240, 240), next(means), np.float32))
-            for one in decode(*given)
-        ],
-    )
-    found = _map(DenseMatcher(engine), first, second)
-    expected = found.grid + (100 - 44.5, 80 - 29.5)  # the same scale: 180 pixels show 90
-    np.testing.assert_allclose(found.map, expected, atol=0.01)
-
-
-def test_a_batch_gives_what_its_pairs_give_alone() -> None:
-    """Of several sizes, with the cycle error, and with rotations of those that match badly."""
-    torch.manual_seed(0)
-    options = MatchingOptions(matchability=0.0, cycle_px=5.0)
-    matcher = DenseMatcher(TorchEngine(DGCNet(preset("dgcm-lite0"))), options)
-    pairs = [
-        (_image(200, 150, 1), _image(180, 240, 2)),
-        (_image(100, 100, 3), _image(300, 100, 4)),
-        (_image(90, 120, 5), _image(160, 120, 6)),
-    ]
-    means = [float(_map(matcher, *pair).matchability.mean()) for pair in pairs]
-    weakest = (sorted(means)[0] + sorted(means)[1]) / 2
-    matcher = DenseMatcher(matcher.engine, options, search_below=weakest)
-    for pair, found in zip(pairs, matcher.correspondence_maps(pairs), strict=True):
-        alone = _map(matcher, *pair)
-        np.testing.assert_allclose(found.map, alone.map, atol=0.02)
-        np.testing.assert_allclose(found.matchability, alone.matchability, atol=1e-4)
-        assert found.cycle is not None and alone.cycle is not None
-        np.testing.assert_allclose(found.cycle, alone.cycle, atol=0.05)
-        assert (found.size1, found.size2) == (pair[0].size, pair[1].size)

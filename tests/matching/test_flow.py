@@ -6,7 +6,7 @@ import pytest
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches
-from dgc_pose.matching.flow import FlowMatcher, agreement, scaled_map
+from dgc_pose.matching.flow import FlowMatcher, agreement
 from dgc_pose.matching.texture import texture, textured
 
 
@@ -72,11 +72,3 @@ def test_agreement_is_the_formula() -> None:
         found = agreement(flow, returned)
         assert (found[:, :20] == agrees).all()
         assert not found[:, 20:].any()  # the flow leaves the image
-
-
-def test_scaled_map_follows_the_half_pixel_rule() -> None:
-    found = scaled_map(pixel_grid((40, 30)), np.ones((30, 40)), (400, 600), (80, 15))
-    assert np.allclose(found.map[0, 0], (4.5, 9.5))
-    assert np.allclose(found.map[-1, -1], (394.5, 589.5))
-    assert np.allclose(found.grid[0, 0], (0.5, -0.25))
-    assert np.allclose(found.grid[-1, -1], (78.5, 14.25))

@@ -6,13 +6,10 @@ import cv2
 import numpy as np
 import pytest
 import tiny_onnx
-from click.testing import CliRunner
 
 from dgc_pose import load_matcher
-from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import MatcherCaches
 
 SHIFT = (16, 8)  # pixels, x and y: whole cells of the grid
 CUT = np.eye(64, dtype=np.float32).reshape(64, 1, 8, 8)  # each of a cell's pixels as a channel
@@ -94,14 +91,6 @@ def test_a_larger_image_is_shrunk_and_its_points_are_in_its_own_pixels(images, t
     assert np.median(np.abs(off)) <= 2
 
 
-def test_key_points_are_kept_from_pair_to_pair(images, tmp_path) -> None:
-    caches = MatcherCaches()
-    matcher = load_matcher(_grid_model(tmp_path / "dots.onnx"), caches=caches)
-    first, again = (matcher.match(*images).matches for _ in range(2))
-    assert (caches.key_points.asked, caches.key_points.made) == (4, 2)
-    assert np.array_equal(first.points1, again.points1)
-
-
 def test_points_as_they_are_in_the_image_s_pixels(images, tmp_path) -> None:
     matches = load_matcher(_points_model(tmp_path / "three.onnx")).match(*images).matches
     scale = np.divide((256, 192), (96, 64))
@@ -120,27 +109,16 @@ def test_other_layouts_are_refused_with_what_they_are(tmp_path) -> None:
     nodes = [("Conv", ["image", "cut"], "features", by_cell)]
     image, features = {"image": (1, 1, *SIDES)}, {"features": (1, 64, *SIDES)}
     path = tiny_onnx.write_model(tmp_path / "m.onnx", nodes, {"cut": CUT}, image, features)
-    with pytest.raises(InputError, match=r"65.*not features \(1, 64, h, w\)"):
+    with pytest.raises(InputError, match=r"65.*not image .*, and features \(1, 64, h, w\)"):
         load_matcher(path)
     flat = {"image": (1, 1, "h")}
     path = tiny_onnx.write_model(
         tmp_path / "m.onnx", [("Relu", ["image"], "out", {})], {}, flat, {"out": (1, 1, "h")}
     )
-    with pytest.raises(InputError, match=r"one input \(1, 3, H, W\).*not image \(1, 1, h\)"):
+    with pytest.raises(InputError, match=r"an image \(1, 3, H, W\).*not image \(1, 1, h\)"):
         load_matcher(path)
     path.write_bytes(b"no model")
     with pytest.raises(WeightsError, match="m.onnx"):
         load_matcher(path)
     with pytest.raises(WeightsError, match="gone.onnx: no such weights"):
         load_matcher(tmp_path / "gone.onnx")
-
-
-def test_the_commands_take_it_by_its_path(images, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name, image in zip(("1.png", "2.png"), images, strict=True):
-        cv2.imwrite(name, image.pixels)
-    _grid_model(tmp_path / "dots.onnx")
-    words = ["estimate", "1.png", "2.png", "--K", "300,300,127.5,95.5", "--weights", "dots.onnx"]
-    result = CliRunner().invoke(main, [*words, "--json", "pose.json"])
-    assert result.exit_code in (0, 3), result.stderr  # a shift alone shows no motion for certain
-    assert (tmp_path / "pose.json").exists()

@@ -1,6 +1,5 @@
 """The search of rotation and scale, on pictures whose rotation and scale are known."""
 
-import math
 from functools import cache
 from types import SimpleNamespace
 
@@ -10,9 +9,8 @@ import pytest
 import torch
 
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.search import matching_distribution, mean_entropy, search_views
+from dgc_pose.matching.search import search_views
 from dgc_pose.matching.view import View
-from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 
 
@@ -45,7 +43,7 @@ def test_equal_views_need_no_search() -> None:
     assert search_views(_engine(), image, Image(image.pixels[8:, 5:].copy())) is None
 
 
-@pytest.mark.parametrize("size", [(500, 1), (1, 500), (3000, 2), (3000, 300)])
+@pytest.mark.parametrize("size", [(1, 500), (3000, 300)])
 @pytest.mark.parametrize("first", [True, False])
 def test_a_thin_image_is_not_rotated(size: tuple[int, int], first: bool) -> None:
     """Copies of 1x500 rotated by 45 degrees would have 4 million pixels each."""
@@ -82,46 +80,3 @@ def test_a_part_is_found_in_the_whole(closer: int) -> None:
     extent = np.array(wide.size) / wide.scale
     assert (extent > (320 / 3.5, 240 / 3.5)).all() and (extent < (320, 240)).all()
     assert views[1].angle_deg == 0
-
-
-def _features(seed: int, rows: int, columns: int) -> NativeFeatures:
-    rng = np.random.default_rng(seed)
-    levels = [rng.standard_normal((k * rows, k * columns, 8), np.float32) for k in (1, 2, 4)]
-    unit = [level / np.linalg.norm(level, axis=-1, keepdims=True) for level in levels]
-    return NativeFeatures(*unit, (100, 100))
-
-
-@pytest.mark.parametrize("levels", [1, 2])
-def test_the_distribution_is_the_dual_softmax(levels: int) -> None:
-    source, target = _features(0, 3, 4), _features(1, 2, 5)
-    inside = np.array([[1, 1, 0, 1, 1], [0, 1, 1, 1, 1]], bool)
-    scales = np.array([6.0, 9.0], np.float32)[:levels]
-    logits = np.zeros((12, 8))
-    for i, (y1, x1) in enumerate(np.ndindex(3, 4)):
-        for j, (y2, x2) in enumerate(np.argwhere(inside)):
-            logits[i, j] = 6 * source.coarse[y1, x1] @ target.coarse[y2, x2]
-            best = [
-                max(
-                    float(
-                        source.middle[2 * y1 + a, 2 * x1 + b]
-                        @ target.middle[2 * y2 + c, 2 * x2 + d]
-                    )
-                    for a in (0, 1)
-                    for b in (0, 1)
-                )
-                for c in (0, 1)
-                for d in (0, 1)
-            ]
-            logits[i, j] += 9 * np.mean(best) if levels == 2 else 0
-    product = (
-        np.exp(logits) / np.exp(logits).sum(0) * np.exp(logits) / np.exp(logits).sum(1)[:, None]
-    )
-    found = matching_distribution(source, target, inside, scales)
-    np.testing.assert_allclose(np.exp(found), product / product.sum(0), rtol=1e-3, atol=1e-5)
-
-
-def test_entropy_is_one_for_chance_and_zero_for_certainty() -> None:
-    assert mean_entropy(np.full((9, 4), -math.log(9))) == pytest.approx(1.0)
-    certain = np.where(np.eye(5, dtype=bool), 0.0, -200.0)
-    assert mean_entropy(certain) == pytest.approx(0.0, abs=1e-9)
-    assert mean_entropy(np.zeros((1, 3))) == mean_entropy(np.zeros((4, 0))) == 1.0

@@ -1,8 +1,6 @@
 """No match without structure, whatever makes the matches."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import dense_scene
@@ -10,13 +8,11 @@ import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.probability.planned import BLANKS, BlankKind, blank
-from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
-from dgc_pose.matching.flow import FlowMatcher
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
 from dgc_pose.refinement import Refiner
@@ -41,25 +37,11 @@ def _everywhere() -> Matcher:
     return dense_scene.MapMatcher(replace(dense, matchability=np.ones_like(dense.matchability)))
 
 
-def _stored(folder: Path) -> FileMatcher:
-    """Another program's matches, one at each fourth pixel, whatever the images show."""
-    np.savez(folder / "pair.npz", points1=PIXELS[::4] + (0.3, 0.2), points2=PIXELS[::4])
-    return FileMatcher(folder, lambda name1, name2: "pair")
-
-
-SOURCES: dict[str, Callable[[Path], Matcher]] = {
-    "map": lambda folder: _everywhere(),
-    "map refined": lambda folder: Refiner(_everywhere()),
-    "sift": lambda folder: SiftMatcher(),
-    "files": _stored,
-    "files refined": lambda folder: Refiner(_stored(folder)),
-    "dis": lambda folder: FlowMatcher(),
-}
-
-
-@pytest.mark.parametrize("source", SOURCES)
-def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image, tmp_path: Path) -> None:
-    matcher = SOURCES[source](tmp_path)
+@pytest.mark.parametrize("source", ["map", "map refined", "sift"])
+def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image) -> None:
+    matcher = SiftMatcher() if source == "sift" else _everywhere()
+    if source == "map refined":
+        matcher = Refiner(matcher)
     camera = Camera(dense_scene.K, SIZE)
     for kind in BLANKS:
         image = _blank(kind)
@@ -69,13 +51,6 @@ def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image, tmp_p
             options = EstimationOptions(runs=1, iterations=50)
             pose = estimate_pose(matches, camera, camera, options)
             assert pose.R is None and not pose.success, kind
-
-
-@pytest.mark.parametrize("source", SOURCES)
-def test_where_there_is_structure_every_source_still_matches(source: str, tmp_path: Path) -> None:
-    first, second = (Image(pixels) for pixels in dense_scene.pictures())
-    # The sources of stored and made-up matches take the second picture for the first one moved.
-    assert len(SOURCES[source](tmp_path).match(first, second).matches) >= 50
 
 
 @pytest.mark.parametrize("kind", BLANKS)
@@ -98,17 +73,6 @@ def test_the_noise_level_is_that_of_the_noise() -> None:
     for sigma in (1.0, 4.0, 15.0):
         ramp = 100 + 0.3 * x - 0.2 * y + sigma * rng.standard_normal((200, 300))
         assert noise_level(ramp.astype(np.float32)) == pytest.approx(sigma, rel=0.05)
-
-
-def test_a_photograph_and_its_noisy_copy_keep_their_structure() -> None:
-    """More noise hides the weaker structure, and only that."""
-    picture = dense_scene.pictures()[0]
-    rng = np.random.default_rng(0)
-    shares = []
-    for sigma in (0, 5, 20):
-        noisy = picture + sigma * rng.standard_normal(picture.shape[:2])[..., None]
-        shares.append(texture(Image(noisy.clip(0, 255).astype(np.uint8))).mask.mean())
-    assert shares[0] >= shares[1] >= shares[2] and shares[0] > 0.7 and shares[1] > 0.5
 
 
 def test_an_edge_has_none_and_its_end_has() -> None:
@@ -134,14 +98,6 @@ def test_bars_at_the_border_are_no_scene(colour: int) -> None:
         assert not mask[:40].any() and not mask[-40:].any()
         assert not mask[:, :30].any() and not mask[:, -30:].any()
         assert mask[60:-60, 50:-50].mean() > 0.6
-
-
-def test_a_burnt_out_sky_has_none_and_the_ground_has() -> None:
-    picture = dense_scene.pictures()[0]
-    sky = picture.copy()
-    sky[:100] = 255
-    mask = texture(Image(sky)).mask
-    assert not mask[:95].any() and mask[120:-10, 10:-10].mean() > 0.6
 
 
 def test_points_are_looked_up_on_images_of_any_size() -> None:

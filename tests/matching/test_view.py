@@ -46,12 +46,6 @@ def test_a_view_shows_what_its_points_say(angle: float, scale: float) -> None:
     np.testing.assert_allclose(shown[inner][:, :2], 2 * points[inner], atol=3)
 
 
-def test_a_window_of_whole_pixels_is_cut_as_it_is() -> None:
-    image = np.random.default_rng(1).integers(0, 256, (40, 60, 3), dtype=np.uint8)
-    view = View.window((21, 10), (30.0, 14.5), 0.0, 1.0)
-    assert np.array_equal(view.cut(image), image[10:20, 20:41])
-
-
 def test_outside_the_image_is_one_colour_and_known() -> None:
     view = View.whole((64, 48), 45.0)
     shown, inside = view.cut(_ramp(64, 48)), view.inside((64, 48), view.size)

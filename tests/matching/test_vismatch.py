@@ -2,7 +2,6 @@
 
 import importlib
 import sys
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -10,11 +9,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner
 from multi_view import render_views
 
 from dgc_pose import load_matcher
-from dgc_pose.cli.main import main
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 
@@ -77,29 +74,6 @@ def test_its_matches_are_ours(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == ""
     with pytest.raises(InputError, match="vismatch:orb-nn failed on the pair"):
         matcher.match(images[0], Image(np.zeros((40, 40, 3), np.uint8)))
-
-
-@pytest.mark.usefixtures("vismatch")
-def test_it_feeds_a_batch(tmp_path: Path) -> None:
-    (tmp_path / "photos").mkdir()
-    for number, view in enumerate(render_views(2)):
-        cv2.imwrite(str(tmp_path / f"photos/{number}.png"), view.pixels[..., ::-1])
-    words = [
-        "batch",
-        str(tmp_path / "photos"),
-        "--out",
-        str(tmp_path / "out"),
-        "--K",
-        "225,226.5,121,87.5",
-    ]
-    words += ["--pairs", "exhaustive", "--weights", "vismatch:orb-nn", "--workers", "1"]
-    result = CliRunner().invoke(main, [*words, "--device", "cpu"])
-    assert result.exit_code == 0, result.output
-    assert "1 poses of 1 pairs" in result.output
-
-
-@pytest.mark.usefixtures("vismatch")
-def test_what_vismatch_has_not_is_refused() -> None:
     with pytest.raises(InputError, match="vismatch has no nothing; it has .*orb-nn"):
         load_matcher("vismatch:nothing")
 

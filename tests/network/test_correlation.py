@@ -1,108 +1,115 @@
-"""Correlations against loops written out here."""
+"""Correlations, consensus and peaks of NumPy's arrays and torch's tensors, against loops."""
 
-import itertools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pytest
 import torch
 
-from dgc_pose.network.correlation import (
-    cell_correlation,
-    global_correlation,
-    l2_normalise,
-    local_correlation,
-    match_evidence,
-    match_scores,
-    peaks,
-)
+from dgc_pose.network.config import FLOOR, REACH, WEIGHT
+from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
+from dgc_pose.network.net import l2_normalise, local_correlation
+from dgc_pose.runtime import onnx_engine
+
+# To an array of the library, with torch's batch, and back.
+LIBRARIES: dict[str, tuple[Callable[[np.ndarray], Any], Callable[[Any], np.ndarray]]] = {
+    "numpy": (lambda values: values, lambda values: values),
+    "torch": (lambda values: torch.from_numpy(values)[None], lambda values: values[0].numpy()),
+}
+Library = tuple[Callable[[np.ndarray], Any], Callable[[Any], np.ndarray]]
 
 
-def _features(seed: int, *shape: int) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+@pytest.fixture(params=LIBRARIES)
+def library(request: pytest.FixtureRequest) -> Library:
+    return LIBRARIES[request.param]
 
 
-def test_l2_norm_over_channels() -> None:
-    features = _features(0, 2, 5, 3, 4)
-    found = l2_normalise(features)
-    for b in range(2):
-        for y in range(3):
-            for x in range(4):
-                vector = features[b, :, y, x].numpy()
-                length = math.sqrt(float((vector**2).sum()) + 1e-6)
-                np.testing.assert_allclose(found[b, :, y, x].numpy(), vector / length)
+def _noise(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
 
 
-def test_local_correlation_is_around_each_cell() -> None:
-    warped, target = _features(3, 1, 5, 6, 7), _features(4, 1, 5, 6, 7)
-    radius = 2
-    found = local_correlation(warped, target, radius)
-    assert found.shape == (1, 25, 6, 7)
-    for y in range(6):
-        for x in range(7):
-            for dy in range(-radius, radius + 1):
-                for dx in range(-radius, radius + 1):
-                    inside = 0 <= y + dy < 6 and 0 <= x + dx < 7
-                    expected = (
-                        float(warped[0, :, y + dy, x + dx] @ target[0, :, y, x]) if inside else 0.0
-                    )
-                    channel = (dy + radius) * 5 + dx + radius
-                    assert math.isclose(float(found[0, channel, y, x]), expected, abs_tol=1e-12)
+def test_unit_length_over_channels_and_local_correlation(library: Library) -> None:
+    to, back = library
+    warped, target = _noise(3, 5, 6, 7), _noise(4, 5, 6, 7)
+    module: Any = onnx_engine if isinstance(to(warped), np.ndarray) else None
+    unit = module.l2_normalised if module else l2_normalise
+    lengths = np.sqrt((warped.astype(float) ** 2).sum(0) + 1e-6)
+    np.testing.assert_allclose(back(unit(to(warped))), warped / lengths, rtol=1e-5)
+    correlate = module.local_correlation if module else local_correlation
+    values = back(correlate(to(warped), to(target), 2))
+    assert values.shape == (25, 6, 7)
+    for y, x in np.ndindex(6, 7):
+        for channel, (dy, dx) in enumerate(np.ndindex(5, 5)):
+            v, u = y + dy - 2, x + dx - 2
+            expected = warped[:, v, u] @ target[:, y, x] if 0 <= v < 6 and 0 <= u < 7 else 0.0
+            assert values[channel, y, x] == pytest.approx(expected, abs=1e-5)
 
 
-def test_evidence_is_the_weighted_sum_of_the_levels() -> None:
+def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
     """Of a finer level: the best inside the source's cell, on the mean inside the target's."""
-    scales = (2.0, 5.0, 0.5)
-    source = [_features(7 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
-    target = [_features(17 + k, 2, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
-    pairs = enumerate(zip(source, target, strict=True))
-    correlations = [cell_correlation(*pair, side=2**k) for k, pair in pairs]
-    torch.testing.assert_close(correlations[0], global_correlation(source[0], target[0]))
-    found = match_evidence(correlations, torch.tensor(scales, dtype=torch.float64))
-    assert found.shape == (2, 6, 2, 3)
-    for b, xs, ys, xt, yt in itertools.product(range(2), range(3), range(2), range(3), range(2)):
+    to, back = library
+    scales = np.array([2.0, 5.0, 0.5], np.float32)
+    source = [_noise(7 + k, 3, 2 * 2**k, 4 * 2**k) for k in range(3)]
+    target = [_noise(17 + k, 3, 2 * 2**k, 3 * 2**k) for k in range(3)]
+    sources, targets = list(map(to, source)), list(map(to, target))
+    factors = scales if isinstance(sources[0], np.ndarray) else torch.from_numpy(scales)
+    values = back(match_evidence(sources, targets, factors))
+    assert values.shape == (8, 6)
+    for xs, ys, yt, xt in np.ndindex(4, 2, 2, 3):
         expected = 0.0
         for k, scale in enumerate(scales):
             f = 2**k
-            inside = source[k][b, :, f * ys : f * ys + f, f * xs : f * xs + f].flatten(1)
-            bests = [
-                float((target[k][b, :, f * yt + y, f * xt + x] @ inside).max())
-                for y in range(f)
-                for x in range(f)
-            ]
-            expected += scale * sum(bests) / len(bests)
-        assert math.isclose(float(found[b, xs * 2 + ys, yt, xt]), expected, abs_tol=1e-9)
+            inside = source[k][:, f * ys : f * ys + f, f * xs : f * xs + f].reshape(3, -1)
+            seen = target[k][:, f * yt : f * yt + f, f * xt : f * xt + f].reshape(3, -1)
+            expected += scale * (seen.T @ inside).max(1).mean()
+        assert values[xs * 2 + ys, yt * 3 + xt] == pytest.approx(expected, abs=1e-4)
 
 
-def test_peaks_are_where_the_features_came_from() -> None:
-    """A target that is the source rotated by 90 degrees: every cell finds its true point."""
-    source = l2_normalise(_features(5, 1, 64, 15, 15))
-    target = torch.rot90(source, 1, (2, 3))
-    scores = match_scores(60.0 * global_correlation(source, target))
-    points, probability = peaks(scores)
-    rows, columns = torch.meshgrid(torch.arange(15), torch.arange(15), indexing="ij")
-    truth_x, truth_y = torch.rot90(columns, 1), torch.rot90(rows, 1)
-    torch.testing.assert_close(points[0, 0], truth_x.double(), atol=1e-3, rtol=0)
-    torch.testing.assert_close(points[0, 1], truth_y.double(), atol=1e-3, rtol=0)
-    assert probability.min() > 0.999
+def test_scores_are_the_product_of_both_softmaxes(library: Library) -> None:
+    to, back = library
+    raw = 3 * _noise(6, 12, 10).astype(float)
+    expected = 2 * raw - np.log(np.exp(raw).sum(0)) - np.log(np.exp(raw).sum(1))[:, None]
+    np.testing.assert_allclose(back(match_scores(to(raw))), expected, atol=1e-9)
 
 
-def test_a_far_second_peak_does_not_move_the_place() -> None:
-    correlation = torch.zeros(1, 225, 15, 15, dtype=torch.float64)
-    correlation[0, 3 * 15 + 4, 7, 7] = 1.0
-    correlation[0, 12 * 15 + 10, 7, 7] = 0.98
-    points, probability = peaks(match_scores(40.0 * correlation))
-    expected = torch.tensor([3.0, 4.0], dtype=torch.float64)
-    torch.testing.assert_close(points[0, :, 7, 7], expected, atol=1e-3, rtol=0)
-    assert 0.5 < probability[0, 7, 7] < 0.9  # two peaks, the higher one the clearer
+def _belief(scores: np.ndarray, passes: int) -> np.ndarray:
+    """Belief propagation cell by cell, of scores[xs, ys, yt, xt]."""
+    width, height, rows, columns = scores.shape
+    belief = scores - np.log(np.exp(scores).sum((0, 1)))
+    for _ in range(passes):
+        messages = np.full((width + 2, height + 2, rows, columns), math.log(FLOOR))
+        for xs, ys, yt, xt in np.ndindex(scores.shape):
+            total = 0.0
+            for x, y in np.ndindex(width, height):
+                density = math.exp(-((y - ys) ** 2 + (x - xs) ** 2) / (2 * REACH**2))
+                total += density / (2 * math.pi * REACH**2) * math.exp(belief[x, y, yt, xt])
+            messages[xs + 1, ys + 1, yt, xt] = math.log(total + FLOOR)
+        updated = scores.copy()
+        for xs, ys, yt, xt in np.ndindex(scores.shape):
+            for dy, dx in np.ndindex(3, 3):
+                v, u = yt + dy - 1, xt + dx - 1
+                if (dy, dx) != (1, 1) and 0 <= v < rows and 0 <= u < columns:
+                    updated[xs, ys, yt, xt] += WEIGHT * messages[xs + dx, ys + dy, v, u]
+        belief = updated - np.log(np.exp(updated).sum((0, 1)))
+    return belief
 
 
-def test_scores_are_the_product_of_both_softmaxes() -> None:
-    correlation = _features(6, 1, 12, 3, 4)
-    scores = match_scores(3.0 * correlation).view(12, 12)
-    raw = 3.0 * correlation.view(12, 12).numpy()
-    for source in range(12):
-        for target in range(12):
-            over_source = np.exp(raw[:, target]).sum()
-            over_target = np.exp(raw[source]).sum()
-            expected = 2 * raw[source, target] - math.log(over_source) - math.log(over_target)
-            assert math.isclose(float(scores[source, target]), expected, abs_tol=1e-9)
+@pytest.mark.parametrize("passes", [0, 1, 3])
+def test_consensus_is_belief_propagation(library: Library, passes: int) -> None:
+    to, back = library
+    scores = 4 * _noise(3, 12, 10)
+    values = back(consensus(to(scores), passes, (3, 4), (2, 5)))
+    expected = _belief(scores.reshape(4, 3, 2, 5).astype(float), passes)
+    np.testing.assert_allclose(values.reshape(4, 3, 2, 5), expected, atol=1e-4)
+
+
+def test_a_far_second_peak_does_not_move_the_place(library: Library) -> None:
+    to, back = library
+    correlation = np.zeros((50, 4))
+    correlation[3 * 5 + 4, 1] = 1.0
+    correlation[9 * 5 + 1, 1] = 0.98
+    points, probability = map(back, peaks(match_scores(to(40.0 * correlation)), (5, 10)))
+    np.testing.assert_allclose(points[:, 1], (3, 4), atol=1e-3)
+    assert 0.5 < probability[1] < 0.9  # two peaks, the higher one the clearer

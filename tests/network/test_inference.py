@@ -8,11 +8,10 @@ from torch import Tensor, nn
 
 from dgc_pose.images.image import load_image
 from dgc_pose.network.config import INPUT_SIZE, preset
-from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, Prediction
 from dgc_pose.network.stored import shipped
 from dgc_pose.network.weights import load_network
-from dgc_pose.runtime.torch_engine import network_input
+from dgc_pose.runtime.torch_engine import for_inference, network_input
 
 
 def _net(name: str) -> DGCNet:
@@ -61,25 +60,3 @@ def test_the_same_map(name: str) -> None:
     from_border_px = (wanted.maps[-1].abs().amax(1) - 1).abs() * INPUT_SIZE / 2
     assert off[from_border_px > 2].max() < 1e-3
     assert off.quantile(0.999) < 1e-4 and off.max() < 1e-2
-
-
-def test_the_original_is_left_alone() -> None:
-    net = _net("dgcm-lite0").train()
-    before = {key: value.clone() for key, value in net.state_dict().items()}
-    for_inference(net)
-    assert net.training and all(parameter.requires_grad for parameter in net.parameters())
-    assert all(torch.equal(before[key], value) for key, value in net.state_dict().items())
-
-
-def test_half_precision_comes_near() -> None:
-    """bfloat16 convolutions, coordinates in single precision: within a cell in the median."""
-    net = _net("dgcm-lite0")
-    exact = for_inference(net)
-    net.half_precision = True
-    half = for_inference(net)
-    inputs = _inputs(net)
-    with torch.inference_mode():
-        found, wanted = half(*inputs), exact(*inputs)
-    assert all(level.dtype == torch.float32 for level in found.maps)
-    coarse = (found.maps[0] - wanted.maps[0]).norm(dim=1) * INPUT_SIZE / 2
-    assert 0 < coarse.median() < 1.0

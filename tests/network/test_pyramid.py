@@ -4,7 +4,8 @@ import torch
 from map_nets import SMALL
 from torch import nn
 
-from dgc_pose.network.pyramid import Pyramid, fold_batch_norm
+from dgc_pose.network.pyramid import Pyramid
+from dgc_pose.training.stages import fold_batch_norm
 
 
 def test_batch_norm_folds_without_a_trace() -> None:
@@ -24,11 +25,3 @@ def test_batch_norm_folds_without_a_trace() -> None:
     with torch.no_grad():
         for expected, folded in zip(trained(image), plain(image), strict=True):
             assert torch.allclose(folded, expected, rtol=1e-3, atol=1e-4 * expected.abs().max())
-
-
-def test_the_coarse_levels_alone_are_the_same() -> None:
-    pyramid = Pyramid(SMALL)
-    image = torch.rand(1, 3, 48, 48)
-    whole = pyramid(image)
-    for alone, level in zip(pyramid.coarse(image), whole[2:], strict=True):
-        assert torch.equal(alone, level)

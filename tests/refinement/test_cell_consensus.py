@@ -71,19 +71,6 @@ def test_a_cell_is_found_by_its_neighbours(levels: int) -> None:
     assert alone == 0 and found[4, 4] == 45
 
 
-def test_what_the_map_points_to_is_a_candidate() -> None:
-    source, target = _random(0, 5, 6), _random(1, 4, 7)
-    guided = np.full((28, 2), 17)
-    scales = np.array([8.0, 10.0], np.float32)
-    found = likely_cells(source, target, guided, scales, similar=1, likely=2)
-    assert (found == 17).any(1).all()
-    repeated = np.tile([17, 3, 17], (28, 1))
-    found = likely_cells(source, target, repeated, scales, similar=1, likely=2)
-    assert (found[:, 0] != found[:, 1]).all()
-    every = likely_cells(source, target, guided[:, :0], scales, similar=99, likely=99)
-    assert np.array_equal(np.sort(every, 1), np.tile(np.arange(30), (28, 1)))
-
-
 def test_cells_that_are_not_allowed_are_never_likely_while_there_are_others() -> None:
     source, target = _random(0, 5, 6), _random(1, 4, 7)
     scales = np.array([8.0, 10.0], np.float32)

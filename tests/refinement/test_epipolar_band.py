@@ -62,19 +62,8 @@ def test_cells_may_match_within_a_cell_of_their_lines(
 ) -> None:
     source, target = _features(views[0], 10, 7), _features(views[1], 8, 6)
     seen = (source, views[0]), (target, views[1])
-    band = EpipolarBand.of(HYPOTHESIS, *seen, children=stride == 8)
+    band = EpipolarBand(HYPOTHESIS, *seen, children=stride == 8)
     allowed, distances = band.all(), _distances(views, stride)
     assert allowed.shape == distances.shape and 0.02 < allowed.mean() < 0.6
     told = np.abs(distances - 1) > 1e-3
     assert np.array_equal(allowed[told], distances[told] < 1)
-
-
-def test_among_some_cells_it_is_the_same_as_among_all() -> None:
-    views = VIEWS[1]
-    seen = (_features(views[0], 10, 7), views[0]), (_features(views[1], 8, 6), views[1])
-    band = EpipolarBand.of(HYPOTHESIS, *seen, children=True)
-    rng = np.random.default_rng(0)
-    cells2, cells1 = rng.integers(0, 4 * 48, (30, 4)), rng.integers(0, 4 * 70, (30, 9))
-    expected = band.all()[cells2[:, :, None], cells1[:, None]]
-    assert 0.05 < expected.mean() < 0.95
-    assert np.array_equal(band.among(cells2, cells1), expected)

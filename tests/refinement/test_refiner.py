@@ -89,21 +89,6 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
     assert by_auto.error_px == 0.5 and len(by_auto) > 150
 
 
-def test_few_aligned_matches_are_completed(
-    images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Patches that differ too much stay where they were matched, with the error that they had."""
-    plain, aligned = (m.match(*images).matches for m in (_noisy(), Refiner(_noisy())))
-    monkeypatch.setattr(refiner, "MIN_ZNCC", 0.97)
-    monkeypatch.setattr(refiner, "MIN_ALIGNED", 2000)
-    completed = Refiner(_noisy()).match(*images).matches
-    assert aligned.error_px == 0.5
-    assert completed.error_px == plain.error_px > 0.5
-    assert len(completed) > len(aligned) - 50
-    moved = _errors(completed) < 0.1
-    assert 0.02 < moved.mean() and np.median(_errors(completed)) < np.median(_errors(plain))
-
-
 def _points(x: tuple[int, int], y: tuple[int, int], count: int, seed: int) -> Matches:
     """Random true matches with x and y in image 2 between limits, off by half a pixel."""
     rng = np.random.default_rng(seed)
@@ -178,29 +163,6 @@ def test_a_search_without_features_has_no_more_matches(images: tuple[Image, Imag
         whole = search.whole()
         assert search.squeezed() is None and search.near(_HYPOTHESES) is None
         assert search.last is whole
-
-
-@pytest.mark.usefixtures("parts")
-def test_a_search_can_begin_again(images: tuple[Image, Image], engine: TorchEngine) -> None:
-    """What it has computed stays, so that a benchmark may estimate two poses of one search."""
-    matcher = _noisy()
-    matcher.engine = engine
-    search = Refiner(matcher, "features").search(*images)
-    whole, squeezed = search.whole(), search.squeezed()
-    assert search.whole() is whole
-    again = search.squeezed()
-    assert squeezed is not None and again is not None
-    assert np.array_equal(again.matches.points1, squeezed.matches.points1)
-
-
-def test_features_of_an_untrained_network_match_a_picture_with_itself(engine: TorchEngine) -> None:
-    first = Image(dense_scene.pictures()[0])
-    grid = dense_scene.grid(dense_scene.CELLS, dense_scene.CELLS)
-    matcher = dense_scene.MapMatcher(dense_scene.make_map(grid + 6, grid), _OPTIONS, engine)
-    found = Refiner(matcher, "features").match(first, first).matches
-    off = np.abs(found.points1 - found.points2).max(1)
-    assert len(found) > 200 and np.median(off) < 0.1 and off.max() < 2
-    assert found.error_px == 0.5
 
 
 def test_a_source_that_there_is_not_is_named() -> None:

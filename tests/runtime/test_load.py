@@ -10,10 +10,9 @@ import torch
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
 from dgc_pose.runtime import load
 from dgc_pose.runtime.load import device_type, load_engine
-from dgc_pose.runtime.torch_engine import TorchEngine
+from dgc_pose.training.run import save_weights
 
 
 @pytest.fixture(scope="module")
@@ -44,23 +43,15 @@ def test_shipped_weights_on_the_cpu_run_by_onnx_runtime(no_gpu: None, own_weight
     assert _kind(own_weights, runtime="onnx") == "OnnxEngine"
 
 
-def test_half_precision_is_torch_s_and_only_where_it_is_asked_for(no_gpu: None) -> None:
-    for runtime in ("auto", "torch"):
-        engine = load_engine(runtime=runtime, half_precision=True)  # type: ignore[arg-type]
-        assert isinstance(engine, TorchEngine) and engine.net.half_precision
-    single = load_engine(runtime="torch")
-    assert isinstance(single, TorchEngine) and not single.net.half_precision
-
-
 def test_a_gpu_is_torch_s(monkeypatch: pytest.MonkeyPatch, own_weights: Path) -> None:
     monkeypatch.setattr(load, "_may_have_gpu", lambda: True)
     monkeypatch.setattr(load, "device_type", lambda name: "cuda")
     assert _kind() == "TorchEngine" and _kind(runtime="onnx") == "OnnxEngine"
     monkeypatch.undo()
     monkeypatch.setattr(load, "_may_have_gpu", lambda: True)
-    monkeypatch.setattr("dgc_pose.network.device.choose_device", lambda name: torch.device("meta"))
+    monkeypatch.setattr("dgc_pose.network.weights.choose_device", lambda name: torch.device("meta"))
     assert device_type("auto") == "meta"
-    monkeypatch.setattr("dgc_pose.network.device.choose_device", lambda name: torch.device("cpu"))
+    monkeypatch.setattr("dgc_pose.network.weights.choose_device", lambda name: torch.device("cpu"))
     assert _kind() == "OnnxEngine"  # a driver without a card
 
 

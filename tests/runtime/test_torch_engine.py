@@ -6,10 +6,8 @@ import torch
 import torch.nn.functional as F
 
 from dgc_pose.network.config import preset
-from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import network_fingerprint, save_weights
-from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["single", "half"])
@@ -25,15 +23,6 @@ def _noise(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def test_native_levels_have_the_shape_asked_for_and_unit_length(net: DGCNet) -> None:
-    found = TorchEngine(net).native(_noise(320, 200), (10, 6))
-    assert found.size == (320, 200)
-    for level, times in ((found.coarse, 1), (found.middle, 2), (found.fine, 4)):
-        assert level.shape[:2] == (6 * times, 10 * times)
-        assert level.dtype == np.float32 and level.flags.c_contiguous
-        np.testing.assert_allclose(np.linalg.norm(level, axis=-1), 1, atol=1e-5)
-
-
 def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
     pixels, half = _noise(96, 64), net.half_precision
     found = TorchEngine(net).native(pixels, (6, 4))
@@ -47,43 +36,3 @@ def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
         cosine = (wanted * level).sum(-1)
         assert cosine.min() > (0.99 if half else 1 - 1e-5)
         assert half == bool(cosine.min() < 1 - 1e-6)  # rounded where it is asked for alone
-
-
-def test_the_coarsest_level_of_a_square_image_is_the_native_one(net: DGCNet) -> None:
-    engine, pixels = TorchEngine(net), _noise(240, 240)
-    coarsest = engine.coarsest(engine.encode(pixels))
-    np.testing.assert_allclose(coarsest, engine.native(pixels, (15, 15)).coarse, atol=1e-4)
-
-
-def test_a_map_is_in_pixels_of_the_resized_source(net: DGCNet) -> None:
-    """That of the network itself, whose coordinates have their edges at -1 and +1."""
-    engine = TorchEngine(net)
-    source, target = (engine.encode(_noise(300, 200, seed)) for seed in (0, 1))
-    for finest, level in ((240, -1), (60, -3)):
-        (found,) = engine.decode([source], [target], finest)
-        assert found.size == (288, 192) and found.points.dtype == np.float32
-        with torch.inference_mode():
-            prediction = net.decode(source.levels, target.levels)
-        wanted = (prediction.maps[level][0].movedim(0, -1).numpy() + 1) * (144, 96) - 0.5
-        np.testing.assert_allclose(found.points, wanted, atol=1e-3)
-        mask = prediction.logits[level][0, 0].sigmoid().numpy()
-        np.testing.assert_allclose(found.matchability, mask, atol=1e-5)
-
-
-def test_pairs_decoded_together_are_those_decoded_alone(net: DGCNet) -> None:
-    engine = TorchEngine(net)
-    features = [engine.encode(_noise(240, 240, seed)) for seed in range(3)]
-    together = engine.decode(features[:2], features[1:], 60)
-    for one, source, target in zip(together, features, features[1:], strict=False):
-        (alone,) = engine.decode([source], [target], 60)
-        np.testing.assert_allclose(one.points, alone.points, atol=0.02)
-        np.testing.assert_allclose(one.matchability, alone.matchability, atol=1e-4)
-
-
-def test_the_fingerprint_is_that_of_the_weights_before_they_are_folded(tmp_path) -> None:
-    torch.manual_seed(1)
-    net = DGCNet(preset("dgcm-lite0")).half().float()
-    save_weights(net, tmp_path / "w.safetensors")
-    engine = load_torch_engine(tmp_path / "w.safetensors", torch.device("cpu"))
-    assert engine.fingerprint == network_fingerprint(net) == TorchEngine(net).fingerprint
-    assert engine.fingerprint != network_fingerprint(for_inference(net))

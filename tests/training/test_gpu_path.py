@@ -10,9 +10,8 @@ from pretend_gpu import DEVICE, MixedDevicesError, Pretended, pretended_gpu
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.run import Trainer
+from dgc_pose.training.run import Trainer, save_weights
 from dgc_pose.training.schedule import Schedule
 from dgc_pose.training.synthesis.depth_scenes import DepthScenes, load_depth_scenes
 from dgc_pose.training.synthesis.options import PairOptions

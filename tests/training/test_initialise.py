@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.options import InitPart
+from dgc_pose.training.run import save_weights
 from dgc_pose.training.stages import EncoderStage
 
 

@@ -5,7 +5,7 @@ import math
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.network.correlation import global_correlation, l2_normalise
+from dgc_pose.network.net import global_correlation, l2_normalise
 from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss
 from dgc_pose.training.synthesis.map_pairs import level_truth
 

@@ -16,11 +16,11 @@ from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import load_network, save_weights
+from dgc_pose.network.weights import load_network
 from dgc_pose.training.imagenet import vgg_layers
 from dgc_pose.training.log import ProgressLine
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.run import Trainer
+from dgc_pose.training.run import Trainer, save_weights
 from dgc_pose.training.schedule import STAGES, Schedule, learning_rate
 from dgc_pose.training.stages import DecoderStage, EncoderStage
 from dgc_pose.training.synthesis.draw import Draw

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from dgc_pose.benchmarks.rivals.geometric_net import ENCODER, WEIGHTS, GeometricNet, load_rocco
 from dgc_pose.network.config import preset
-from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import load_network, network_fingerprint
+from dgc_pose.runtime.torch_engine import for_inference
 from dgc_pose.training.synthesis.spline import TPS_KNOTS
 
 _AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])

@@ -15,7 +15,7 @@ from command_line import run
 from dgc_pose.benchmarks.dtu.calibration import DtuView
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import save_weights
+from dgc_pose.training.run import save_weights
 
 pytestmark = pytest.mark.slow
 
