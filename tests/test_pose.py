@@ -36,7 +36,7 @@ from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult, PairSearch
 from dgc_pose.matching.sift import SiftMatcher
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import pose_of_pair
 
 

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from dgc_pose.benchmarks.metrics import folded
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import Part
@@ -25,7 +26,7 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.relative_pose import Assessment, assess, fitted_cameras
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
-from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
 
 _CHUNK = 16

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
+from dgc_pose.benchmarks.metrics import pose_auc
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.choice import choice_shares, utility
@@ -15,7 +16,7 @@ from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
-from dgc_pose.metrics import Reliability, pose_auc
+from dgc_pose.training.evaluation.reliability import Reliability, draw_reliability
 
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
 _INLIERS = (0, 60, 200, 600, math.inf)
@@ -199,7 +200,6 @@ def focal_table(poses: Sequence[Judged]) -> str:
 
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     """The reliability diagram and precision against recall, a curve a kind of matches."""
-    from dgc_pose.viz.curves import draw_reliability
     from dgc_pose.viz.figure import new_figure
 
     figure = new_figure(11, 5)

@@ -12,7 +12,7 @@ from dgc_pose.estimation.model import Model, pose_error_scale
 from dgc_pose.estimation.poselib_calls import refine_pose
 from dgc_pose.estimation.slopes import error_slopes
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene
 
 SCALE = 2e-3

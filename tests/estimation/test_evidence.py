@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.estimation.evidence import gather, robust_rotation
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.verdict import judge
-from dgc_pose.metrics.pose import rotation_error_deg
+from dgc_pose.metrics import rotation_error_deg
 from two_view import CELLS, normalised_problem, two_view_scene
 
 THRESHOLD = 2e-3

@@ -3,7 +3,7 @@ import numpy as np
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.refine import best_planar_model, planar_share
 from dgc_pose.geometry.homography import fit_homography
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
 
 

@@ -6,7 +6,7 @@ from ransac_oracles import ORACLES
 
 from dgc_pose.estimation.poselib_calls import essential_matrix, refine_pose
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
 
 THRESHOLD = 2e-3

@@ -4,7 +4,7 @@ import pytest
 from dgc_pose.estimation import EstimationOptions, poselib_calls
 from dgc_pose.estimation.poselib_calls import run_seeds, sampled_models
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
 
 

@@ -4,7 +4,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.poselib_calls import sampled_models
 from dgc_pose.estimation.refine import refine, refit
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene
 
 THRESHOLD = 2e-3

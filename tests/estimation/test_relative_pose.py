@@ -17,7 +17,7 @@ from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import SIZE1, SIZE2, two_view_scene
 
 

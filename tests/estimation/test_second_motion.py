@@ -5,7 +5,7 @@ import pytest
 
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import TwoViewScene, two_view_scene
 
 

@@ -8,7 +8,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.estimation.still_camera import still_camera
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg
+from dgc_pose.metrics import rotation_error_deg
 from two_view import two_view_scene
 
 SIZE = (1600, 1200)

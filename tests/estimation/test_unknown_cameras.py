@@ -8,7 +8,7 @@ import pytest
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import K1, SIZE1, two_view_scene
 
 
