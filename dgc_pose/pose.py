@@ -17,7 +17,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.two_views import TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
-from dgc_pose.estimation.texts import percent_text
+from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import Matcher, MatchResult, PairSearch
@@ -44,7 +44,7 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
     "auto": ("quick", "fine", "match", "mirrored", "squeezed", "near"),
     "thorough": ("match", "mirrored", "squeezed", "near"),
 }
-_HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which no more is searched
+_MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
 _LIKELY = 0.95  # probability of a pose of the mirror image that counts
 _FOCAL_AGREES_STD = 1.5  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
@@ -170,8 +170,7 @@ def _matches_of(
         return search.whole()
     if step == "squeezed":
         return search.squeezed()
-    models = [hypothesis.model for hypothesis in pose.hypotheses]
-    return search.near([TwoViews(camera1, camera2, model.R, model.t) for model in models])
+    return search.near([TwoViews(camera1, camera2, h.R, h.t) for h in pose.hypotheses])
 
 
 def _pose_of_mirror_image(
@@ -224,7 +223,7 @@ def _may_change(
 
 def certain(pose: RelativePose) -> bool:
     """Whether it is nearly certain that the pose is right."""
-    return pose.success and (pose.probability or 0.0) >= _CERTAIN
+    return pose.success and (pose.probability or 0.0) >= _MAX_SEARCHED
 
 
 def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
@@ -247,4 +246,4 @@ def in_doubt(pose: RelativePose) -> bool:
     probability = pose.any_probability
     if probability is not None and pose.status == "rotation_only":
         probability *= 1 - pose.hypotheses[0].share  # of another motion than that
-    return probability is not None and _HOPELESS < probability < _CERTAIN
+    return probability is not None and _MIN_SEARCHED < probability < _MAX_SEARCHED

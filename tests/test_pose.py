@@ -30,8 +30,7 @@ from dgc_pose import (
 )
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cameras.prior import auto_camera, auto_cameras
-from dgc_pose.estimation.choice import Hypothesis
-from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult, PairSearch
@@ -239,8 +238,8 @@ def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
 
 
 def _of_share(share: float) -> Hypothesis:
-    model = Model(np.eye(3), np.array([1.0, 0, 0]), *np.ones((2, 9), dtype=bool))
-    return Hypothesis(model, True, 0.0, None, share)
+    inliers, in_front = np.ones((2, 9), dtype=bool)
+    return Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers, in_front, share=share)
 
 
 CERTAIN = _doubt(0.995)
@@ -369,8 +368,8 @@ def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.Monkey
     assert len(search.views) == len(before.hypotheses) > 0
     for views, hypothesis in zip(search.views, before.hypotheses, strict=True):
         assert (views.camera1, views.camera2) == (EXACT, EXACT)
-        np.testing.assert_allclose(views.R, hypothesis.model.R, atol=0.01)
-        np.testing.assert_allclose(views.t, hypothesis.model.t, atol=0.05)
+        np.testing.assert_allclose(views.R, hypothesis.R, atol=0.01)
+        np.testing.assert_allclose(views.t, hypothesis.t, atol=0.05)
 
 
 @pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])

@@ -18,8 +18,7 @@ from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import Part
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.choice import Hypothesis
+from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -130,8 +129,8 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
 def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
     rotation = translation = math.inf
     if truth.R is not None and truth.t is not None:
-        rotation = rotation_error_deg(choice.model.R, truth.R)
-        translation = translation_error_deg(choice.model.t, truth.t)
+        rotation = rotation_error_deg(choice.R, truth.R)
+        translation = translation_error_deg(choice.t, truth.t)
     return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
 
 

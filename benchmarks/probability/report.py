@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from dgc_pose.benchmarks.metrics import pose_auc
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.choice import choice_shares, utility
+from dgc_pose.estimation.competition import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
@@ -47,7 +47,9 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
     if evidence is None:
         return Judged(record, False, 0.0, math.nan, math.nan)
     any_right = model.probability(evidence)
-    shares = choice_shares([utility(pose, model.choice) for pose in record.poses])
+    shares = choice_shares(
+        [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses]
+    )
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
     verdict = judge(

@@ -16,8 +16,8 @@ from dgc_pose.estimation.camera_fit import solved_start
 from dgc_pose.estimation.camera_spread import CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.joint_fit import JointFit, JointPose
-from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -36,7 +36,7 @@ _AGREEING = 0.05  # of ln f: if these suggest no more, the focal lengths are rig
 def focal_warnings(
     stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck | None
 ) -> tuple[str, ...]:
-    """What the user is to know of the focal lengths, each a line.
+    """Warnings about the focal lengths, each a line.
 
     stated: the cameras before the estimation; fitted: those of the pose, with the standard
     deviations that are left; check: of exact cameras.
@@ -64,30 +64,29 @@ def focal_warnings(
 
 def check_focals(
     problem: TwoViewProblem,
-    model: Model,
+    first: Hypothesis,
     matches: Matches,
-    camera1: Camera,
-    camera2: Camera,
+    cameras: tuple[Camera, Camera],
     options: EstimationOptions,
 ) -> FocalCheck | None:
     """The factor of the focal lengths that the matches suggest; None if it is 1 or not determined.
 
-    problem: of the matches, normalised by the cameras. model: of the pose that these give.
+    problem: of the matches, normalised by the cameras. first: the pose that these give.
     """
     loose1, loose2 = (
         replace(
             camera, focal_std=_STD, centre_std=_CENTRE_STD * camera.focal, identity="both cameras"
         )
-        for camera in (camera1, camera2)
+        for camera in cameras
     )
     spread = CameraSpread.of(loose1, loose2)
     joint = JointFit(problem, spread)
-    pose = JointPose(model.R, model.t, np.zeros(len(spread)))
+    pose = JointPose(first.R, first.t, np.zeros(len(spread)))
     other = None
-    if model.count_in_front < _EXPLAINED * len(problem):
+    if first.num_in_front < _EXPLAINED * len(problem):
         # The pose of a wrong K may be a local minimum.
         other = solved_start(problem, spread, options, options.seed)
-    if other is not None and joint.inliers_in_front(other).sum() >= _MORE * model.count_in_front:
+    if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
         pose = other
     else:
         pose = _of_sample(joint, pose)
@@ -97,7 +96,7 @@ def check_focals(
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
     fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
-    refitted = Model.of_pose(fitted, pose.R, pose.t)
+    refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
     covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
     if covariance is None:
         return None
@@ -105,13 +104,13 @@ def check_focals(
     return FocalCheck(
         math.exp(deviations[0]),
         covariance.focal_stds[0],
-        model.angle_to(pose.R, pose.t),
+        first.angle_to(pose.R, pose.t),
         max(radii),
     )
 
 
 def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
-    """What some of the matches, drawn at random, suggest: K is right as a rule."""
+    """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
     count = len(joint.problem)
     chosen = np.zeros(count, bool)
     chosen[np.random.default_rng(joint.problem.seed).permutation(count)[:_SAMPLED]] = True

@@ -10,52 +10,38 @@ plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the pr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import replace
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_spread import CameraSpread, deviating
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.joint_fit import JointFit, JointPose
-from dgc_pose.estimation.model import Model
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.poselib_calls import (
-    MAX_SAMPLED,
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.ransac import (
+    draw,
     essential_and_focal,
     essential_and_focals,
     essential_matrix,
-    run_on,
     run_seeds,
-    sampled_models,
+    sample,
 )
-from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.system.threads import in_threads
-
-Result = TypeVar("Result")
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
 _REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side
 _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
-_MOST_STARTS = 3  # that are fitted
-
-
-@dataclass(frozen=True, eq=False)
-class CameraFit:
-    """A pose x2 = R x1 + t with the cameras that it is of."""
-
-    R: np.ndarray  # (3, 3)
-    t: np.ndarray  # (3,), unit length
-    camera1: Camera  # with the standard deviations of the prior
-    camera2: Camera
+_MAX_STARTS = 3  # that are fitted
 
 
 def fit_cameras(
     problem: TwoViewProblem, camera1: Camera, camera2: Camera, options: EstimationOptions
-) -> CameraFit | None:
-    """The most probable pose and cameras; None if RANSAC has no essential matrix.
+) -> tuple[JointPose, Camera, Camera] | None:
+    """The most probable pose, and the cameras that it is of, with the standard deviations of the
+    prior; None if RANSAC has no essential matrix.
 
     problem: normalised by the two cameras, whose standard deviations are the prior.
     """
@@ -64,15 +50,10 @@ def fit_cameras(
     starts = [start for start in _starts(problem, spread, options) if start is not None]
     if not starts:
         return None
-    best = sorted(starts, key=joint.cost)[:_MOST_STARTS]
+    best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
     pose = min(in_threads(joint.fitted, best), key=joint.cost)
     deviations = joint.deviations(pose)
-    return CameraFit(
-        pose.R,
-        pose.t,
-        deviating(camera1, deviations[:3]),
-        deviating(camera2, deviations[3:]),
-    )
+    return pose, deviating(camera1, deviations[:3]), deviating(camera2, deviations[3:])
 
 
 def _starts(
@@ -83,8 +64,8 @@ def _starts(
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
-            JointPose(model.R, model.t, np.zeros(len(spread)))
-            for model in sampled_models(problem, options)[:_MOST_STARTS]
+            JointPose(run.R, run.t, np.zeros(len(spread)))
+            for run in sample(problem, options)[:_MAX_STARTS]
         ]
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
     seeds = run_seeds(replace(options, runs=count + 1))
@@ -94,7 +75,8 @@ def _starts(
         if number == count:
             return solved_start(problem, spread, options, seeds[number])
         log_factors = tried[number]
-        E = _run(essential_matrix, _rescaled(problem, log_factors), less, seeds[number])
+        drawn = draw(_rescaled(problem, log_factors), seeds[number])
+        E = essential_matrix(drawn, less, seeds[number])
         return None if E is None else _start(problem, spread, E, log_factors)
 
     return in_threads(run, list(range(count, -1, -1)))  # the longest first
@@ -106,20 +88,12 @@ def solved_start(
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
     if spread.shared_focal:
-        result = _run(essential_and_focal, problem, options, seed)
-        return result and _start(problem, spread, result[0], np.log([result[1]] * 2))
-    if not spread.basis[[0, 3]].any(axis=1).all():
+        result = essential_and_focal(draw(problem, seed), options, seed)
+    elif spread.basis[[0, 3]].any(axis=1).all():
+        result = essential_and_focals(draw(problem, seed), options, seed)
+    else:
         return None
-    results = _run(essential_and_focals, problem, options, seed)
-    return results and _start(problem, spread, results[0], np.log(results[1:]))
-
-
-def _run(
-    estimate: Callable[..., Result], problem: TwoViewProblem, options: EstimationOptions, seed: int
-) -> Result:
-    """A run of RANSAC on at most `MAX_SAMPLED` matches."""
-    order = np.random.default_rng(seed).permutation(len(problem))[:MAX_SAMPLED]
-    return run_on(order, estimate, problem, options, seed)
+    return None if result is None else _start(problem, spread, result[0], np.log(result[1]))
 
 
 def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProblem:
@@ -136,8 +110,8 @@ def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProble
 def _start(
     problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, log_factors: np.ndarray
 ) -> JointPose | None:
-    model = Model.of_essential(_rescaled(problem, log_factors), E)
+    pose = Hypothesis.of_essential(_rescaled(problem, log_factors), E)
     deviations = np.zeros(6)
     deviations[[0, 3]] = log_factors
     z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
-    return JointPose(model.R, model.t, z)
+    return JointPose(pose.R, pose.t, z)

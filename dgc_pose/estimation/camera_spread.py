@@ -13,8 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 
 _BY_LOG_FOCAL = np.diag([-1.0, -1.0, 0.0])  # derivative of A by k, times A^-1
+_SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +28,7 @@ class CameraSpread:
 
     @classmethod
     def of(cls, camera1: Camera, camera2: Camera) -> CameraSpread:
-        """Of the deviations that two cameras state. One camera that took both images, by its
+        """The spread of two cameras' standard deviations. One camera that took both images, by its
         `identity`, has one focal length, and one principal point unless the images' sizes differ.
         """
         same = camera1.identity is not None and camera1.identity == camera2.identity
@@ -70,6 +72,31 @@ def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
     by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
     by_x[0, 2] = by_y[1, 2] = -A[0, 0]
     return [_BY_LOG_FOCAL @ A, by_x, by_y]
+
+
+def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
+    """Normalised points (N, 2) as a camera with deviations (3,) from its K normalises
+    them; NaN where its distortion cannot be undone."""
+    if lens is None:
+        return (points - deviations[1:]) * math.exp(-deviations[0])
+    seen = (lens.apply(points) - deviations[1:]) * math.exp(-deviations[0])
+    return lens.undo(seen)
+
+
+def deviated_slopes(
+    points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
+) -> np.ndarray:
+    """The derivatives (N, 2, 3) of `deviated` by the deviations."""
+    seen = points if lens is None else lens.apply(points)
+    shrink = math.exp(-deviations[0])
+    moved = (seen - deviations[1:]) * shrink
+    by_seen = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+    if lens is not None:
+        ahead, behind = (
+            [lens.undo(moved + s * a) for a in np.eye(2)] for s in (_SLOPE_STEP, -_SLOPE_STEP)
+        )
+        by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
+    return np.concatenate([-by_seen @ moved[:, :, None], -shrink * by_seen], axis=2)
 
 
 def deviating(camera: Camera, deviations: np.ndarray) -> Camera:

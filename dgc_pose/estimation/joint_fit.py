@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from dgc_pose.estimation.camera_spread import CameraSpread, normaliser
-from dgc_pose.estimation.lens_deviation import deviated
-from dgc_pose.estimation.model import EFFICIENT, error_scale
-from dgc_pose.estimation.poselib_calls import MINIMAL
+from dgc_pose.estimation.camera_spread import CameraSpread, deviated, normaliser
+from dgc_pose.estimation.hypothesis import EFFICIENT, error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.ransac import MINIMAL
 from dgc_pose.estimation.slopes import error_slopes
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.geometry.triangulation import depths

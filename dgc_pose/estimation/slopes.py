@@ -4,8 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from dgc_pose.estimation.camera_spread import EXACT, CameraSpread, normaliser, normaliser_slopes
-from dgc_pose.estimation.lens_deviation import deviated, deviated_slopes
+from dgc_pose.estimation.camera_spread import (
+    EXACT,
+    CameraSpread,
+    deviated,
+    deviated_slopes,
+    normaliser,
+    normaliser_slopes,
+)
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
 

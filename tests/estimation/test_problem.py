@@ -38,14 +38,6 @@ def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_l
     assert kept[:300][scene.true].mean() > 0.8
 
 
-@pytest.mark.parametrize(("value", "count"), [(np.nan, 0), (100.0, 1)])
-def test_bad_matches_or_copies_of_one_are_too_few(value, count):
-    points = np.full((40, 2), value)
-    pose = estimate(two_view_scene(count=1), as_matches(points, points))
-    assert (pose.status, pose.num_matches) == ("too_few_matches", count)
-    assert pose.inliers.shape == (40,)
-
-
 def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
     scene = two_view_scene("general", count=300, sigma_px=0.2, outliers=0.0)
     _, camera2 = scene.cameras

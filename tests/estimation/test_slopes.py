@@ -1,4 +1,5 @@
-"""Derivatives of Sampson errors by pose and cameras, against finite differences."""
+"""Sampson errors of deviating cameras, with and without lenses, and their derivatives, against
+cameras that deviate and finite differences."""
 
 from dataclasses import replace
 
@@ -6,13 +7,27 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.estimation.camera_spread import CameraSpread, deviating, normaliser
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import estimate_pose
+from dgc_pose.estimation.camera_spread import (
+    EXACT,
+    CameraSpread,
+    deviated,
+    deviated_slopes,
+    deviating,
+    normaliser,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.slopes import error_slopes
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from two_view import normalised_problem, two_view_scene
 
 BASIS = np.random.default_rng(3).standard_normal((6, 4)) * 0.02
 DEVIATIONS = np.array([0.1, 0.01, -0.02, -0.2, 0.03, 0.01])
+LENSES = [None, Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("SIMPLE_FISHEYE")]
+SHIFT = np.array([0.04, -0.01, 0.02])  # of one camera
+SCENE = two_view_scene(outliers=0.0)
 
 
 def _moved(problem, scene, tangent, step):
@@ -29,6 +44,8 @@ def test_the_slopes_are_the_differences_of_the_errors():
     spread = CameraSpread(BASIS)
     _, slopes, tangent = error_slopes(problem, scene.R, scene.t, spread, DEVIATIONS)
     assert slopes.shape == (50, 9)
+    np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(tangent.T @ scene.t, 0, atol=1e-12)
     for k, step in enumerate(1e-6 * np.eye(9)):
         above, below = (_moved(problem, scene, tangent, sign * step) for sign in (1, -1))
         np.testing.assert_allclose(slopes[:, k], (above - below) / 2e-6, atol=1e-6)
@@ -37,25 +54,20 @@ def test_the_slopes_are_the_differences_of_the_errors():
 def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
     """Up to the unit, which stays that of the cameras before."""
     scene = two_view_scene("skew", count=50, outliers=0.0)
-    camera1, camera2 = scene.cameras
-    errors, _, _ = error_slopes(scene.problem(), scene.R, scene.t, CameraSpread(BASIS), DEVIATIONS)
-    first, second = deviating(camera1, DEVIATIONS[:3]), deviating(camera2, DEVIATIONS[3:])
-    E = essential_from_pose(scene.R, scene.t)
+    problem = scene.problem()
+    errors, _, _ = error_slopes(problem, scene.R, scene.t, CameraSpread(BASIS), DEVIATIONS)
     A1, A2 = normaliser(DEVIATIONS[:3]), normaliser(DEVIATIONS[3:])
-    np.testing.assert_allclose(
-        np.abs(errors),
-        sampson_distance(
-            camera1.normalise(scene.points1), camera2.normalise(scene.points2), A2.T @ E @ A1
-        ),
-        atol=1e-14,
-    )
-    for points, camera, other, A in (
-        (scene.points1, camera1, first, A1),
-        (scene.points2, camera2, second, A2),
+    F = A2.T @ essential_from_pose(scene.R, scene.t) @ A1
+    expected = sampson_distance(problem.points1, problem.points2, F)
+    np.testing.assert_allclose(np.abs(errors), expected, atol=1e-14)
+    for points, camera, part in (
+        (scene.points1, scene.cameras[0], DEVIATIONS[:3]),
+        (scene.points2, scene.cameras[1], DEVIATIONS[3:]),
     ):
+        A = normaliser(part)
         ideal = camera.normalise(points) @ A[:2, :2].T + A[:2, 2]
         # fx and fy differ, the shift is over fx and over fy.
-        np.testing.assert_allclose(ideal, other.normalise(points), atol=1e-12)
+        np.testing.assert_allclose(ideal, deviating(camera, part).normalise(points), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -77,12 +89,58 @@ def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, sa
     assert spread.shared_focal == (identity is not None)
 
 
-def test_exact_cameras_have_no_spread():
-    assert len(CameraSpread.of(*two_view_scene().cameras)) == 0
-
-
 def test_a_match_at_both_epipoles_has_no_slope_rather_than_nan():
     points = np.zeros((1, 2))
     problem = normalised_problem(points, points)
-    _, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]), CameraSpread(BASIS))
-    assert np.isfinite(slopes).all()
+    for spread in (EXACT, CameraSpread(BASIS)):
+        errors, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]), spread)
+        assert np.isfinite(errors).all() and np.isfinite(slopes).all()
+
+
+def through(lens: Distortion | None, **changes) -> tuple[list[Camera], TwoViewProblem, object]:
+    """Cameras of short focal lengths with the lens, and the scene's matches as these see them."""
+    cameras, points = [], []
+    for pinhole, pixels in zip(SCENE.cameras, (SCENE.points1, SCENE.points2), strict=True):
+        K = pinhole.K * [[0.6], [0.6], [1]]
+        cameras.append(Camera(K, pinhole.size, lens, **changes))
+        points.append(cameras[-1].project(pinhole.normalise(pixels)))
+    matches = replace(SCENE.matches, points1=points[0], points2=points[1])
+    return cameras, TwoViewProblem.of(matches, *cameras), matches
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_are_what_the_deviating_camera_makes_of_the_pixels(lens):
+    (camera, _), problem, matches = through(lens)
+    expected = deviating(camera, SHIFT).normalise(matches.points1[problem.index])
+    moved = deviated(problem.points1, lens, SHIFT)
+    # The shift is over both focal lengths, each by its own: these differ by some per cent.
+    np.testing.assert_allclose(moved, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_slopes_are_the_differences(lens):
+    _, problem, _ = through(lens)
+    slopes = deviated_slopes(problem.points1, lens, SHIFT)
+    for axis in range(3):
+        step = 1e-5 * np.eye(3)[axis]
+        ahead, behind = (deviated(problem.points1, lens, SHIFT + s) for s in (step, -step))
+        np.testing.assert_allclose(slopes[:, :, axis], (ahead - behind) / 2e-5, atol=1e-3)
+
+
+def test_the_slopes_of_a_lens_without_distortion_are_those_of_a_pinhole():
+    flat = Distortion("OPENCV", (0.0, 0.0, 0.0, 0.0))
+    (camera1, camera2), problem, _ = through(None, focal_std=0.1, centre_std=5.0)
+    spread = CameraSpread.of(camera1, camera2)
+    expected = error_slopes(problem, SCENE.R, SCENE.t, spread)
+    bent = error_slopes(replace(problem, lenses=(flat, flat)), SCENE.R, SCENE.t, spread)
+    np.testing.assert_allclose(bent[0], expected[0], atol=1e-9)
+    np.testing.assert_allclose(bent[1], expected[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_focal_length_within_its_deviation_is_fitted(lens):
+    cameras, _, matches = through(lens, focal_std=0.05, identity="x")
+    wrong = [deviating(camera, np.array([0.05, 0, 0])) for camera in cameras]
+    pose = estimate_pose(matches, *wrong)
+    assert pose.camera1.focal_std < 0.02
+    assert pose.camera1.focal == pytest.approx(cameras[0].focal, rel=3 * pose.camera1.focal_std)
