@@ -139,11 +139,17 @@ def pose_of_pair(
             continue
         start = time.perf_counter()
         if step == "mirrored":
-            flipped = _pose_of_mirror_image(search, camera1, camera2, options)
-            if flipped is None or (flipped.probability or 0.0) < _LIKELY:
+            probability = _mirror_image_probability(search, camera1, camera2, options)
+            if probability < _LIKELY or pose is None:
                 continue
-            assert pose is not None
-            pose = _mirrored(pose, flipped)
+            reason = (
+                f"the mirror image of image 2 has a pose, {percent_text(probability)} probable, "
+                "and image 2 has none that is as likely"
+            )
+            inliers = np.zeros_like(pose.inliers)
+            pose = RelativePose(
+                "mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings
+            )
             break
         result = _matches_of(step, search, pose, camera1, camera2)
         if result is None:
@@ -173,29 +179,21 @@ def _matches_of(
     return search.near([TwoViews(camera1, camera2, h.R, h.t) for h in pose.hypotheses])
 
 
-def _pose_of_mirror_image(
+def _mirror_image_probability(
     search: PairSearch, camera1: Camera, camera2: Camera, options: EstimationOptions
-) -> RelativePose | None:
-    """The pose of image 1 and image 2 flipped left to right, by a quick pass; None without one."""
+) -> float:
+    """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
+    without one."""
     image2 = search.image2
     flipped = replace(image2, pixels=np.ascontiguousarray(image2.pixels[:, ::-1]))
     result = search.matcher.search(search.image1, flipped).quick()
     if result is None:
-        return None
+        return 0.0
     K = camera2.K.copy()
     K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
     cameras = camera1, replace(camera2, K=K)
-    return estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
-
-
-def _mirrored(pose: RelativePose, flipped: RelativePose) -> RelativePose:
-    """No pose, since the mirror image of image 2 has a likely one."""
-    reason = (
-        f"the mirror image of image 2 has a pose, {percent_text(flipped.probability or 0.0)} "
-        "probable, and image 2 has none that is as likely"
-    )
-    inliers = np.zeros_like(pose.inliers)
-    return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)
+    pose = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
+    return pose.probability or 0.0
 
 
 def _may_change(

@@ -22,7 +22,7 @@ from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.relative_pose import Assessment, assess, fitted_cameras
+from dgc_pose.estimation.relative_pose import Assessment, assess
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -170,8 +170,7 @@ def _draw(name: str, count: int) -> int:
 def _focal_error(assessed: Assessment | None, truth: Truth) -> float:
     if assessed is None:
         return math.nan
-    cameras = fitted_cameras(assessed) if assessed.fitted else assessed.cameras
-    fitted = zip(cameras, (truth.camera1, truth.camera2), strict=True)
+    fitted = zip(assessed.cameras, (truth.camera1, truth.camera2), strict=True)
     pairs = [(camera, true) for camera, true in fitted if camera.focal_std]
     if not pairs:
         return math.nan

@@ -63,7 +63,7 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
             translation_error_deg=best.translation_error_deg,
         ),
         known.has_t,
-        0.0 if known.rotation_alone else share * any_right,
+        0.0 if verdict.status == "rotation_only" else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
         min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
         _expected(evidence.jackknife_focal_90_percent, focal_error),

@@ -12,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_fit import solved_start
+from dgc_pose.estimation.camera_fit import JointFit, JointPose, solved_start
 from dgc_pose.estimation.camera_spread import CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.joint_fit import JointFit, JointPose
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem

@@ -1,7 +1,9 @@
 """The focal lengths that the matches determine, of cameras that are not exact.
 
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
-unknowns, are starts. From the best of them pose and cameras are fitted together.
+unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
+Cauchy loss of the Sampson errors, as of independent matches, plus half the squares of the
+deviations over their standard deviations, so that the least is the most probable.
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
@@ -10,17 +12,24 @@ plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the pr
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_spread import CameraSpread, deviating
-from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.joint_fit import JointFit, JointPose
+from dgc_pose.estimation.camera_spread import (
+    CameraSpread,
+    deviated,
+    deviating,
+    error_slopes,
+    normaliser,
+)
+from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import (
+from dgc_pose.estimation.robust_fit import (
+    MINIMAL,
     draw,
     essential_and_focal,
     essential_and_focals,
@@ -28,6 +37,8 @@ from dgc_pose.estimation.ransac import (
     run_seeds,
     sample,
 )
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.geometry.triangulation import depths
 from dgc_pose.system.threads import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
@@ -35,6 +46,128 @@ _REACH = 2.0  # of the focal lengths that are tried, standard deviations to eith
 _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
 _MAX_STARTS = 3  # that are fitted
+_ROUNDS = 3  # of choosing inliers and fitting
+_FIRST_LIMIT = 3.0  # thresholds that matches of the first round may be off
+_ITERATIONS = 100  # of a fit, which converges in 10 as a rule
+_CONVERGED = 1e-6  # relative change of the cost
+_LARGEST_STEP = 0.5  # of ln f in an iteration
+
+
+@dataclass(frozen=True, eq=False)
+class JointPose:
+    """A pose x2 = R x1 + t of two cameras that deviate from those that normalised the matches."""
+
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,), unit length
+    z: np.ndarray  # (M,) the deviations in the basis of a `CameraSpread`, standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The least squares of one problem. problem: normalised by two cameras; spread: of these."""
+
+    problem: TwoViewProblem
+    spread: CameraSpread
+
+    def deviations(self, pose: JointPose) -> np.ndarray:
+        """(6,) of both cameras, see `CameraSpread`."""
+        return self.spread.basis @ pose.z
+
+    def cost(self, pose: JointPose) -> float:
+        """Truncated squares of the errors, as if the threshold were the scale of the loss, and the
+        deviations: what starts are compared by."""
+        squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
+        squares[~self._in_front(pose)] = 1.0
+        return float(EFFICIENT**2 * squares.sum() + pose.z @ pose.z) / 2
+
+    def inliers_in_front(self, pose: JointPose) -> np.ndarray:
+        """(N,) bool, matches below the threshold and in front of both cameras."""
+        return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
+
+    def fitted(
+        self, pose: JointPose, rounds: int = _ROUNDS, iterations: int = _ITERATIONS
+    ) -> JointPose:
+        """The pose after fits to its inliers, which are chosen anew before each."""
+        threshold = self.problem.threshold
+        for turn in range(rounds):
+            error, in_front = self._errors(pose), self._in_front(pose)
+            near = error < threshold
+            # The errors do not depend on the sign of t.
+            if (near & ~in_front).sum() > (near & in_front).sum():
+                pose = replace(pose, t=-pose.t)
+                in_front = self._in_front(pose)
+            chosen = (error < threshold * (_FIRST_LIMIT if turn == 0 else 1.0)) & in_front
+            if chosen.sum() <= MINIMAL + len(self.spread):
+                return pose
+            scale = error_scale(error[chosen], threshold)
+            part = JointFit(self.problem.subset(chosen), self.spread)
+            pose = part._minimised(pose, scale, iterations)
+        return pose
+
+    def _minimised(self, pose: JointPose, scale: float, iterations: int) -> JointPose:
+        """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
+        inverse_variance = (EFFICIENT / scale) ** 2
+        prior = np.diag([*np.zeros(5), *np.ones(len(self.spread))])
+        damping, cost = 1e-4, self._loss(pose, scale)
+        for _ in range(iterations):
+            error, slopes, tangent = error_slopes(
+                self.problem, pose.R, pose.t, self.spread, self.deviations(pose)
+            )
+            weighted = slopes * (inverse_variance / (1 + (error / scale) ** 2))[:, None]
+            hessian = weighted.T @ slopes + prior
+            gradient = weighted.T @ error + prior @ np.concatenate([np.zeros(5), pose.z])
+            before = cost
+            while damping < 1e6:
+                damped = hessian + damping * np.diag(np.diag(hessian))
+                step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
+                change = np.abs((self.spread.basis @ step[5:])[[0, 3]]).max(initial=0)
+                step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
+                t = pose.t + tangent @ step[3:5]
+                candidate = JointPose(
+                    cv2.Rodrigues(step[:3])[0] @ pose.R,
+                    t / np.linalg.norm(t),
+                    pose.z + step[5:],
+                )
+                if (cost := self._loss(candidate, scale)) < before:
+                    pose, damping = candidate, max(damping / 10, 1e-9)
+                    break
+                damping, cost = damping * 10, before
+            if before - cost <= _CONVERGED * (1 + before):
+                break
+        return pose
+
+    def _loss(self, pose: JointPose, scale: float) -> float:
+        squares = np.log1p((self._errors(pose) / scale) ** 2).sum()
+        return float(EFFICIENT**2 * squares + pose.z @ pose.z) / 2
+
+    def _errors(self, pose: JointPose) -> np.ndarray:
+        """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
+        if any(self.problem.lenses):
+            points1, points2 = self._points(pose)
+            E = essential_from_pose(pose.R, pose.t)
+            growth = np.exp(self.deviations(pose)[[0, 3]].mean())
+            return np.nan_to_num(sampson_distance(points1, points2, E) * growth, nan=np.inf)
+        A1, A2 = self._normalisers(pose)
+        F = A2.T @ essential_from_pose(pose.R, pose.t) @ A1
+        return sampson_distance(self.problem.points1, self.problem.points2, F)
+
+    def _in_front(self, pose: JointPose) -> np.ndarray:
+        """Whether the points are in front of both cameras, (N,)."""
+        points1, points2 = self._points(pose)
+        depth1, depth2 = depths(points1, points2, pose.R, pose.t)
+        return (depth1 > 0) & (depth2 > 0)
+
+    def _points(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
+        """The points (N, 2) of both images as the deviating cameras normalise them."""
+        problem, deviations = self.problem, self.deviations(pose)
+        return (
+            deviated(problem.points1, problem.lenses[0], deviations[:3]),
+            deviated(problem.points2, problem.lenses[1], deviations[3:]),
+        )
+
+    def _normalisers(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
+        deviations = self.deviations(pose)
+        return normaliser(deviations[:3]), normaliser(deviations[3:])
 
 
 def fit_cameras(

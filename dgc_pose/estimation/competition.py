@@ -24,8 +24,7 @@ from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.plane import Plane, planar_hypotheses
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import sample
-from dgc_pose.estimation.refine import refine, refit
+from dgc_pose.estimation.robust_fit import refine, refit, sample
 from dgc_pose.geometry.epipolar import homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
 

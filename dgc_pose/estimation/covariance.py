@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.estimation.camera_spread import EXACT, CameraSpread
+from dgc_pose.estimation.camera_spread import EXACT, CameraSpread, error_slopes
 from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, pose_error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import MINIMAL
-from dgc_pose.estimation.slopes import error_slopes
+from dgc_pose.estimation.robust_fit import MINIMAL
 
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -12,7 +12,7 @@ from dgc_pose.estimation.covariance import Covariance, error_radii_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.plane import StillCamera
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import MINIMAL
+from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.geometry.triangulation import (
@@ -27,7 +27,6 @@ _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a dev
 _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
-_AS_THEY_ARE = slice(None)
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
@@ -269,12 +268,10 @@ def _hull_area(points: np.ndarray) -> float:
     return float(cv2.contourArea(cv2.convexHull(points.astype(np.float32))))
 
 
-def map_agreement(
-    problem: TwoViewProblem, pose: Hypothesis, order: np.ndarray | slice = _AS_THEY_ARE
-) -> float:
+def map_agreement(problem: TwoViewProblem, pose: Hypothesis) -> float:
     """Share of a dense map's sample that agrees with a pose, by the square of the matchability: a
-    cell of little is little evidence. order: of the points of image 1."""
-    distance = sampson_distance(problem.points1[order], problem.points2, pose.E)
+    cell of little is little evidence."""
+    distance = sampson_distance(problem.points1, problem.points2, pose.E)
     weight = problem.confidence**2
     return float(weight @ (distance < problem.threshold)) / max(float(weight.sum()), 1e-9)
 
@@ -283,11 +280,12 @@ def _map_evidence(problem: TwoViewProblem | None, pose: Hypothesis) -> dict[str,
     """The evidence of a dense map for a pose, by the names of the fields."""
     if problem is None or not len(problem):
         return {}
-    wrong = np.random.default_rng(problem.seed).permutation(len(problem))
+    order = np.random.default_rng(problem.seed).permutation(len(problem))
+    wrong = replace(problem, points1=problem.points1[order])
     return {
         "map_matchability": float(problem.confidence.mean()),
         "map_agreement": map_agreement(problem, pose),
-        "map_chance": map_agreement(problem, pose, wrong),
+        "map_chance": map_agreement(wrong, pose),
     }
 
 

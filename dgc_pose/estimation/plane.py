@@ -10,7 +10,7 @@ import numpy as np
 
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.refine import refine
+from dgc_pose.estimation.robust_fit import refine
 from dgc_pose.geometry.homography import (
     fit_homography,
     fit_similarity,

@@ -28,9 +28,8 @@ from dgc_pose.estimation.probability import (
     shipped_models,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.ransac import sample
-from dgc_pose.estimation.refine import refine, refit
 from dgc_pose.estimation.result import RelativePose
+from dgc_pose.estimation.robust_fit import refine, refit, sample
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import MIN_MATCHES, Verdict, by_chance, judge
 from dgc_pose.matches import Matches
@@ -156,7 +155,19 @@ def assess(
         map_problem=map_problem,
         check=check,
     )
+    if fitted:
+        cameras = _fitted(cameras[0], covariance, 0), _fitted(cameras[1], covariance, 1)
     return Assessment(problem, cameras, fitted, hypotheses, second, evidence, covariance, logistic)
+
+
+def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
+    """A fitted camera with the standard deviation that is left; an exact one as it is."""
+    if not camera.focal_std:
+        return camera
+    std = camera.focal_std
+    if covariance is not None:
+        std = calibrated_focal_std(covariance.focal_stds[number])
+    return replace(camera, focal_std=std, focal_source="matches")
 
 
 def _sample(
@@ -223,14 +234,15 @@ def _result(
 ) -> RelativePose:
     """The result of a verdict; num_matches: all, also those that were dropped."""
     problem, evidence, covariance = assessed.problem, assessed.evidence, assessed.covariance
+    cameras = assessed.cameras
     best, facts = assessed.hypotheses[0], STATUSES[verdict.status]
+    rotation_alone = verdict.status == "rotation_only"
     inliers = np.zeros(num_matches, dtype=bool)
     inliers[problem.index] = best.inliers
     any_right, ambiguous = assessed.probability, verdict.status == "ambiguous"
     poses = _explaining(assessed)
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if facts.has_t else ())
-    cameras = fitted_cameras(assessed) if assessed.fitted else assessed.cameras
     pose_covariance = camera_covariance = None
     if facts.has_t and covariance is not None:
         pose_covariance = covariance.pose
@@ -238,28 +250,30 @@ def _result(
             pose_covariance = assessed.logistic.calibrated(covariance.pose, evidence)
         if assessed.fitted:
             camera_covariance = _camera_covariance(covariance, cameras)
+    warnings += verdict.warnings
     if verdict.status in _OF_CAMERAS:
-        of_focals = focal_warnings(stated, cameras, evidence.focal_check)
-    else:
-        of_focals = ()
-    of_others = () if ambiguous else _warnings_of(len(alternatives))
+        warnings += focal_warnings(stated, cameras, evidence.focal_check)
+    if alternatives and not ambiguous:
+        count = len(alternatives)
+        others = "1 other pose explains" if count == 1 else f"{count} other poses explain"
+        warnings += (f"{others} the matches about as well: see the alternatives",)
     return RelativePose(
         status=verdict.status,
         reason=verdict.reason,
         inliers=inliers,
         num_matches=len(problem),
-        R=best.R if facts.has_t else evidence.rotation if facts.rotation_alone else None,
+        R=best.R if facts.has_t else evidence.rotation if rotation_alone else None,
         t=best.t if facts.has_t else None,
         covariance=pose_covariance,
         camera_covariance=camera_covariance,
         camera1=cameras[0] if facts.has_t else None,
         camera2=cameras[1] if facts.has_t else None,
         evidence=evidence,
-        probability=0.0 if facts.rotation_alone or ambiguous else poses[0].probability,
+        probability=0.0 if rotation_alone or ambiguous else poses[0].probability,
         any_probability=any_right,
         alternatives=alternatives,
         hypotheses=tuple(assessed.hypotheses),
-        warnings=tuple(dict.fromkeys((*warnings, *verdict.warnings, *of_focals, *of_others))),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
 
 
@@ -276,20 +290,6 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
     return [replace(h, probability=any_right * h.share) for h in explaining]
 
 
-def fitted_cameras(assessed: Assessment) -> tuple[Camera, Camera]:
-    """Fitted cameras with the standard deviations that are left; exact ones as they are."""
-    fitted = []
-    for number, camera in enumerate(assessed.cameras):
-        if not camera.focal_std:
-            fitted.append(camera)
-            continue
-        std = camera.focal_std
-        if assessed.covariance is not None:
-            std = calibrated_focal_std(assessed.covariance.focal_stds[number])
-        fitted.append(replace(camera, focal_std=std, focal_source="matches"))
-    return fitted[0], fitted[1]
-
-
 def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -> np.ndarray:
     """The calibrated covariance (6, 6) of fitted cameras, see `RelativePose`."""
     unit = []
@@ -297,10 +297,3 @@ def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -
         factor = calibrated_focal_std(std) / std if std else 1.0
         unit += [factor, factor * camera.focal, factor * camera.focal]
     return covariance.cameras * np.outer(unit, unit)
-
-
-def _warnings_of(alternatives: int) -> tuple[str, ...]:
-    if not alternatives:
-        return ()
-    others = "1 other pose explains" if alternatives == 1 else f"{alternatives} other poses explain"
-    return (f"{others} the matches about as well: see the alternatives",)

@@ -27,20 +27,14 @@ class StatusFacts:
     """The meaning of a status."""
 
     meaning: str  # one sentence for people
-    has_R: bool = False
     has_t: bool = False  # a success: R and t are known
     colmap: str | None = None  # COLMAP's configuration of the pair; None: no two-view geometry
 
-    @property
-    def rotation_alone(self) -> bool:
-        """Whether R is known and t is not."""
-        return self.has_R and not self.has_t
-
 
 STATUSES: Mapping[Status, StatusFacts] = {
-    "ok": StatusFacts("a pose", True, True, "CALIBRATED"),
-    "planar": StatusFacts("a pose from a nearly planar scene", True, True, "PLANAR"),
-    "rotation_only": StatusFacts("the images do not determine t", True, False, "PANORAMIC"),
+    "ok": StatusFacts("a pose", True, "CALIBRATED"),
+    "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR"),
+    "rotation_only": StatusFacts("the images do not determine t", False, "PANORAMIC"),
     "too_few_matches": StatusFacts("fewer than 20 distinct matches"),
     "no_model": StatusFacts("RANSAC has no essential matrix"),
     "chance_inliers": StatusFacts("no more inliers than unrelated images would have"),

@@ -21,7 +21,7 @@ from dgc_pose.estimation.competition import (
     utility,
 )
 from dgc_pose.estimation.plane import fit_plane, planar_hypotheses
-from dgc_pose.estimation.refine import refit
+from dgc_pose.estimation.robust_fit import refit
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, poster_scene, two_view_scene

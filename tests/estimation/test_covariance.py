@@ -9,7 +9,7 @@ from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.camera_spread import CameraSpread
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
-from dgc_pose.estimation.refine import least_squares_pose
+from dgc_pose.estimation.robust_fit import least_squares_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene
 

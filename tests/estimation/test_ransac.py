@@ -8,7 +8,7 @@ from ransac_oracles import ORACLES
 
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.ransac import essential_matrix, sample
+from dgc_pose.estimation.robust_fit import essential_matrix, sample
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from two_view import two_view_scene
 

@@ -2,8 +2,7 @@ import numpy as np
 
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.ransac import sample
-from dgc_pose.estimation.refine import refine, refit
+from dgc_pose.estimation.robust_fit import refine, refit, sample
 from dgc_pose.metrics import translation_error_deg
 from two_view import normalised_problem, two_view_scene
 

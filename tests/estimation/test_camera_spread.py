@@ -16,10 +16,10 @@ from dgc_pose.estimation.camera_spread import (
     deviated,
     deviated_slopes,
     deviating,
+    error_slopes,
     normaliser,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.slopes import error_slopes
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from two_view import normalised_problem, two_view_scene
 

@@ -1,10 +1,13 @@
-"""Sampling by PoseLib: seeded runs of LO-RANSAC on the five-point solver, and on solvers that have
-focal lengths among their unknowns."""
+"""Sampling and refinement of hypotheses, by PoseLib.
+
+Seeded runs of LO-RANSAC on the five-point solver, and on solvers that have focal lengths among
+their unknowns; robust least squares, the Cauchy loss of the Sampson errors.
+"""
 
 import numpy as np
 import poselib
 
-from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -16,9 +19,12 @@ MAX_SAMPLED = 3000
 MINIMAL = 5  # matches that determine an essential matrix
 _MIN_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
 
+_ROUNDS = 3  # of a refinement
+_MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
+
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
-FOCAL = 1000.0
-CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [FOCAL, 0.0, 0.0]}
+_FOCAL = 1000.0
+_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
 
 
 def sample(problem: TwoViewProblem, options: EstimationOptions) -> list[Hypothesis]:
@@ -60,7 +66,7 @@ def essential_matrix(
     that a sample without outliers was drawn, with PoseLib's probability of 0.9999.
     """
     points, settings = _pixels(problem), _ransac_options(problem, options, seed)
-    return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
+    return _essential(*poselib.estimate_relative_pose(*points, _CAMERA, _CAMERA, *settings))
 
 
 def essential_and_focal(
@@ -71,7 +77,7 @@ def essential_and_focal(
     (2,) (six-point solver)."""
     points, settings = _pixels(problem), _ransac_options(problem, options, seed)
     pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
-    E, factor = _essential(pair.pose, info), pair.camera1.focal() / FOCAL
+    E, factor = _essential(pair.pose, info), pair.camera1.focal() / _FOCAL
     return None if E is None or not 0 < factor < np.inf else (E, np.array([factor] * 2))
 
 
@@ -84,24 +90,24 @@ def essential_and_focals(
     F, info = poselib.estimate_fundamental(*points, *settings)
     if info["num_inliers"] == 0:
         return None
-    camera1, camera2, _ = poselib.focals_from_fundamental_iterative(F, CAMERA, CAMERA)
-    factors = np.array([camera1.focal(), camera2.focal()]) / FOCAL
+    camera1, camera2, _ = poselib.focals_from_fundamental_iterative(F, _CAMERA, _CAMERA)
+    factors = np.array([camera1.focal(), camera2.focal()]) / _FOCAL
     if not ((factors > 0) & np.isfinite(factors)).all():
         return None
-    first, second = (np.diag([factor * FOCAL, factor * FOCAL, 1.0]) for factor in factors)
+    first, second = (np.diag([factor * _FOCAL, factor * _FOCAL, 1.0]) for factor in factors)
     E = second @ F @ first
     return E / np.linalg.norm(E), factors
 
 
 def _pixels(problem: TwoViewProblem) -> tuple[np.ndarray, np.ndarray]:
-    return problem.points1 * FOCAL, problem.points2 * FOCAL
+    return problem.points1 * _FOCAL, problem.points2 * _FOCAL
 
 
 def _ransac_options(
     problem: TwoViewProblem, options: EstimationOptions, seed: int
 ) -> tuple[dict[str, float], dict[str, str | float]]:
     """PoseLib's options of a run and of its local optimisation."""
-    threshold = problem.threshold * FOCAL
+    threshold = problem.threshold * _FOCAL
     ransac = {
         "max_iterations": options.iterations,
         "min_iterations": min(options.iterations, _MIN_ITERATIONS),
@@ -116,3 +122,52 @@ def _essential(pose: poselib.CameraPose, info: dict[str, float]) -> np.ndarray |
     if info["num_inliers"] == 0 or length < 1e-12 or not np.isfinite(pose.R).all():
         return None
     return essential_from_pose(pose.R, pose.t / length)
+
+
+def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
+    """The hypothesis after at most three fits with the threshold as the scale of the loss, until
+    the inliers, chosen anew after each fit, stay the same."""
+    pose = start
+    for _ in range(_ROUNDS):
+        before, pose = pose, refit(problem, pose)
+        if np.array_equal(pose.inliers, before.inliers):
+            break
+    return pose
+
+
+def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = False) -> Hypothesis:
+    """The hypothesis after least squares on its inliers in front of both cameras.
+
+    adapt_scale: take the scale of the loss from the inliers' errors, three times in turn,
+    instead of the threshold. Most inliers are far more accurate than the threshold, and the others
+    would bias the pose. Returns `start` itself if it has no more than five such inliers, or if the
+    fit would lose more than one inlier in fifty.
+    """
+    # An inlier behind a camera is an outlier that happens to lie near its epipolar line.
+    inliers = problem.subset(start.inliers_in_front)
+    if len(inliers) <= MINIMAL:
+        return start
+    R, t = start.R, start.t
+    for _ in range(_ROUNDS if adapt_scale else 1):
+        scale = pose_error_scale(inliers, R, t) if adapt_scale else problem.threshold
+        R, t = least_squares_pose(inliers, R, t, scale)
+    fitted = Hypothesis.of_pose(problem, R, t)
+    if not adapt_scale:
+        # The epipolar error does not depend on the sign of the translation; the depths do.
+        opposite = Hypothesis.of_pose(problem, R, -t)
+        fitted = max((fitted, opposite), key=lambda pose: (pose.num_inliers, pose.num_in_front))
+    return fitted if fitted.num_inliers >= _MIN_KEPT * start.num_inliers else start
+
+
+def least_squares_pose(
+    inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and unit t of least Cauchy loss, from a start. scale: of the loss, in the points' unit."""
+    start = poselib.CameraPose()
+    start.R, start.t = R, t
+    options = {"loss_type": "CAUCHY", "loss_scale": scale * _FOCAL, "max_iterations": 100}
+    pose, _ = poselib.refine_relative_pose(*_pixels(inliers), start, _CAMERA, _CAMERA, options)
+    length = np.linalg.norm(pose.t)
+    if length < 1e-12 or not np.isfinite(pose.R).all():
+        return R, t
+    return pose.R, pose.t / length
