@@ -65,9 +65,6 @@ def test_the_problem_is_the_finite_distinct_matches_in_normalised_coordinates():
     ):
         rays = np.linalg.solve(K, np.column_stack([pixels, np.ones(48)]).T).T
         np.testing.assert_allclose(points, rays[:, :2], atol=1e-13)
-    part = problem.subset(np.arange(48) % 2 == 0)
-    assert part.index.tolist() == kept[::2]
-    assert np.array_equal(part.points2, problem.points2[::2])
 
 
 def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length():

@@ -41,8 +41,6 @@ def test_good_evidence_is_a_pose_without_warnings():
         # What comes first: chance before all, a rotation before cheirality and planes.
         ("chance_inliers", {"inlier_ratio": 0.1, "rotation_share": 1, "parallax": 1}),
         ("rotation_only", {"rotation_share": 1, "parallax": 1, "cheirality_ratio": 0.4}),
-        ("rotation_only", {"rotation_share": 1, "parallax": 1, "homography_ratio": 1.0}),
-        ("behind_cameras", {"cheirality_ratio": 0.4, "homography_ratio": 1.0}),
     ],
 )
 def test_each_gate_closes_by_itself(status, changes):
