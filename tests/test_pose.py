@@ -381,6 +381,7 @@ SIFT = SiftMatcher()
         (lambda: estimate_relative_pose("missing.png", IMAGE, K), "missing.png"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, np.eye(2), matcher=SIFT), "K1"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, K, 5 * K, matcher=SIFT), "K2"),
+        (lambda: estimate_pose(IMAGE, EXACT, EXACT), "matches"),
         (lambda: load_matcher(5), "name"),
         (lambda: load_matcher("sift", matching={}), "matching"),
         (lambda: load_matcher("sift", device=0), "device"),

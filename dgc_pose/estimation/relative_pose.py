@@ -55,9 +55,10 @@ def estimate_pose(
     sample of the dense map that the matches come from (`MatchResult.map_matches`), as evidence for
     the probability. fit_cameras: whether the focal lengths of cameras that are not exact are
     fitted; without, their deviations only widen the errors. The warnings of the cameras are among
-    those of the pose. The same seed gives the same answer to the bit. Raises InputError if
-    `matches` is not Matches.
+    those of the pose. The same seed gives the same answer to the bit. Raises InputError, naming the
+    argument, for one of another type.
     """
+    check_type(matches, Matches, "matches")
     check_type(options, EstimationOptions, "options")
     check_type(camera1, Camera, "camera1")
     check_type(camera2, Camera, "camera2")

@@ -29,21 +29,6 @@ def test_the_rotation_is_found_among_inliers_of_a_wrong_essential_matrix(rotatio
     assert rotation_error_deg(R, scene.R) < 0.05
 
 
-def test_the_evidence_of_the_true_pose():
-    scene = two_view_scene("general", seed=1, count=800, sigma_px=0.5)
-    problem = scene.problem(THRESHOLD, CELLS)
-    pose = Hypothesis.of_pose(problem, scene.R, scene.t)
-    evidence = gather(problem, pose, homography_ratio=0.1)
-    assert evidence.num_inliers == pose.num_inliers
-    assert evidence.inlier_ratio == pytest.approx(pose.inliers.mean())
-    assert evidence.inlier_ratio > 0.69
-    assert 0 < evidence.chance_ratio < 0.05
-    assert evidence.cheirality_ratio > 0.98
-    assert evidence.homography_ratio == 0.1
-    assert not evidence.collinear
-    assert judge(evidence, LEAST).status == "ok"
-
-
 @pytest.mark.parametrize("sigma_px", [0.0, 0.3, 3.0])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_after_a_pure_rotation_the_parallax_is_one_whatever_translation_is_claimed(seed, sigma_px):

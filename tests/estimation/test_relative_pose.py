@@ -76,26 +76,13 @@ def pose_error(R, t, scene):
 
 
 @pytest.mark.parametrize("kind", ["rotation_only", "identical"])
-def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind):
-    for factor in (1.0, 2.0, 4.0):
-        scene = two_view_scene(kind, seed=4, count=500, sigma_px=1.0, outliers=0.4)
-        first, second = scene.cameras
-        second = first if kind == "identical" else second
-        options = EstimationOptions(runs=2, threshold_px=factor * 2 * scene.matches.error_px)
-        pose = estimate_pose(scene.matches, first, second, options)
-        assert_no_pose(pose)
-        assert pose.status == "rotation_only"
-        assert rotation_error_deg(pose.R, scene.R) < 0.1
-        assert "translation" in pose.reason
-        assert len(pose.quaternion_wxyz) == 4
-
-
 @pytest.mark.parametrize(("sigma_px", "count"), [(0.0, 60), (0.5, 200), (3.0, 60), (3.0, 3000)])
-def test_a_pure_rotation_is_recognised_at_any_noise_and_count(sigma_px, count):
-    scene = two_view_scene("rotation_only", count=count, sigma_px=sigma_px, outliers=0.2)
+def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind, sigma_px, count):
+    scene = two_view_scene(kind, count=count, sigma_px=sigma_px, outliers=0.2)
     pose = estimate(scene, runs=1)
-    assert pose.status == "rotation_only"
-    assert rotation_error_deg(pose.R, scene.R) < 0.5
+    assert_no_pose(pose)
+    assert pose.status == "rotation_only" and pose.probability == 0
+    assert rotation_error_deg(pose.R, scene.R) < 0.5 and len(pose.quaternion_wxyz) == 4
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1.0, 90.0, 180.0])

@@ -59,6 +59,7 @@ def test_each_gate_closes_by_itself(status, changes):
         {"still_ratio": 0.89},
         {"jackknife_rotation_90_deg": None},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1
+        {"rotation_share": 0.95, "parallax": 1.6, "num_rotation_inliers": 10_000},
         {"rotation_share": 0.7, "parallax": 1.0},
         {"strict_rotation_share": 0.88},
         {"cheirality_ratio": 0.65},
@@ -67,12 +68,6 @@ def test_each_gate_closes_by_itself(status, changes):
 )
 def test_each_gate_is_open_on_its_other_side(changes):
     assert verdict(**changes).status == "ok"
-
-
-def test_few_matches_need_more_parallax():
-    few, many = {"num_rotation_inliers": 25}, {"num_rotation_inliers": 10_000}
-    assert verdict(rotation_share=0.95, parallax=2.0, **few).status == "rotation_only"
-    assert verdict(rotation_share=0.95, parallax=2.0, **many).status == "ok"
 
 
 def test_a_small_triangulation_angle_and_a_plane_give_warnings():
@@ -88,10 +83,8 @@ def test_a_small_triangulation_angle_and_a_plane_give_warnings():
     [
         ("ok", 0.5, ()),
         ("improbable", 0.49, ()),
-        ("ok", 0.5, (1.0,)),
         ("ok", 0.63, (0.8, 0.2)),  # 0.504
         ("improbable", 0.62, (0.8, 0.2)),  # 0.496
-        ("improbable", 0.5, (0.99, 0.01)),  # 0.495
         ("ambiguous", 0.99, (0.79, 0.21)),  # although 0.782
         ("ambiguous", 0.5, (0.79, 0.21)),  # 0.395
         ("ambiguous", 0.5, (0.4, 0.3, 0.3)),
@@ -115,7 +108,6 @@ def test_the_probability_decides_and_not_the_gates() -> None:
     few = _changed(num_inliers=12, occupied_cells=9)
     assert judge(few, LEAST).status == "chance_inliers"
     assert judge(few, LEAST, 0.5).status == "ok"
-    assert judge(GOOD_EVIDENCE, LEAST, 0.49).status == "improbable"
     assert judge(GOOD_EVIDENCE, 0.3, 0.4).status == "ok"
     assert judge(GOOD_EVIDENCE, None, 0.1).status == "ok"
     assert judge(_changed(homography_ratio=0.9), LEAST, 0.9).status == "planar"
