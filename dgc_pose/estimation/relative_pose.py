@@ -161,16 +161,6 @@ def assess(
     return Assessment(problem, cameras, fitted, hypotheses, second, evidence, covariance, logistic)
 
 
-def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
-    """A fitted camera with the standard deviation that is left; an exact one as it is."""
-    if not camera.focal_std:
-        return camera
-    std = camera.focal_std
-    if covariance is not None:
-        std = calibrated_focal_std(covariance.focal_stds[number])
-    return replace(camera, focal_std=std, focal_source="matches")
-
-
 def _sample(
     problem: TwoViewProblem,
     matches: Matches,
@@ -224,6 +214,16 @@ def _second_motion(
     if second.is_among([first]) or second.num_in_front < _MIN_SECOND_SHARE * first.num_in_front:
         return None
     return None if by_chance(gather(left, second, 0.0)) else second
+
+
+def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
+    """A fitted camera with the standard deviation that is left; an exact one as it is."""
+    if not camera.focal_std:
+        return camera
+    std = camera.focal_std
+    if covariance is not None:
+        std = calibrated_focal_std(covariance.focal_stds[number])
+    return replace(camera, focal_std=std, focal_source="matches")
 
 
 def _result(

@@ -17,14 +17,11 @@ from dgc_pose.estimation.competition import (
     choice_shares,
     compared,
     ranked,
-    relief_reversal,
     utility,
 )
-from dgc_pose.estimation.plane import fit_plane, planar_hypotheses
-from dgc_pose.estimation.robust_fit import refit
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from two_view import normalised_problem, poster_scene, two_view_scene
+from two_view import poster_scene, two_view_scene
 
 # Of two poses that explain a plane equally well none has a probability above one half.
 OPTIONS = EstimationOptions(runs=3, iterations=300, min_probability=None)
@@ -90,12 +87,6 @@ def test_a_relief_seen_from_afar_can_be_turned_inside_out(seed: int) -> None:
     assert rotation_error_deg(pose.R, R) < 1
     # The same rotation the other way round.
     assert rotation_error_deg(other.R, R.T) < 4 < 20 < rotation_error_deg(other.R, R)
-
-
-def test_two_points_have_no_reversal() -> None:
-    problem = normalised_problem(np.zeros((2, 2)), np.ones((2, 2)))
-    pose = Hypothesis.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
-    assert relief_reversal(problem, pose) is None
 
 
 def _turned(scene, problem, degrees: float = 20.0) -> Hypothesis:
@@ -175,20 +166,3 @@ def test_a_hypothesis_is_likely_from_three_quarters_of_the_inliers(
     )
     answers = compared(problem, first, [other], None, AS_THEY_ARE)
     assert [answer.likely for answer in answers] == [True, likely]
-
-
-def test_a_likely_hypothesis_is_fitted_once_more_and_only_that() -> None:
-    scene = poster_scene(seed=2)
-    problem = scene.problem(threshold=1e-3)
-    first = Hypothesis.of_pose(problem, scene.R, scene.t)
-    plane = fit_plane(problem, first)
-    other = max(
-        planar_hypotheses(problem, plane.H),
-        key=lambda pose: (pose.angle_to(scene.R, scene.t) > 20, pose.num_inliers),
-    )
-    unlikely = _turned(scene, problem, 60.0)
-    answers = compared(problem, first, [other, unlikely], None, EstimationOptions())
-    fitted = refit(problem, other, adapt_scale=True)
-    assert [answer.likely for answer in answers] == [True, True, False]
-    for answer, expected in zip(answers, (first, fitted, unlikely), strict=True):
-        assert np.array_equal(answer.R, expected.R) and np.array_equal(answer.t, expected.t)

@@ -50,23 +50,6 @@ def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
     assert any(f"{lost.sum()} matches dropped" in warning for warning in pose.warnings)
 
 
-def test_the_problem_is_the_finite_distinct_matches_in_normalised_coordinates():
-    scene = two_view_scene("general", seed=3, count=50)
-    points1 = scene.points1.copy()
-    points1[7] = np.nan
-    points1[20], points2 = points1[19], scene.points2.copy()
-    points2[20] = points2[19]
-    problem = TwoViewProblem.of(as_matches(points1, points2), *scene.cameras)
-    kept = [k for k in range(50) if k not in (7, 20)]
-    assert problem.index.tolist() == kept and len(problem) == 48
-    for points, pixels, K in (
-        (problem.points1, points1[kept], scene.K1),
-        (problem.points2, points2[kept], scene.K2),
-    ):
-        rays = np.linalg.solve(K, np.column_stack([pixels, np.ones(48)]).T).T
-        np.testing.assert_allclose(points, rays[:, :2], atol=1e-13)
-
-
 def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length():
     scene = two_view_scene(count=30)
     cameras = scene.cameras

@@ -16,10 +16,6 @@ def verdict(**changes):
     return judge(_changed(**changes), LEAST)
 
 
-def test_good_evidence_is_a_pose_without_warnings():
-    assert verdict() == ("ok", "a pose", ())
-
-
 @pytest.mark.parametrize(
     ("status", "changes"),
     [
@@ -67,7 +63,7 @@ def test_each_gate_closes_by_itself(status, changes):
     ],
 )
 def test_each_gate_is_open_on_its_other_side(changes):
-    assert verdict(**changes).status == "ok"
+    assert verdict(**changes) == ("ok", "a pose", ())
 
 
 def test_a_small_triangulation_angle_and_a_plane_give_warnings():
