@@ -1,4 +1,5 @@
-"""The focal lengths that the matches determine, of cameras that are not exact.
+"""The focal lengths that the matches determine, of cameras that are not exact, and whether the
+matches contradict those of exact ones.
 
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
 unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
@@ -7,11 +8,16 @@ deviations over their standard deviations, so that the least is the most probabl
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
+
+The check of exact cameras fits their pose and a factor of both focal lengths together. Where the
+matches determine the focal length at all, the fit leads from a wrong one to the right one; where it
+does not, the six-point solver has a better start.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -25,8 +31,11 @@ from dgc_pose.estimation.camera_spread import (
     error_slopes,
     normaliser,
 )
+from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
+from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
@@ -39,6 +48,7 @@ from dgc_pose.estimation.robust_fit import (
 )
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.geometry.triangulation import depths
+from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
@@ -51,6 +61,15 @@ _FIRST_LIMIT = 3.0  # thresholds that matches of the first round may be off
 _ITERATIONS = 100  # of a fit, which converges in 10 as a rule
 _CONVERGED = 1e-6  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
+
+_CHECK_STD = 0.5  # of ln f where K is checked: a focal length that is hardly known
+_CHECK_CENTRE_STD = 0.005  # of the principal point, over the focal length
+_UNCERTAIN_STD = 0.1  # standard deviation of ln f, beyond which there is a warning
+_EXPLAINED_SHARE = 0.8  # share of inliers beyond which no other focal length explains many more
+_MORE = 1.2  # of the inliers that another focal length must have to be a start
+_CHECK_SAMPLED = 400  # matches that are fitted first
+_CHECK_ITERATIONS = 30  # of their fit
+_AGREEING_LOG_FOCAL = 0.05  # of ln f: if these suggest no more, the focal lengths are right
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,3 +267,83 @@ def _start(
     deviations[[0, 3]] = log_factors
     z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)
+
+
+def check_focals(
+    problem: TwoViewProblem,
+    first: Hypothesis,
+    matches: Matches,
+    cameras: tuple[Camera, Camera],
+    options: EstimationOptions,
+) -> FocalCheck | None:
+    """The factor of the focal lengths that the matches suggest; None if it is 1 or not determined.
+
+    problem: of the matches, normalised by the cameras. first: the pose that these give.
+    """
+    loose1, loose2 = (
+        replace(c, focal_std=_CHECK_STD, centre_std=_CHECK_CENTRE_STD * c.focal, identity="both")
+        for c in cameras
+    )
+    spread = CameraSpread.of(loose1, loose2)
+    joint = JointFit(problem, spread)
+    pose = JointPose(first.R, first.t, np.zeros(len(spread)))
+    other = None
+    if first.num_in_front < _EXPLAINED_SHARE * len(problem):
+        # The pose of a wrong K may be a local minimum.
+        other = solved_start(problem, spread, options, options.seed)
+    if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
+        pose = other
+    else:
+        pose = _of_sample(joint, pose)
+        if abs(joint.deviations(pose)[0]) < _AGREEING_LOG_FOCAL:
+            return None
+    pose = joint.fitted(pose)
+    deviations = joint.deviations(pose)
+    fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
+    fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
+    refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
+    covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
+    if covariance is None:
+        return None
+    return FocalCheck(
+        math.exp(deviations[0]),
+        covariance.focal_stds[0],
+        first.angle_to(pose.R, pose.t),
+        max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
+    )
+
+
+def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
+    """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
+    shuffled = np.random.default_rng(joint.problem.seed).permutation(len(joint.problem))
+    drawn = joint.problem.subset(np.sort(shuffled[:_CHECK_SAMPLED]))
+    return JointFit(drawn, joint.spread).fitted(pose, rounds=1, iterations=_CHECK_ITERATIONS)
+
+
+def focal_warnings(
+    stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck | None
+) -> tuple[str, ...]:
+    """Warnings about the focal lengths, each a line.
+
+    stated: the cameras before the estimation; fitted: those of the pose, with the standard
+    deviations that are left; check: of exact cameras.
+    """
+    contradicted: dict[str, None] = {}
+    sources = {"given": "K", "exif": "EXIF"}
+    for before, after in zip(stated, fitted, strict=True):
+        f, std, allowed = after.focal, after.focal_std, before.focal_std
+        if check is not None:
+            f, std = check.factor * before.focal, calibrated_focal_std(check.std)
+            allowed = std
+        source = sources.get(before.focal_source)
+        if source and is_contradicted(f / before.focal, allowed):
+            text = f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"
+            contradicted[text] = None
+    if contradicted:
+        return (f"the matches suggest {'; '.join(contradicted)}",)
+    loose = dict.fromkeys(
+        f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
+        for camera in fitted
+        if camera.focal_std > _UNCERTAIN_STD
+    )
+    return (f"the matches hardly tell the focal length: {'; '.join(loose)}",) if loose else ()

@@ -12,8 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_check import check_focals, focal_warnings
-from dgc_pose.estimation.camera_fit import SEARCH_RUNS, fit_cameras
+from dgc_pose.estimation.camera_fit import (
+    SEARCH_RUNS,
+    check_focals,
+    fit_cameras,
+    focal_warnings,
+)
 from dgc_pose.estimation.camera_spread import CameraSpread
 from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
