@@ -6,7 +6,6 @@ from typing import Any, TextIO
 
 from dgc_pose.files.json_files import finite_data
 from dgc_pose.files.tables import aligned, decimals
-from dgc_pose.metrics import Reliability
 from dgc_pose.network.config import LEVEL_SIZES
 from dgc_pose.training.evaluation.map_scores import (
     FOUND_PX,
@@ -17,6 +16,7 @@ from dgc_pose.training.evaluation.map_scores import (
     PairScores,
     summarise_maps,
 )
+from dgc_pose.training.evaluation.reliability import Reliability
 
 Scores = Mapping[str, Sequence[PairScores]]  # by method, each over the same pairs
 ALL = "all"

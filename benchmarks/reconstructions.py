@@ -14,6 +14,7 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
+from dgc_pose.benchmarks.metrics import folded, pose_auc
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.cameras.calibration import Calibration, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -23,7 +24,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.metrics import folded, pose_auc, rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
 
 COLMAP_SIFT = "colmap-sift"

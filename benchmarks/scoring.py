@@ -7,6 +7,7 @@ from typing import Generic
 import numpy as np
 
 from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
+from dgc_pose.benchmarks.metrics import folded, median_and_mean, true_fundamental
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.samples import draw_sample, sample_text
 from dgc_pose.benchmarks.scores import Score, make_score
@@ -14,8 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
-from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
-from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
+from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice
-from dgc_pose.cli.output import matches_arrays, pose_data, pose_text, write_npz
+from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
@@ -83,7 +83,7 @@ def estimate(
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
         trace = run_pipeline(image1, image2, cameras.resolve, matcher, estimation)
-        pose, data = trace.pose, json_text(pose_data(trace.pose))
+        pose, data = trace.pose, json_text(trace.pose.as_dict())
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:

@@ -1,4 +1,4 @@
-"""Poses and matches as text, JSON and .npz."""
+"""Poses as text, matches as .npz."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,47 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.cameras.calibration import camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.texts import percent_text
-from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.estimation.status import percent_text
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
-
-_FIELDS = (
-    *("status", "success", "R", "t", "quaternion_wxyz", "E", "camera1", "camera2"),
-    *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
-    *("rotation_error_90_deg", "translation_error_90_deg", "covariance", "probability"),
-)
-
-
-def pose_data(pose: RelativePose) -> dict[str, Any]:
-    """A pose for JSON: cam2_from_cam1, x2 = R x1 + t, t of unit length.
-
-    Unknown values are null. Without a pose, the reason is the first of the warnings. If it is
-    ambiguous, the alternatives are all the poses, the likeliest first.
-    """
-    of_alternative = ("R", "t", "num_inliers", "probability")
-    return {
-        **{name: _plain(getattr(pose, name)) for name in _FIELDS},
-        "alternatives": [
-            {name: _plain(getattr(alternative, name)) for name in of_alternative}
-            for alternative in pose.alternatives
-        ],
-        "warnings": ([] if pose.success else [pose.reason]) + list(pose.warnings),
-        "seconds": {part: round(value, 4) for part, value in pose.seconds.items()},
-    }
-
-
-def _plain(value: Any) -> Any:
-    """A value of a pose for JSON."""
-    if isinstance(value, Camera):
-        return camera_data(value)
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    return finite_or_none(value) if isinstance(value, float) else value
 
 
 def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -> str:

@@ -13,7 +13,6 @@ import click
 
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.output import pose_data
 from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.matchers import MatcherOptions
@@ -56,7 +55,7 @@ def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOption
         for path, camera in views
     ]
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
-    estimator = Estimator(matcher.load(), pose_data, weights)
+    estimator = Estimator(matcher.load(), weights)
     token = secrets.token_urlsafe(24)
     with socket.socket() as bound, scratch_folder() as folder:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

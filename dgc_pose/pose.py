@@ -16,7 +16,7 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
-from dgc_pose.estimation.texts import percent_text
+from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import Matcher, MatchResult, PairSearch
@@ -43,7 +43,7 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
     "auto": ("quick", "fine", "match", "mirrored", "squeezed", "near"),
     "thorough": ("match", "mirrored", "squeezed", "near"),
 }
-_HOPELESS, _CERTAIN = 0.005, 0.99  # probabilities beyond which no more is searched
+_MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
 _LIKELY = 0.95  # probability of a pose of the mirror image that counts
 _FOCAL_AGREES_STD = 1.5  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
@@ -138,11 +138,17 @@ def pose_of_pair(
             continue
         start = time.perf_counter()
         if step == "mirrored":
-            flipped = _pose_of_mirror_image(search, camera1, camera2, options)
-            if flipped is None or (flipped.probability or 0.0) < _LIKELY:
+            probability = _mirror_image_probability(search, camera1, camera2, options)
+            if probability < _LIKELY or pose is None:
                 continue
-            assert pose is not None
-            pose = _mirrored(pose, flipped)
+            reason = (
+                f"the mirror image of image 2 has a pose, {percent_text(probability)} probable, "
+                "and image 2 has none that is as likely"
+            )
+            inliers = np.zeros_like(pose.inliers)
+            pose = RelativePose(
+                "mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings
+            )
             break
         result = _matches_of(step, search, pose, camera1, camera2)
         if result is None:
@@ -169,33 +175,24 @@ def _matches_of(
         return search.whole()
     if step == "squeezed":
         return search.squeezed()
-    models = [hypothesis.model for hypothesis in pose.hypotheses]
-    return search.near([TwoViews(camera1, camera2, model.R, model.t) for model in models])
+    return search.near([TwoViews(camera1, camera2, h.R, h.t) for h in pose.hypotheses])
 
 
-def _pose_of_mirror_image(
+def _mirror_image_probability(
     search: PairSearch, camera1: Camera, camera2: Camera, options: EstimationOptions
-) -> RelativePose | None:
-    """The pose of image 1 and image 2 flipped left to right, by a quick pass; None without one."""
+) -> float:
+    """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
+    without one."""
     image2 = search.image2
     flipped = replace(image2, pixels=np.ascontiguousarray(image2.pixels[:, ::-1]))
     result = search.matcher.search(search.image1, flipped).quick()
     if result is None:
-        return None
+        return 0.0
     K = camera2.K.copy()
     K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
     cameras = camera1, replace(camera2, K=K)
-    return estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
-
-
-def _mirrored(pose: RelativePose, flipped: RelativePose) -> RelativePose:
-    """No pose, since the mirror image of image 2 has a likely one."""
-    reason = (
-        f"the mirror image of image 2 has a pose, {percent_text(flipped.probability or 0.0)} "
-        "probable, and image 2 has none that is as likely"
-    )
-    inliers = np.zeros_like(pose.inliers)
-    return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)
+    pose = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
+    return pose.probability or 0.0
 
 
 def _may_change(
@@ -223,7 +220,7 @@ def _may_change(
 
 def certain(pose: RelativePose) -> bool:
     """Whether it is nearly certain that the pose is right."""
-    return pose.success and (pose.probability or 0.0) >= _CERTAIN
+    return pose.success and (pose.probability or 0.0) >= _MAX_SEARCHED
 
 
 def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
@@ -246,4 +243,4 @@ def in_doubt(pose: RelativePose) -> bool:
     probability = pose.any_probability
     if probability is not None and pose.status == "rotation_only":
         probability *= 1 - pose.hypotheses[0].share  # of another motion than that
-    return probability is not None and _HOPELESS < probability < _CERTAIN
+    return probability is not None and _MIN_SEARCHED < probability < _MAX_SEARCHED

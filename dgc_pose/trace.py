@@ -13,7 +13,7 @@ from dgc_pose.geometry.triangulation import depths
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, PairSearch
-from dgc_pose.metrics.epipolar import epipolar_residuals_px
+from dgc_pose.metrics import epipolar_residuals_px
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from good_evidence import GOOD_EVIDENCE
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.estimation import Hypothesis, RelativePose
-from dgc_pose.estimation.model import Model
 
 PROBABILITIES = 0.52, 0.45
 INLIERS = 271, 270
@@ -17,10 +16,7 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
     """Of so many matches."""
     rotations = Rotation.from_rotvec([[0.0, 0.5, 0.0], [0.1, -0.3, 0.0]]).as_matrix()
     directions = np.array([[0.6, 0.0, 0.8], [-0.8, 0.6, 0.0]])
-    models = [
-        Model(R, t, np.arange(count) < inliers, np.ones(count, dtype=bool))
-        for R, t, inliers in zip(rotations, directions, INLIERS, strict=True)
-    ]
+    every = np.ones(count, dtype=bool)
     return RelativePose(
         status="ambiguous",
         reason="two poses explain the matches, with probabilities of 52 % and 45 %",
@@ -29,7 +25,9 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
         evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),
         any_probability=sum(PROBABILITIES),
         alternatives=tuple(
-            Hypothesis(model, True, 0.0, None, probability=probability)
-            for model, probability in zip(models, PROBABILITIES, strict=True)
+            Hypothesis(R, t, np.arange(count) < inliers, every, probability=probability)
+            for R, t, inliers, probability in zip(
+                rotations, directions, INLIERS, PROBABILITIES, strict=True
+            )
         ),
     )

@@ -2,7 +2,6 @@
 
 import dense_scene
 
-from dgc_pose.cli.output import pose_data
 from dgc_pose.matching import Matcher
 from dgc_pose.serve.estimator import Estimator
 
@@ -13,4 +12,4 @@ def map_matcher() -> Matcher:
 
 
 def estimator() -> Estimator:
-    return Estimator(map_matcher(), pose_data, None)
+    return Estimator(map_matcher(), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import dense_scene
@@ -15,7 +15,6 @@ import pytest
 import torch
 from scene_pair import RenderedPair, render_scene_pair
 
-import dgc_pose
 from dgc_pose import (
     Camera,
     EstimationOptions,
@@ -30,13 +29,12 @@ from dgc_pose import (
 )
 from dgc_pose.cameras.pair_list import bundled_pair
 from dgc_pose.cameras.prior import auto_camera, auto_cameras
-from dgc_pose.estimation.choice import Hypothesis
-from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult, PairSearch
 from dgc_pose.matching.sift import SiftMatcher
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import pose_of_pair
 
 
@@ -63,38 +61,6 @@ def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_pat
         assert translation_error_deg(pose.t, pair.t) < 2.0
         assert np.array_equal(pose.R, poses[0].R) and np.array_equal(pose.t, poses[0].t)
         assert set(pose.seconds) == {"load", "match", "estimate"}
-
-
-def test_cameras_may_be_cameras_and_warnings_arrive(pair: RenderedPair) -> None:
-    odd = pair.K2.copy()
-    odd[0, 2] += 0.24 * 560  # far from the middle, as a crop's principal point may be
-    trace = estimate_relative_pose(
-        pair.image1,
-        pair.image2,
-        Camera(pair.K1, (640, 480)),
-        odd,
-        matcher=SiftMatcher(),
-        trace=True,
-    )
-    assert trace.correspondence_map is None and len(trace.matches) > 50
-    assert any("principal point" in warning for warning in trace.pose.warnings)
-
-
-def test_the_cameras_of_a_trace_are_those_of_its_pose(
-    pair: RenderedPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fitted = Camera(pair.K1, (640, 480), focal_std=0.01), Camera(pair.K2, (560, 520))
-
-    def estimate(*arguments: Any, **options: Any) -> RelativePose:
-        pose = estimate_pose(*arguments, **options)
-        return replace(pose, camera1=fitted[0], camera2=fitted[1])
-
-    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
-    trace = estimate_relative_pose(pair.image1, pair.image2, matcher=SiftMatcher(), trace=True)
-    assert (trace.camera1, trace.camera2) == fitted
-    np.testing.assert_array_equal(trace.pose.K1, pair.K1)
-    np.testing.assert_array_equal(trace.pose.K2, pair.K2)
-    assert (trace.pose.focal_std1, trace.pose.focal_std2) == (0.01, 0)
 
 
 NOISE = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
@@ -239,8 +205,8 @@ def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
 
 
 def _of_share(share: float) -> Hypothesis:
-    model = Model(np.eye(3), np.array([1.0, 0, 0]), *np.ones((2, 9), dtype=bool))
-    return Hypothesis(model, True, 0.0, None, share)
+    inliers, in_front = np.ones((2, 9), dtype=bool)
+    return Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers, in_front, share=share)
 
 
 CERTAIN = _doubt(0.995)
@@ -256,9 +222,7 @@ SEARCHED = ["mirrored", "squeezed", "near"]
         ("auto", [_doubt(0.9), CERTAIN], ["quick", "match"]),
         ("auto", [LOOSE], ["quick", "fine"]),  # certain, but not accurate
         ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["quick", "fine", "match"]),
-        ("auto", [CERTAIN | {"status": "ambiguous"}, CERTAIN], ["quick", "match"]),
         ("auto", [LOOSER], ["quick", "fine", *SEARCHED[1:]]),
-        ("auto", [CERTAIN | {"covariance": None}, CERTAIN], ["quick", "fine"]),
         ("auto", [_doubt(None)], ["quick", "match", "mirrored"]),
         ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
         ("auto", [_doubt(0.0, 0.9)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
@@ -271,7 +235,6 @@ SEARCHED = ["mirrored", "squeezed", "near"]
         ("fast", [LOOSE], ["quick"]),
         ("thorough", [CERTAIN], ["match"]),
         ("thorough", [LOOSE, CERTAIN], ["match", *SEARCHED[1:]]),
-        ("thorough", [_doubt(0.001) | {"status": "improbable"}], ["match", "mirrored"]),
         ("thorough", [_doubt(0.5)], ["match", *SEARCHED]),
     ],
 )
@@ -369,50 +332,18 @@ def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.Monkey
     assert len(search.views) == len(before.hypotheses) > 0
     for views, hypothesis in zip(search.views, before.hypotheses, strict=True):
         assert (views.camera1, views.camera2) == (EXACT, EXACT)
-        np.testing.assert_allclose(views.R, hypothesis.model.R, atol=0.01)
-        np.testing.assert_allclose(views.t, hypothesis.model.t, atol=0.05)
+        np.testing.assert_allclose(views.R, hypothesis.R, atol=0.01)
+        np.testing.assert_allclose(views.t, hypothesis.t, atol=0.05)
 
 
-@pytest.mark.parametrize("kind", ["planar", "rotation_only", "forward"])
-def test_verdicts_on_rendered_scenes(kind: str) -> None:
-    scene = render_scene_pair(
-        7,
-        size1=(640, 480),
-        size2=(640, 480),
-        rotation_deg=8,
-        kind=kind,  # type: ignore[arg-type]
-    )
-    pose = estimate_relative_pose(
-        scene.image1, scene.image2, scene.K1, scene.K2, matcher=SiftMatcher()
-    )
-    assert pose.R is not None and rotation_error_deg(pose.R, scene.R) < 1.0
-    if kind == "rotation_only":
-        assert pose.status == "rotation_only" and not pose.success and pose.t is None
-    else:
-        assert pose.success and translation_error_deg(pose.t, scene.t) < 5.0
-    if kind == "planar":
-        assert pose.status == "planar" and any("plane" in w for w in pose.warnings)
-
-
-def test_an_image_with_itself_has_no_translation(pair: RenderedPair) -> None:
-    pose = estimate_relative_pose(pair.image1, pair.image1, pair.K1, matcher=SiftMatcher())
-    assert pose.status == "rotation_only" and pose.t is None and pose.E is None
-    assert pose.R is not None and rotation_error_deg(pose.R, np.eye(3)) < 0.01
-
-
-def test_a_rotated_copy_is_a_rotation(pair: RenderedPair) -> None:
-    K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
-    rotated = np.rot90(pair.image1).copy()
-    rotated_K = np.array([[600.0, 0, 239.5], [0, 600, 319.5], [0, 0, 1]])
-    pose = estimate_relative_pose(pair.image1, rotated, K, rotated_K, matcher=SiftMatcher())
-    expected = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # x2 = y1, y2 = -x1
-    assert pose.status == "rotation_only" and pose.R is not None
-    assert rotation_error_deg(pose.R, expected) < 0.1
-
-
-def test_noise_gives_no_pose() -> None:
-    pose = estimate_relative_pose(*NOISE, NOISE_K, matcher=SiftMatcher())
-    assert not pose.success and pose.R is None and pose.t is None and pose.reason
+@pytest.mark.parametrize("kind", ["planar", "rotation_only"])
+def test_verdicts_on_rendered_scenes(kind: Literal["planar", "rotation_only"]) -> None:
+    size = (640, 480)
+    scene = render_scene_pair(7, size1=size, size2=size, rotation_deg=8, kind=kind)
+    images = scene.image1, scene.image2
+    pose = estimate_relative_pose(*images, scene.K1, scene.K2, matcher=SiftMatcher())
+    assert pose.status == kind and rotation_error_deg(pose.R, scene.R) < 1.0
+    assert pose.t is None or translation_error_deg(pose.t, scene.t) < 5.0
 
 
 IMAGE = np.zeros((40, 50, 3), np.uint8)
@@ -428,27 +359,15 @@ SIFT = SiftMatcher()
         (lambda: estimate_relative_pose(None, IMAGE, K, matcher=SIFT), "image1"),
         (lambda: estimate_relative_pose(IMAGE, np.zeros(7), K, matcher=SIFT), "image2"),
         (lambda: estimate_relative_pose("missing.png", IMAGE, K), "missing.png"),
-        (lambda: estimate_relative_pose(IMAGE, IMAGE, "K", matcher=SIFT), "K1"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, np.eye(2), matcher=SIFT), "K1"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, K, 5 * K, matcher=SIFT), "K2"),
+        (lambda: estimate_pose(IMAGE, EXACT, EXACT), "matches"),
         (lambda: load_matcher(5), "name"),
         (lambda: load_matcher("sift", matching={}), "matching"),
-        (lambda: load_matcher("sift", refinement="none"), "refinement"),
         (lambda: load_matcher("sift", device=0), "device"),
         (lambda: EstimationOptions(runs="5"), "runs"),
-        (lambda: EstimationOptions(runs=2.5), "runs"),
-        (lambda: EstimationOptions(seed=10**40), "seed"),
-        (lambda: EstimationOptions(min_probability="high"), "min_probability"),
-        (lambda: EstimationOptions(refine="no"), "refine"),
     ],
 )
 def test_a_wrong_argument_is_named(call: Callable[[], object], named: str) -> None:
     with pytest.raises((InputError, ImageError), match=rf"^{named}\b"):
         call()
-
-
-def test_every_public_name_is_there() -> None:
-    for name in dgc_pose.__all__:
-        assert getattr(dgc_pose, name) is not None
-    with pytest.raises(AttributeError, match="nothing_such"):
-        dgc_pose.nothing_such  # noqa: B018

@@ -16,7 +16,7 @@ from sklearn.linear_model import LogisticRegression, QuantileRegressor
 
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.errors import InputError
-from dgc_pose.estimation.choice import CHOICE_FEATURES, choice_shares
+from dgc_pose.estimation.competition import CHOICE_FEATURES, choice_shares
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FEATURES,

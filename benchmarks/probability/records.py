@@ -12,20 +12,20 @@ from typing import Literal
 
 import numpy as np
 
+from dgc_pose.benchmarks.metrics import folded
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import Part
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.choice import Hypothesis
+from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.relative_pose import Assessment, assess, fitted_cameras
+from dgc_pose.estimation.relative_pose import Assessment, assess
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
-from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
 
 _CHUNK = 16
@@ -129,8 +129,8 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
 def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
     rotation = translation = math.inf
     if truth.R is not None and truth.t is not None:
-        rotation = rotation_error_deg(choice.model.R, truth.R)
-        translation = translation_error_deg(choice.model.t, truth.t)
+        rotation = rotation_error_deg(choice.R, truth.R)
+        translation = translation_error_deg(choice.t, truth.t)
     return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
 
 
@@ -170,8 +170,7 @@ def _draw(name: str, count: int) -> int:
 def _focal_error(assessed: Assessment | None, truth: Truth) -> float:
     if assessed is None:
         return math.nan
-    cameras = fitted_cameras(assessed) if assessed.fitted else assessed.cameras
-    fitted = zip(cameras, (truth.camera1, truth.camera2), strict=True)
+    fitted = zip(assessed.cameras, (truth.camera1, truth.camera2), strict=True)
     pairs = [(camera, true) for camera, true in fitted if camera.focal_std]
     if not pairs:
         return math.nan

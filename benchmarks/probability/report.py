@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
+from dgc_pose.benchmarks.metrics import pose_auc
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.choice import choice_shares, utility
+from dgc_pose.estimation.competition import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
-from dgc_pose.metrics import Reliability, pose_auc
+from dgc_pose.training.evaluation.reliability import Reliability, draw_reliability
 
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
 _INLIERS = (0, 60, 200, 600, math.inf)
@@ -46,7 +47,9 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
     if evidence is None:
         return Judged(record, False, 0.0, math.nan, math.nan)
     any_right = model.probability(evidence)
-    shares = choice_shares([utility(pose, model.choice) for pose in record.poses])
+    shares = choice_shares(
+        [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses]
+    )
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
     verdict = judge(
@@ -60,7 +63,7 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
             translation_error_deg=best.translation_error_deg,
         ),
         known.has_t,
-        0.0 if known.rotation_alone else share * any_right,
+        0.0 if verdict.status == "rotation_only" else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
         min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
         _expected(evidence.jackknife_focal_90_percent, focal_error),
@@ -199,7 +202,6 @@ def focal_table(poses: Sequence[Judged]) -> str:
 
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     """The reliability diagram and precision against recall, a curve a kind of matches."""
-    from dgc_pose.viz.curves import draw_reliability
     from dgc_pose.viz.figure import new_figure
 
     figure = new_figure(11, 5)

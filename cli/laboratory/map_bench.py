@@ -27,8 +27,9 @@ from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
 from dgc_pose.training.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
+from dgc_pose.training.evaluation.reliability import plot_reliability
 from dgc_pose.viz import save_figure
-from dgc_pose.viz.curves import plot_pck, plot_reliability
+from dgc_pose.viz.curves import plot_pck
 from dgc_pose.viz.map_figure import MapPicture, plot_maps
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.files.inputs import open_regular, read_as
-from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.files.outputs import writing
 from dgc_pose.system.options import check_options
 
@@ -21,7 +20,7 @@ BAD_INPUT, FAILED = "bad_input", "failed"
 
 
 @dataclass(frozen=True)
-class AlternativeRow:
+class HypothesisRow:
     """A pose that explains the matches about as well as that of the row, or of the others if the
     row is ambiguous."""
 
@@ -60,35 +59,35 @@ class PairRow:
     focal2: float | None = None
     focal_std1: float | None = None
     focal_std2: float | None = None
-    alternatives: tuple[AlternativeRow, ...] = ()  # if ambiguous all poses, the likeliest first
+    alternatives: tuple[HypothesisRow, ...] = ()  # if ambiguous all poses, the likeliest first
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
 
-# Fields that a row has of a pose as they are, and those that are None where they are not finite.
-_COPIED = ("status", "success", "reason", "probability", "num_matches", "num_inliers", "warnings")
-_FINITE = (
-    *("rotation_error_90_deg", "translation_error_90_deg"),
-    *("inlier_ratio", "median_triangulation_angle_deg"),
+# Fields that a row has as `RelativePose.as_dict` has them.
+_OF_POSE = (
+    *("status", "success", "probability", "rotation_error_90_deg", "translation_error_90_deg"),
+    *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
 )
 
 
 def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairRow:
     """The row of an estimated pose."""
-    values = {name: getattr(pose, name) for name in _COPIED}
-    values |= {name: finite_or_none(getattr(pose, name)) for name in _FINITE}
+    data = pose.as_dict()
+    values = {name: data[name] for name in _OF_POSE}
     for number, camera in enumerate((pose.camera1, pose.camera2), start=1):
         if camera is not None:
             values |= {f"focal{number}": camera.focal, f"focal_std{number}": camera.focal_std}
-    others = (
-        AlternativeRow(_numbers(other.R), _numbers(other.t), other.num_inliers, other.probability)
-        for other in pose.alternatives
-    )
     return PairRow(
         *names,
+        reason=pose.reason,
         R=None if pose.R is None else _numbers(pose.R),
         t=None if pose.t is None else _numbers(pose.t),
         error_px=error_px,
-        alternatives=tuple(others),
+        alternatives=tuple(
+            HypothesisRow(_numbers(o.R), _numbers(o.t), o.num_inliers, o.probability)
+            for o in pose.alternatives
+        ),
+        warnings=pose.warnings,
         **values,
     )
 
@@ -97,7 +96,7 @@ def parse_row(data: Any, where: str) -> PairRow:
     """A row of JSON. Raises InputError, with `where`, if it is none."""
     try:
         row: PairRow = _parsed(PairRow, data)
-        others = tuple(_parsed(AlternativeRow, other) for other in row.alternatives)
+        others = tuple(_parsed(HypothesisRow, other) for other in row.alternatives)
         row = replace(row, alternatives=others)
         for pose in (row, *others):
             check_options(pose)

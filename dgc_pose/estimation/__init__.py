@@ -1,6 +1,6 @@
 """Robust estimation of the relative pose, and the verdict on it."""
 
-from dgc_pose.estimation.choice import Hypothesis
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.relative_pose import estimate_pose
 from dgc_pose.estimation.result import RelativePose

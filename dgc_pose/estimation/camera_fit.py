@@ -1,61 +1,199 @@
-"""The focal lengths that the matches determine, of cameras that are not exact.
+"""The focal lengths that the matches determine, of cameras that are not exact, and whether the
+matches contradict those of exact ones.
 
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
-unknowns, are starts. From the best of them pose and cameras are fitted together.
+unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
+Cauchy loss of the Sampson errors, as of independent matches, plus half the squares of the
+deviations over their standard deviations, so that the least is the most probable.
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
+
+The check of exact cameras fits their pose and a factor of both focal lengths together. Where the
+matches determine the focal length at all, the fit leads from a wrong one to the right one; where it
+does not, the six-point solver has a better start.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
+import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_spread import CameraSpread, deviating
-from dgc_pose.estimation.joint_fit import JointFit, JointPose
-from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.camera_spread import (
+    CameraSpread,
+    deviated,
+    deviating,
+    error_slopes,
+    normaliser,
+)
+from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
+from dgc_pose.estimation.evidence import FocalCheck
+from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.poselib_calls import (
-    MAX_SAMPLED,
+from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.robust_fit import (
+    MINIMAL,
+    draw,
     essential_and_focal,
     essential_and_focals,
     essential_matrix,
-    run_on,
     run_seeds,
-    sampled_models,
+    sample,
 )
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.geometry.triangulation import depths
+from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
-
-Result = TypeVar("Result")
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
 _REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side
 _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
-_MOST_STARTS = 3  # that are fitted
+_MAX_STARTS = 3  # that are fitted
+_ROUNDS = 3  # of choosing inliers and fitting
+_FIRST_LIMIT = 3.0  # thresholds that matches of the first round may be off
+_ITERATIONS = 100  # of a fit, which converges in 10 as a rule
+_CONVERGED = 1e-6  # relative change of the cost
+_LARGEST_STEP = 0.5  # of ln f in an iteration
+
+_CHECK_STD = 0.5  # of ln f where K is checked: a focal length that is hardly known
+_CHECK_CENTRE_STD = 0.005  # of the principal point, over the focal length
+_UNCERTAIN_STD = 0.1  # standard deviation of ln f, beyond which there is a warning
+_EXPLAINED_SHARE = 0.8  # share of inliers beyond which no other focal length explains many more
+_MORE = 1.2  # of the inliers that another focal length must have to be a start
+_CHECK_SAMPLED = 400  # matches that are fitted first
+_CHECK_ITERATIONS = 30  # of their fit
+_AGREEING_LOG_FOCAL = 0.05  # of ln f: if these suggest no more, the focal lengths are right
 
 
 @dataclass(frozen=True, eq=False)
-class CameraFit:
-    """A pose x2 = R x1 + t with the cameras that it is of."""
+class JointPose:
+    """A pose x2 = R x1 + t of two cameras that deviate from those that normalised the matches."""
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
-    camera1: Camera  # with the standard deviations of the prior
-    camera2: Camera
+    z: np.ndarray  # (M,) the deviations in the basis of a `CameraSpread`, standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The least squares of one problem. problem: normalised by two cameras; spread: of these."""
+
+    problem: TwoViewProblem
+    spread: CameraSpread
+
+    def deviations(self, pose: JointPose) -> np.ndarray:
+        """(6,) of both cameras, see `CameraSpread`."""
+        return self.spread.basis @ pose.z
+
+    def cost(self, pose: JointPose) -> float:
+        """Truncated squares of the errors, as if the threshold were the scale of the loss, and the
+        deviations: what starts are compared by."""
+        squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
+        squares[~self._in_front(pose)] = 1.0
+        return float(EFFICIENT**2 * squares.sum() + pose.z @ pose.z) / 2
+
+    def inliers_in_front(self, pose: JointPose) -> np.ndarray:
+        """(N,) bool, matches below the threshold and in front of both cameras."""
+        return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
+
+    def fitted(
+        self, pose: JointPose, rounds: int = _ROUNDS, iterations: int = _ITERATIONS
+    ) -> JointPose:
+        """The pose after fits to its inliers, which are chosen anew before each."""
+        threshold = self.problem.threshold
+        for turn in range(rounds):
+            error, in_front = self._errors(pose), self._in_front(pose)
+            near = error < threshold
+            # The errors do not depend on the sign of t.
+            if (near & ~in_front).sum() > (near & in_front).sum():
+                pose = replace(pose, t=-pose.t)
+                in_front = self._in_front(pose)
+            chosen = (error < threshold * (_FIRST_LIMIT if turn == 0 else 1.0)) & in_front
+            if chosen.sum() <= MINIMAL + len(self.spread):
+                return pose
+            scale = error_scale(error[chosen], threshold)
+            part = JointFit(self.problem.subset(chosen), self.spread)
+            pose = part._minimised(pose, scale, iterations)
+        return pose
+
+    def _minimised(self, pose: JointPose, scale: float, iterations: int) -> JointPose:
+        """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
+        inverse_variance = (EFFICIENT / scale) ** 2
+        prior = np.diag([*np.zeros(5), *np.ones(len(self.spread))])
+        damping, cost = 1e-4, self._loss(pose, scale)
+        for _ in range(iterations):
+            error, slopes, tangent = error_slopes(
+                self.problem, pose.R, pose.t, self.spread, self.deviations(pose)
+            )
+            weighted = slopes * (inverse_variance / (1 + (error / scale) ** 2))[:, None]
+            hessian = weighted.T @ slopes + prior
+            gradient = weighted.T @ error + prior @ np.concatenate([np.zeros(5), pose.z])
+            before = cost
+            while damping < 1e6:
+                damped = hessian + damping * np.diag(np.diag(hessian))
+                step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
+                change = np.abs((self.spread.basis @ step[5:])[[0, 3]]).max(initial=0)
+                step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
+                t = pose.t + tangent @ step[3:5]
+                candidate = JointPose(
+                    cv2.Rodrigues(step[:3])[0] @ pose.R,
+                    t / np.linalg.norm(t),
+                    pose.z + step[5:],
+                )
+                if (cost := self._loss(candidate, scale)) < before:
+                    pose, damping = candidate, max(damping / 10, 1e-9)
+                    break
+                damping, cost = damping * 10, before
+            if before - cost <= _CONVERGED * (1 + before):
+                break
+        return pose
+
+    def _loss(self, pose: JointPose, scale: float) -> float:
+        squares = np.log1p((self._errors(pose) / scale) ** 2).sum()
+        return float(EFFICIENT**2 * squares + pose.z @ pose.z) / 2
+
+    def _errors(self, pose: JointPose) -> np.ndarray:
+        """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
+        if any(self.problem.lenses):
+            points1, points2 = self._points(pose)
+            E = essential_from_pose(pose.R, pose.t)
+            growth = np.exp(self.deviations(pose)[[0, 3]].mean())
+            return np.nan_to_num(sampson_distance(points1, points2, E) * growth, nan=np.inf)
+        A1, A2 = self._normalisers(pose)
+        F = A2.T @ essential_from_pose(pose.R, pose.t) @ A1
+        return sampson_distance(self.problem.points1, self.problem.points2, F)
+
+    def _in_front(self, pose: JointPose) -> np.ndarray:
+        """Whether the points are in front of both cameras, (N,)."""
+        points1, points2 = self._points(pose)
+        depth1, depth2 = depths(points1, points2, pose.R, pose.t)
+        return (depth1 > 0) & (depth2 > 0)
+
+    def _points(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
+        """The points (N, 2) of both images as the deviating cameras normalise them."""
+        problem, deviations = self.problem, self.deviations(pose)
+        return (
+            deviated(problem.points1, problem.lenses[0], deviations[:3]),
+            deviated(problem.points2, problem.lenses[1], deviations[3:]),
+        )
+
+    def _normalisers(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
+        deviations = self.deviations(pose)
+        return normaliser(deviations[:3]), normaliser(deviations[3:])
 
 
 def fit_cameras(
     problem: TwoViewProblem, camera1: Camera, camera2: Camera, options: EstimationOptions
-) -> CameraFit | None:
-    """The most probable pose and cameras; None if RANSAC has no essential matrix.
+) -> tuple[JointPose, Camera, Camera] | None:
+    """The most probable pose, and the cameras that it is of, with the standard deviations of the
+    prior; None if RANSAC has no essential matrix.
 
     problem: normalised by the two cameras, whose standard deviations are the prior.
     """
@@ -64,15 +202,10 @@ def fit_cameras(
     starts = [start for start in _starts(problem, spread, options) if start is not None]
     if not starts:
         return None
-    best = sorted(starts, key=joint.cost)[:_MOST_STARTS]
+    best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
     pose = min(in_threads(joint.fitted, best), key=joint.cost)
     deviations = joint.deviations(pose)
-    return CameraFit(
-        pose.R,
-        pose.t,
-        deviating(camera1, deviations[:3]),
-        deviating(camera2, deviations[3:]),
-    )
+    return pose, deviating(camera1, deviations[:3]), deviating(camera2, deviations[3:])
 
 
 def _starts(
@@ -83,8 +216,8 @@ def _starts(
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
-            JointPose(model.R, model.t, np.zeros(len(spread)))
-            for model in sampled_models(problem, options)[:_MOST_STARTS]
+            JointPose(run.R, run.t, np.zeros(len(spread)))
+            for run in sample(problem, options)[:_MAX_STARTS]
         ]
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
     seeds = run_seeds(replace(options, runs=count + 1))
@@ -94,7 +227,8 @@ def _starts(
         if number == count:
             return solved_start(problem, spread, options, seeds[number])
         log_factors = tried[number]
-        E = _run(essential_matrix, _rescaled(problem, log_factors), less, seeds[number])
+        drawn = draw(_rescaled(problem, log_factors), seeds[number])
+        E = essential_matrix(drawn, less, seeds[number])
         return None if E is None else _start(problem, spread, E, log_factors)
 
     return in_threads(run, list(range(count, -1, -1)))  # the longest first
@@ -106,20 +240,12 @@ def solved_start(
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
     if spread.shared_focal:
-        result = _run(essential_and_focal, problem, options, seed)
-        return result and _start(problem, spread, result[0], np.log([result[1]] * 2))
-    if not spread.basis[[0, 3]].any(axis=1).all():
+        result = essential_and_focal(draw(problem, seed), options, seed)
+    elif spread.basis[[0, 3]].any(axis=1).all():
+        result = essential_and_focals(draw(problem, seed), options, seed)
+    else:
         return None
-    results = _run(essential_and_focals, problem, options, seed)
-    return results and _start(problem, spread, results[0], np.log(results[1:]))
-
-
-def _run(
-    estimate: Callable[..., Result], problem: TwoViewProblem, options: EstimationOptions, seed: int
-) -> Result:
-    """A run of RANSAC on at most `MAX_SAMPLED` matches."""
-    order = np.random.default_rng(seed).permutation(len(problem))[:MAX_SAMPLED]
-    return run_on(order, estimate, problem, options, seed)
+    return None if result is None else _start(problem, spread, result[0], np.log(result[1]))
 
 
 def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProblem:
@@ -136,8 +262,88 @@ def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProble
 def _start(
     problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, log_factors: np.ndarray
 ) -> JointPose | None:
-    model = Model.of_essential(_rescaled(problem, log_factors), E)
+    pose = Hypothesis.of_essential(_rescaled(problem, log_factors), E)
     deviations = np.zeros(6)
     deviations[[0, 3]] = log_factors
     z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
-    return JointPose(model.R, model.t, z)
+    return JointPose(pose.R, pose.t, z)
+
+
+def check_focals(
+    problem: TwoViewProblem,
+    first: Hypothesis,
+    matches: Matches,
+    cameras: tuple[Camera, Camera],
+    options: EstimationOptions,
+) -> FocalCheck | None:
+    """The factor of the focal lengths that the matches suggest; None if it is 1 or not determined.
+
+    problem: of the matches, normalised by the cameras. first: the pose that these give.
+    """
+    loose1, loose2 = (
+        replace(c, focal_std=_CHECK_STD, centre_std=_CHECK_CENTRE_STD * c.focal, identity="both")
+        for c in cameras
+    )
+    spread = CameraSpread.of(loose1, loose2)
+    joint = JointFit(problem, spread)
+    pose = JointPose(first.R, first.t, np.zeros(len(spread)))
+    other = None
+    if first.num_in_front < _EXPLAINED_SHARE * len(problem):
+        # The pose of a wrong K may be a local minimum.
+        other = solved_start(problem, spread, options, options.seed)
+    if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
+        pose = other
+    else:
+        pose = _of_sample(joint, pose)
+        if abs(joint.deviations(pose)[0]) < _AGREEING_LOG_FOCAL:
+            return None
+    pose = joint.fitted(pose)
+    deviations = joint.deviations(pose)
+    fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
+    fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
+    refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
+    covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
+    if covariance is None:
+        return None
+    return FocalCheck(
+        math.exp(deviations[0]),
+        covariance.focal_stds[0],
+        first.angle_to(pose.R, pose.t),
+        max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
+    )
+
+
+def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
+    """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
+    shuffled = np.random.default_rng(joint.problem.seed).permutation(len(joint.problem))
+    drawn = joint.problem.subset(np.sort(shuffled[:_CHECK_SAMPLED]))
+    return JointFit(drawn, joint.spread).fitted(pose, rounds=1, iterations=_CHECK_ITERATIONS)
+
+
+def focal_warnings(
+    stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck | None
+) -> tuple[str, ...]:
+    """Warnings about the focal lengths, each a line.
+
+    stated: the cameras before the estimation; fitted: those of the pose, with the standard
+    deviations that are left; check: of exact cameras.
+    """
+    contradicted: dict[str, None] = {}
+    sources = {"given": "K", "exif": "EXIF"}
+    for before, after in zip(stated, fitted, strict=True):
+        f, std, allowed = after.focal, after.focal_std, before.focal_std
+        if check is not None:
+            f, std = check.factor * before.focal, calibrated_focal_std(check.std)
+            allowed = std
+        source = sources.get(before.focal_source)
+        if source and is_contradicted(f / before.focal, allowed):
+            text = f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"
+            contradicted[text] = None
+    if contradicted:
+        return (f"the matches suggest {'; '.join(contradicted)}",)
+    loose = dict.fromkeys(
+        f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
+        for camera in fitted
+        if camera.focal_std > _UNCERTAIN_STD
+    )
+    return (f"the matches hardly tell the focal length: {'; '.join(loose)}",) if loose else ()

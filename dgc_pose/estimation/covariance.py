@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.estimation.camera_spread import EXACT, CameraSpread
-from dgc_pose.estimation.model import EFFICIENT, Model, pose_error_scale
-from dgc_pose.estimation.poselib_calls import MINIMAL
+from dgc_pose.estimation.camera_spread import EXACT, CameraSpread, error_slopes
+from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, pose_error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.slopes import error_slopes
+from dgc_pose.estimation.robust_fit import MINIMAL
 
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
@@ -41,13 +40,13 @@ class Covariance:
 
     @property
     def focal_90_percent(self) -> float | None:
-        """What ln f of the less certain camera is off by less than nine times in ten, per cent;
+        """The error of ln f of the less certain camera that nine in ten stay below, per cent;
         None if both focal lengths are exact."""
         return 100 * NORMAL_90 * max(self.focal_stds) or None
 
 
 def pose_covariance(
-    problem: TwoViewProblem, model: Model, spread: CameraSpread = EXACT, *, fitted: bool = True
+    problem: TwoViewProblem, pose: Hypothesis, spread: CameraSpread = EXACT, *, fitted: bool = True
 ) -> Covariance | None:
     """Covariance (6, 6), rad^2, of the rotation vector and of the unit translation.
 
@@ -57,14 +56,14 @@ def pose_covariance(
     do not determine the pose. spread: of the cameras that normalised the problem. fitted: whether
     these were fitted to the matches together with the pose, or are known that well from elsewhere.
     """
-    inliers = problem.subset(model.inliers_in_front)
+    inliers = problem.subset(pose.inliers_in_front)
     if len(inliers) <= MINIMAL:
         return None
-    error, slopes, tangent = error_slopes(inliers, model.R, model.t, spread)
+    error, slopes, tangent = error_slopes(inliers, pose.R, pose.t, spread)
     by_cameras = slopes[:, 5:]
     if not fitted:
         slopes = slopes[:, :5]
-    scale = pose_error_scale(inliers, model.R, model.t)
+    scale = pose_error_scale(inliers, pose.R, pose.t)
     squared = (error / scale) ** 2
     # Negative for errors beyond the loss's inflection; a match must not count as negative evidence.
     curvature = np.maximum(1 - squared, 0) / (1 + squared) ** 2
@@ -98,12 +97,12 @@ def pose_covariance(
         return None
     expand = np.zeros((6, 5))
     expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
-    pose = expand @ covariance[:5, :5] @ expand.T
+    of_pose = expand @ covariance[:5, :5] @ expand.T
     of_cameras = covariance[5:, 5:] if fitted else np.eye(len(spread))
     cameras = spread.basis @ of_cameras @ spread.basis.T
-    if not (np.isfinite(pose).all() and np.isfinite(cameras).all()):
+    if not (np.isfinite(of_pose).all() and np.isfinite(cameras).all()):
         return None
-    return Covariance(pose, cameras)
+    return Covariance(of_pose, cameras)
 
 
 def error_radii_deg(covariance: np.ndarray | None) -> tuple[float | None, float | None]:

@@ -1,23 +1,21 @@
-"""The measurements that the verdict on a model rests on."""
+"""The measurements that the verdict rests on."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from dgc_pose.estimation.covariance import Covariance, error_radii_deg
-from dgc_pose.estimation.model import Model
-from dgc_pose.estimation.poselib_calls import MINIMAL
+from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.plane import StillCamera
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.rivals import DISTINCT_DEG
-from dgc_pose.estimation.still_camera import StillCamera
+from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.geometry.triangulation import (
-    depths,
     epipolar_angles,
     triangulation_angles_deg,
     unit_rays,
@@ -29,12 +27,11 @@ _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a dev
 _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
-_AS_THEY_ARE = slice(None)
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
 class FocalCheck(NamedTuple):
-    """What the matches suggest of the focal lengths of exact cameras."""
+    """The focal lengths that the matches suggest, where K is exact."""
 
     factor: float  # of both that they suggest
     std: float  # of its logarithm, by the jackknife
@@ -44,13 +41,13 @@ class FocalCheck(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the verdict rests on.
+    """The measurements of the likeliest hypothesis.
 
     Attributes:
-        num_inliers: Number of matches that the model explains.
+        num_inliers: Number of matches that the hypothesis explains.
         inlier_ratio: The same, as a share of all matches.
-        chance_ratio: The inlier ratio of the same model, of the same points paired wrongly.
-        log10_false_alarms: Decimal logarithm of the expected number of models with so many inliers
+        chance_ratio: The inlier ratio of the same pose, of the same points paired wrongly.
+        log10_false_alarms: Decimal logarithm of the expected number of poses with so many inliers
             in random matches.
         cheirality_ratio: Share of inliers in front of both cameras.
         rotation: The rotation (3, 3) that explains most matches without a translation.
@@ -73,11 +70,10 @@ class Evidence:
         residual: Median epipolar error of the inliers, over the threshold.
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         hull_cells: Area of the inliers' convex hull in grid cells, the smaller of both images.
-        depth_spread: Interquartile range of the logarithm of the inliers' depths.
         confidence: Median confidence of the inliers.
         run_agreement: Share of the RANSAC runs whose pose is within 10 degrees of this one.
         rotation_angle_deg: Angle of the pose's R.
-        rival_ratio: Most inliers in front of another pose, over this one's.
+        other_ratio: Most inliers in front of another hypothesis, over this one's.
         map_matchability: Mean matchability of the dense map; None without one.
         map_agreement: Share of its cells, by matchability, that agree with the pose; None likewise.
         map_chance: The same of those cells paired wrongly; None likewise.
@@ -109,11 +105,10 @@ class Evidence:
     residual: float
     threshold_cells: float
     hull_cells: float
-    depth_spread: float
     confidence: float
     run_agreement: float
     rotation_angle_deg: float
-    rival_ratio: float
+    other_ratio: float
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None
@@ -138,28 +133,28 @@ class Evidence:
 
 def gather(
     problem: TwoViewProblem,
-    model: Model,
+    pose: Hypothesis,
     homography_ratio: float,
     covariance: Covariance | None = None,
     *,
     still: StillCamera | None = None,
-    second: Model | None = None,
-    runs: Sequence[Model] = (),
-    rivals: Sequence[Model] = (),
+    second: Hypothesis | None = None,
+    runs: Sequence[Hypothesis] = (),
+    others: Sequence[Hypothesis] = (),
     map_problem: TwoViewProblem | None = None,
     check: FocalCheck | None = None,
 ) -> Evidence:
-    """The evidence for and against a model of the problem's matches.
+    """The evidence for and against a hypothesis of the problem's matches.
 
     covariance: of its pose, see `pose_covariance`. still: of unknown focal lengths. second: another
-    motion, of the matches that a plane leaves over. runs: the models of the RANSAC runs. rivals:
-    other models that explain matches. map_problem: an even sample of the dense map.
+    motion, of the matches that a plane leaves over. runs: of RANSAC. others:
+    that explain matches. map_problem: an even sample of the dense map.
     check: of the focal lengths of exact cameras, if it does not agree with them.
     """
-    threshold, is_inlier = problem.threshold, model.inliers
+    threshold, is_inlier = problem.threshold, pose.inliers
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
-    chance = chance_ratio(problem, model.E)
+    chance = chance_ratio(problem, pose.E)
     rotation = robust_rotation(inliers)
     # Over all matches: the inliers were chosen for a small error across the epipolar lines.
     rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
@@ -168,17 +163,17 @@ def gather(
     # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
     strict_rotation_share = float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count)
     rotated = problem.subset(explained)
-    across = epipolar_angles(rotated.points1, rotated.points2, model.E)
-    angles = triangulation_angles_deg(inliers.points1, inliers.points2, model.R)
+    across = epipolar_angles(rotated.points1, rotated.points2, pose.E)
+    angles = triangulation_angles_deg(inliers.points1, inliers.points2, pose.R)
     rotation_90, translation_90 = error_radii_deg(None if covariance is None else covariance.pose)
     side1, side2 = problem.cells
     in_cells = inliers.points1 / side1, inliers.points2 / side2
     return Evidence(
-        num_inliers=model.count,
+        num_inliers=pose.num_inliers,
         inlier_ratio=float(is_inlier.mean()),
         chance_ratio=chance,
-        log10_false_alarms=log10_false_alarms(len(problem), model.count, chance),
-        cheirality_ratio=_mean(model.in_front[is_inlier]),
+        log10_false_alarms=log10_false_alarms(len(problem), pose.num_inliers, chance),
+        cheirality_ratio=_mean(pose.in_front[is_inlier]),
         rotation=still.R if still and still.share > strict_rotation_share else rotation,
         num_rotation_inliers=len(rotated),
         rotation_share=len(rotated) / count,
@@ -187,7 +182,7 @@ def gather(
         median_triangulation_angle_deg=_median(angles),
         homography_ratio=homography_ratio,
         still_ratio=0.0 if still is None else still.share,
-        num_second_inliers=0 if second is None else second.count_in_front,
+        num_second_inliers=0 if second is None else second.num_in_front,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=min(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells
@@ -197,16 +192,15 @@ def gather(
         jackknife_translation_90_deg=translation_90,
         jackknife_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
         focal_check=check,
-        residual=_median(sampson_distance(inliers.points1, inliers.points2, model.E)) / threshold,
+        residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         hull_cells=min(_hull_area(cells) for cells in in_cells),
-        depth_spread=_depth_spread(problem.subset(model.inliers_in_front), model),
         confidence=_median(inliers.confidence),
-        run_agreement=_mean([run.angle_to(model.R, model.t) <= DISTINCT_DEG for run in runs]),
-        rotation_angle_deg=rotation_angle_deg(model.R),
-        rival_ratio=max((rival.count_in_front for rival in rivals), default=0)
-        / max(model.count_in_front, 1),
-        **_map_evidence(map_problem, model),
+        run_agreement=_mean([run.is_among([pose]) for run in runs]),
+        rotation_angle_deg=rotation_angle_deg(pose.R),
+        other_ratio=max((other.num_in_front for other in others), default=0)
+        / max(pose.num_in_front, 1),
+        **_map_evidence(map_problem, pose),
     )
 
 
@@ -231,7 +225,7 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
 
 
 def log10_false_alarms(count: int, inliers: int, chance: float) -> float:
-    """Decimal logarithm of the number of models with so many inliers expected in random matches.
+    """Decimal logarithm of the number of poses with so many inliers expected in random matches.
 
     (n - 5) C(n, k) C(k, 5) p^(k - 5): all samples that RANSAC could have drawn, times the
     probability that so many of the other matches agree by chance (Moisan and Stival, 2004).
@@ -274,35 +268,24 @@ def _hull_area(points: np.ndarray) -> float:
     return float(cv2.contourArea(cv2.convexHull(points.astype(np.float32))))
 
 
-def _depth_spread(inliers: TwoViewProblem, model: Model) -> float:
-    """Interquartile range of the logarithm of the depths of matches in front of both cameras."""
-    depth, _ = depths(inliers.points1, inliers.points2, model.R, model.t)
-    depth = depth[np.isfinite(depth) & (depth > 0)]
-    if len(depth) < 4:
-        return 0.0
-    low, high = np.quantile(np.log(depth), (0.25, 0.75))
-    return float(high - low)
-
-
-def map_agreement(
-    problem: TwoViewProblem, model: Model, order: np.ndarray | slice = _AS_THEY_ARE
-) -> float:
-    """Share of a dense map's sample that agrees with a model, by the square of the matchability: a
-    cell of little is little evidence. order: of the points of image 1."""
-    distance = sampson_distance(problem.points1[order], problem.points2, model.E)
+def map_agreement(problem: TwoViewProblem, pose: Hypothesis) -> float:
+    """Share of a dense map's sample that agrees with a pose, by the square of the matchability: a
+    cell of little is little evidence."""
+    distance = sampson_distance(problem.points1, problem.points2, pose.E)
     weight = problem.confidence**2
     return float(weight @ (distance < problem.threshold)) / max(float(weight.sum()), 1e-9)
 
 
-def _map_evidence(problem: TwoViewProblem | None, model: Model) -> dict[str, float]:
-    """The evidence of a dense map for a model, by the names of the fields."""
+def _map_evidence(problem: TwoViewProblem | None, pose: Hypothesis) -> dict[str, float]:
+    """The evidence of a dense map for a pose, by the names of the fields."""
     if problem is None or not len(problem):
         return {}
-    wrong = np.random.default_rng(problem.seed).permutation(len(problem))
+    order = np.random.default_rng(problem.seed).permutation(len(problem))
+    wrong = replace(problem, points1=problem.points1[order])
     return {
         "map_matchability": float(problem.confidence.mean()),
-        "map_agreement": map_agreement(problem, model),
-        "map_chance": map_agreement(problem, model, wrong),
+        "map_agreement": map_agreement(problem, pose),
+        "map_chance": map_agreement(wrong, pose),
     }
 
 

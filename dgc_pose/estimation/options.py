@@ -14,8 +14,8 @@ class EstimationOptions:
     """How the pose is estimated. Raises InputError, naming the field, for a value out of range.
 
     Attributes:
-        runs: Runs have different seeds; the model with most inliers is kept.
-        refine: Whether the best model is refined on its inliers; the paper's protocol does not.
+        runs: Runs have different seeds; the hypothesis with most inliers is kept.
+        refine: Whether the best is refined on its inliers; the paper's protocol does not.
         min_probability: Without it, and for key points, for which no probability is fitted, the
             gates of `dgc_pose.estimation.verdict` decide. Otherwise the probability decides, and
             the gates name the reason of a failure.

@@ -20,10 +20,10 @@ from dgc_pose.estimation.evidence import Evidence
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 3  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
-_MOST_REASONS = 3
-_CONTRADICTED = 4.0  # standard deviations that a focal length may be off
-_LEAST_ERROR = 0.08  # of its logarithm, that is worth telling
-_LEAST_DEVIATION_DEG = 1.0  # of a pose
+_MAX_REASONS = 3
+_CONTRADICTED_STDS = 4.0  # standard deviations that a focal length may be off
+_MIN_FOCAL_ERROR = 0.08  # of its logarithm, that is worth a warning
+_MIN_DEVIATION_DEG = 1.0  # of a pose
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
 
 
@@ -103,12 +103,11 @@ FEATURES: Mapping[str, Feature] = {
     "homography": Feature(
         "homography_ratio", -1, "one homography explains {e.homography_ratio:.0%} of the inliers"
     ),
-    "depth_spread": Feature("depth_spread", 1, "the inliers have little depth"),
     "confidence": Feature("confidence", 1, "the matched patches are not alike"),
     "run_agreement": Feature(
         "run_agreement", 1, "only {e.run_agreement:.0%} of the RANSAC runs found this pose"
     ),
-    "rival": Feature("rival_ratio", -1, "another pose has {e.rival_ratio:.0%} as many inliers"),
+    "rival": Feature("other_ratio", -1, "another pose has {e.other_ratio:.0%} as many inliers"),
     "matchability": Feature("map_matchability", 1, "the dense map is hardly matchable"),
     "map_agreement": Feature(
         "map_agreement", 1, "only {e.map_agreement:.0%} of the dense map agrees with it"
@@ -160,7 +159,8 @@ class ProbabilityModel:
     choice: Mapping[str, float]  # log-odds for a unit of each of `CHOICE_FEATURES`
 
     def probability(self, evidence: Evidence) -> float:
-        """That a pose with R and t both within 10 degrees is among those that explain the matches.
+        """The probability that a pose with R and t within 10 degrees is among those that explain
+        the matches.
 
         evidence: of the likeliest of them. The model is fitted on poses with a right K. If the
         matches contradict K, the pose is as right as it is near to that of the focal lengths that
@@ -173,14 +173,14 @@ class ProbabilityModel:
         return min(fitted, *map(_within, self._errors_90_deg(evidence)))
 
     def against(self, evidence: Evidence) -> list[str]:
-        """What speaks against the pose: the features that cost most log-odds, compared with their
+        """Reasons against the pose: the features that cost most log-odds, compared with their
         medians over right poses, most first."""
         costs = {
             name: weight * (self.reference[name] - FEATURES[name].value(evidence))
             for name, weight in self.weights.items()
         }
         worst = sorted((name for name in costs if costs[name] > 0), key=lambda n: -costs[n])
-        return [FEATURES[name].words(evidence) for name in worst[:_MOST_REASONS]]
+        return [FEATURES[name].words(evidence) for name in worst[:_MAX_REASONS]]
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten."""
@@ -201,7 +201,7 @@ class ProbabilityModel:
 
 
 class FittedModels(NamedTuple):
-    """What `dgc-pose fit-probability` fits."""
+    """The models that `dgc-pose fit-probability` fits."""
 
     by_kind: Mapping[str, ProbabilityModel]  # a `MatchKind` each
     focal_error: ErrorModel  # of the logarithm of a focal length that was fitted, per cent
@@ -209,13 +209,13 @@ class FittedModels(NamedTuple):
 
 @cache
 def shipped_models() -> FittedModels:
-    """Those of the package."""
+    """The models of the package."""
     file = files("dgc_pose.estimation").joinpath("probability.json")
     return parse_models(file.read_text("utf-8"))
 
 
 def parse_models(text: str) -> FittedModels:
-    """Those in the JSON that `dgc-pose fit-probability` writes."""
+    """The models in the JSON that `dgc-pose fit-probability` writes."""
     data = json.loads(text)
     models = {
         kind: ProbabilityModel(
@@ -239,7 +239,7 @@ def calibrated_focal_std(std: float) -> float:
 def is_contradicted(ratio: float, std: float) -> bool:
     """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
     the standard deviation `std`, calibrated."""
-    return abs(math.log(ratio)) >= max(_LEAST_ERROR, _CONTRADICTED * std)
+    return abs(math.log(ratio)) >= max(_MIN_FOCAL_ERROR, _CONTRADICTED_STDS * std)
 
 
 def _within(error_90_deg: float) -> float:
@@ -254,5 +254,5 @@ def _nearness(evidence: Evidence) -> float:
     check = evidence.focal_check
     if check is None or not is_contradicted(check.factor, calibrated_focal_std(check.std)):
         return 1.0
-    deviation = max(check.error_90_deg / NORMAL_90, _LEAST_DEVIATION_DEG)
+    deviation = max(check.error_90_deg / NORMAL_90, _MIN_DEVIATION_DEG)
     return 0.5 * math.erfc((check.angle_deg - RIGHT_DEG) / deviation / math.sqrt(2))

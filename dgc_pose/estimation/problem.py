@@ -8,7 +8,6 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import InputError
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.matches import Matches
 
@@ -44,10 +43,8 @@ class TwoViewProblem:
 
         Matches that are not finite, duplicates, and matches whose distortion cannot be undone are
         dropped and counted. The threshold in pixels of the originals is divided by each camera's
-        focal length; the mean of both counts. Raises InputError if `matches` is not Matches.
+        focal length; the mean of both counts.
         """
-        if not isinstance(matches, Matches):
-            raise InputError(f"matches must be Matches, not {type(matches).__name__}")
         rows = np.column_stack([matches.points1, matches.points2])
         finite = np.flatnonzero(np.isfinite(rows).all(1))
         _, first = np.unique(rows[finite], axis=0, return_index=True)

@@ -3,17 +3,25 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from dgc_pose.cameras.calibration import camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.choice import Hypothesis
 from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.status import STATUSES, Status
-from dgc_pose.estimation.texts import probability_text, short_text
+from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.status import STATUSES, Status, probability_text, short_text
+from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
+
+_PLAIN = (  # in `as_dict` as they are, arrays as lists
+    *("status", "success", "R", "t", "quaternion_wxyz", "E", "camera1", "camera2"),
+    *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
+    *("rotation_error_90_deg", "translation_error_90_deg", "covariance", "probability"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +51,10 @@ class RelativePose:
         camera2: Camera of image 2, likewise.
         camera_covariance: Covariance (6, 6) of ln f and the principal point, pixels, of camera 1
             and then of camera 2, by the matches; None for cameras that were not fitted.
-        evidence: What the verdict rests on; None without a model.
+        evidence: The measurements that the verdict rests on; None without a hypothesis.
         probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
-            model, with "rotation_only" and with "ambiguous". None if no model of the probability is
-            fitted for such matches.
+            hypothesis, with "rotation_only" and with "ambiguous". None if no model of it is fitted
+            for such matches.
         any_probability: Probability that R and t of one of the `hypotheses` are both within 10
             degrees: of a success or an ambiguous pair, the sum of its and its alternatives'. None
             likewise.
@@ -54,7 +62,7 @@ class RelativePose:
             well, the likeliest first: of a plane, of repeated structure, of a mirrored depth. With
             "ambiguous" all poses; with any other failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
-            first; none without a model.
+            first.
         warnings: Sentences about what makes the pose uncertain, for people.
         seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose.Step`),
             "estimate".
@@ -151,20 +159,46 @@ class RelativePose:
 
     @property
     def inlier_ratio(self) -> float:
-        """Share of the matches used that are inliers; 0 without a model."""
+        """Share of the matches used that are inliers; 0 without a hypothesis."""
         return 0.0 if self.evidence is None else self.evidence.inlier_ratio
 
     @property
     def median_triangulation_angle_deg(self) -> float:
-        """Of the inliers, degrees; NaN without a model."""
+        """Median triangulation angle of the inliers, degrees; NaN without a hypothesis."""
         return math.nan if self.evidence is None else self.evidence.median_triangulation_angle_deg
 
     @property
     def rotation_error_90_deg(self) -> float | None:
-        """Nine times in ten the error of R is below; None without a covariance."""
+        """The error of R, degrees, that nine in ten stay below; None without a covariance."""
         return error_radii_deg(self.covariance)[0]
 
     @property
     def translation_error_90_deg(self) -> float | None:
-        """Nine times in ten the angle between t and the true direction is below; None likewise."""
+        """The angle between t and the true direction likewise."""
         return error_radii_deg(self.covariance)[1]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The pose as values of JSON, as `dgc-pose estimate --json` writes it; unknown values and
+        those that are not finite are None.
+
+        Without a pose, the reason is the first of the warnings. If it is ambiguous, the
+        alternatives are all the poses, the likeliest first.
+        """
+        of_alternative = ("R", "t", "num_inliers", "probability")
+        return {
+            **{name: _plain(getattr(self, name)) for name in _PLAIN},
+            "alternatives": [
+                {name: _plain(getattr(other, name)) for name in of_alternative}
+                for other in self.alternatives
+            ],
+            "warnings": ([] if self.success else [self.reason]) + list(self.warnings),
+            "seconds": {step: round(value, 4) for step, value in self.seconds.items()},
+        }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Camera):
+        return camera_data(value)
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return finite_or_none(value) if isinstance(value, float) else value

@@ -1,8 +1,10 @@
-"""The statuses of a result: what is known with each."""
+"""Statuses of a result, what is known with each, and numbers of a result in words."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 Status = Literal[
     "ok",
@@ -25,20 +27,14 @@ class StatusFacts:
     """The meaning of a status."""
 
     meaning: str  # one sentence for people
-    has_R: bool = False
     has_t: bool = False  # a success: R and t are known
     colmap: str | None = None  # COLMAP's configuration of the pair; None: no two-view geometry
 
-    @property
-    def rotation_alone(self) -> bool:
-        """Whether R is known and t is not."""
-        return self.has_R and not self.has_t
-
 
 STATUSES: Mapping[Status, StatusFacts] = {
-    "ok": StatusFacts("a pose", True, True, "CALIBRATED"),
-    "planar": StatusFacts("a pose from a nearly planar scene", True, True, "PLANAR"),
-    "rotation_only": StatusFacts("the images do not determine t", True, False, "PANORAMIC"),
+    "ok": StatusFacts("a pose", True, "CALIBRATED"),
+    "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR"),
+    "rotation_only": StatusFacts("the images do not determine t", False, "PANORAMIC"),
     "too_few_matches": StatusFacts("fewer than 20 distinct matches"),
     "no_model": StatusFacts("RANSAC has no essential matrix"),
     "chance_inliers": StatusFacts("no more inliers than unrelated images would have"),
@@ -54,3 +50,23 @@ STATUSES: Mapping[Status, StatusFacts] = {
 CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, of the pairs that have one
     status: facts.colmap for status, facts in STATUSES.items() if facts.colmap is not None
 }
+
+
+def percent_text(probability: float) -> str:
+    """A probability for people: never 0 or 100 %, which no evidence gives."""
+    if probability > 0.995:
+        return "over 99 %"
+    return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
+
+
+def probability_text(probability: float | None) -> str:
+    """A probability with its name; None: not known."""
+    if probability is None:
+        return "probability not known"
+    return f"probability {percent_text(probability)}"
+
+
+def short_text(array: np.ndarray) -> str:
+    """A small array in one line, four digits behind the point."""
+    text = np.array2string(array, formatter={"float_kind": lambda v: f"{round(v, 4) + 0.0:.4f}"})
+    return " ".join(text.split())

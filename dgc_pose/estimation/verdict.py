@@ -1,4 +1,4 @@
-"""The verdict: whether a model is a pose, a rotation alone, or nothing.
+"""The verdict: whether a hypothesis is a pose, a rotation alone, or nothing.
 
 The number of inliers does not decide it: random matches have inliers, and after a pure rotation
 all matches are inliers of an arbitrary translation.
@@ -10,17 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.refine import PLANAR_SHARE
-from dgc_pose.estimation.status import STATUSES, Status
-from dgc_pose.estimation.texts import percent_text
+from dgc_pose.estimation.plane import PLANAR_SHARE
+from dgc_pose.estimation.status import STATUSES, Status, percent_text
 
 MIN_MATCHES = 20  # distinct and finite
 MIN_SHARE = 0.8  # of the probability, that the likeliest of several poses has if it is claimed
 _MIN_INLIERS = 15
 _MIN_INLIER_RATIO = 0.15  # among all matches
-# Decimal logarithm of the expected number of models with so many inliers in random matches.
+# Decimal logarithm of the expected number of poses with so many inliers in random matches.
 _MAX_LOG10_FALSE_ALARMS = -2.0
-# Inlier ratio over that of the same model on the same points paired wrongly. It accounts for errors
+# Inlier ratio over that of the same pose on the same points paired wrongly. It accounts for errors
 # that neighbouring matches have in common, the expected number above does not.
 _MIN_OVER_CHANCE = 3.0
 # Grid cells, 1/24 of the longer side wide, that inliers of a dense map must occupy: one similar
@@ -40,7 +39,7 @@ _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warn
 
 
 class Verdict(NamedTuple):
-    """The status of a model, and why."""
+    """The status of a hypothesis, and why."""
 
     status: Status
     reason: str  # one sentence for people
@@ -54,7 +53,7 @@ def judge(
     against: Sequence[str] = (),
     shares: Sequence[float] = (),
 ) -> Verdict:
-    """The verdict on a model.
+    """The verdict on the likeliest hypothesis.
 
     Without a probability, or without `min_probability`, the first gate that the evidence
     fails decides. Otherwise the probability does, unless random matches have as many inliers, the
@@ -110,7 +109,7 @@ def by_chance(evidence: Evidence) -> Verdict | None:
 
 
 def _random(evidence: Evidence, few: bool = False) -> Verdict | None:
-    """Whether random matches would have as many inliers of some model. few: so they would."""
+    """Whether random matches would have as many inliers. few: so they would."""
     if not few and evidence.log10_false_alarms <= _MAX_LOG10_FALSE_ALARMS:
         return None
     reason = (
@@ -125,7 +124,7 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
     """Whether many poses explain the matches, because the translation does not show."""
     if evidence.collinear:
         return Verdict("collinear", STATUSES["collinear"].meaning)
-    # The model fits the noise of few matches: their errors come out too small by some 1 / sqrt.
+    # The pose fits the noise of few matches: their errors come out too small by some 1 / sqrt.
     min_parallax = _MIN_PARALLAX * (1 + 4 / np.sqrt(max(evidence.num_rotation_inliers, 1)))
     rotates = evidence.rotation_share >= _ROTATION_SHARE
     strictly = evidence.strict_rotation_share >= _STRICT_ROTATION_SHARE

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image
 from dgc_pose.matching import CorrespondenceMap, Matcher
@@ -29,7 +29,6 @@ class Estimator:
     """A matcher that is loaded, and the poses by it described for the page."""
 
     matcher: Matcher
-    describe: Callable[[RelativePose], dict[str, Any]]  # as the command writes JSON
     weights: str | None  # as the command takes them; None for the default
 
     def estimate(
@@ -58,7 +57,7 @@ class Estimator:
         weights = [] if self.weights is None else ["--weights", self.weights]
         texts = request.texts(cameras)
         return {
-            "pose": self.describe(trace.pose),
+            "pose": trace.pose.as_dict(),
             "reason": trace.pose.reason,
             "names": list(names),
             "sizes": [list(image1.size), list(image2.size)],

@@ -1,4 +1,4 @@
-"""Errors of methods as curves and histograms: cumulative, PCK, reliability."""
+"""Errors of methods as curves and histograms: cumulative, PCK."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
-from dgc_pose.metrics import Reliability
 from dgc_pose.viz.figure import new_figure
 
 LIMITS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)  # where an axis may end, degrees
@@ -84,37 +83,3 @@ def plot_pck(
     panels[0].set_ylabel("pixels within alpha x side (%)")
     panels[-1].legend(loc="lower right", fontsize=9)
     return figure
-
-
-def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) -> Figure:
-    """The share of right matches by bin of matchability, a curve a method, and below it the share
-    of all matches in each bin. A calibrated method follows the diagonal. Empty bins are left out.
-
-    right: which matches are right, for the label, such as "within 3 px".
-    """
-    figure = new_figure(5.5, 6.5)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    draw_reliability(upper, reliabilities, right=right)
-    for reliability in reliabilities.values():
-        shares = reliability.counts / max(reliability.counts.sum(), 1)
-        lower.stairs(100 * shares, reliability.edges, baseline=0)
-    lower.set(xlabel="matchability", ylabel="matches (%)", xticks=np.linspace(0, 1, 6))
-    lower.grid(alpha=0.3)
-    return figure
-
-
-def draw_reliability(axes: Axes, reliabilities: Mapping[str, Reliability], *, right: str) -> None:
-    """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
-
-    right: which matches are right, for the label.
-    """
-    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
-    for method, reliability in reliabilities.items():
-        filled = reliability.counts > 0
-        x, y = reliability.mean_confidence[filled], reliability.share_correct[filled]
-        label = f"{method}, calibration error {100 * reliability.calibration_error:.1f} %"
-        axes.plot(x, y, marker="o", ms=4, label=label)
-    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
-    axes.grid(alpha=0.3)
-    if reliabilities:
-        axes.legend(loc="lower right", fontsize=9)

@@ -16,8 +16,8 @@ from dgc_pose.benchmarks.map_report import (
     summaries,
     write_pairs,
 )
-from dgc_pose.metrics import Reliability
 from dgc_pose.training.evaluation.map_scores import PairScores
+from dgc_pose.training.evaluation.reliability import Reliability
 
 
 def pair(method: str, group: str, name: str, aepe: float, valid: int = 28800) -> PairScores:

@@ -26,7 +26,7 @@ from dgc_pose.colmap.options import (
 )
 from dgc_pose.colmap.reconstruction import SparseModel, reconstruct, sparse_model
 from dgc_pose.errors import InputError
-from dgc_pose.metrics.pose import rotation_error_deg
+from dgc_pose.metrics import rotation_error_deg
 
 COUNT = 5
 SIFT = ["--weights", "sift", "--runs", "1", "--iterations", "300"]

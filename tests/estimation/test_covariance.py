@@ -8,11 +8,9 @@ from scipy.stats import chi2
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.camera_spread import CameraSpread
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
-from dgc_pose.estimation.model import Model, pose_error_scale
-from dgc_pose.estimation.poselib_calls import refine_pose
-from dgc_pose.estimation.slopes import error_slopes
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.robust_fit import least_squares_pose
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene
 
 SCALE = 2e-3
@@ -22,33 +20,6 @@ def normalised(count, sigma_px=0.5):
     scene = two_view_scene(count=count, sigma_px=sigma_px, outliers=0.0)
     problem = scene.problem()
     return scene, problem.points1, problem.points2
-
-
-def test_the_errors_are_sampsons_with_a_sign_and_the_slopes_their_differences():
-    scene, points1, points2 = normalised(60)
-    problem = scene.problem()
-    errors, slopes, tangent = error_slopes(problem, scene.R, scene.t)
-    E = essential_from_pose(scene.R, scene.t)
-    np.testing.assert_allclose(np.abs(errors), sampson_distance(points1, points2, E), atol=1e-15)
-    np.testing.assert_allclose(
-        tangent.T @ np.column_stack([tangent, scene.t]), np.eye(3)[:2], atol=1e-12
-    )
-    step = 1e-6
-    for k in range(5):
-        sides = []
-        for sign in (1, -1):
-            rotvec = sign * step * np.eye(5)[k, :3]
-            R = Rotation.from_rotvec(rotvec).as_matrix() @ scene.R
-            t = scene.t + tangent @ (sign * step * np.eye(5)[k, 3:])
-            sides.append(error_slopes(problem, R, t / np.linalg.norm(t))[0])
-        np.testing.assert_allclose(slopes[:, k], (sides[0] - sides[1]) / (2 * step), atol=1e-7)
-
-
-def test_a_match_at_both_epipoles_has_no_slope_rather_than_nan():
-    points = np.zeros((1, 2))  # forward motion: the middle of either image is its epipole
-    problem = normalised_problem(points, points)
-    errors, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]))
-    assert np.isfinite(errors).all() and np.isfinite(slopes).all()
 
 
 @pytest.mark.parametrize("variances", [(4.0, 0, 0), (1.0, 1, 1), (3.0, 2, 0), (9.0, 1, 0.1)])
@@ -74,24 +45,24 @@ def refitted(points1, points2, scene):
     """The pose that the covariance is of: a Cauchy fit at its own scale."""
     problem = normalised_problem(points1, points2, 4 * SCALE)
     scale = pose_error_scale(problem, scene.R, scene.t)
-    model = Model.of_pose(problem, *refine_pose(points1, points2, scene.R, scene.t, scale))
-    covariance = pose_covariance(problem, model)
+    pose = Hypothesis.of_pose(problem, *least_squares_pose(problem, scene.R, scene.t, scale))
+    covariance = pose_covariance(problem, pose)
     assert covariance is not None
-    return model.R, model.t, covariance.pose
+    return pose.R, pose.t, covariance.pose
 
 
 def test_the_covariance_is_that_of_poses_from_other_noise():
     clean, first, second = normalised(800, sigma_px=0.0)
     rng = np.random.default_rng(0)
-    rotations, shifts, said = [], [], []
+    rotations, shifts, stated = [], [], []
     for _ in range(60):
         noisy = [p + 4e-4 * rng.standard_normal(p.shape) for p in (first, second)]
         R, t, covariance = refitted(*noisy, clean)
         rotations.append(Rotation.from_matrix(R @ clean.R.T).as_rotvec())
         shifts.append(t - clean.t)
-        said.append(covariance)
+        stated.append(covariance)
     drawn = np.cov(np.column_stack([rotations, shifts]).T)
-    mean = np.mean(said, axis=0)
+    mean = np.mean(stated, axis=0)
     assert mean.shape == (6, 6)
     np.testing.assert_allclose(mean, mean.T, atol=1e-18)
     for part in (slice(0, 3), slice(3, 6)):
@@ -108,19 +79,19 @@ def test_a_camera_that_is_not_fitted_moves_the_pose():
     spread = CameraSpread.of(camera, camera)
     rng = np.random.default_rng(0)
     noise = 1e-5 * rng.standard_normal(points2.shape)
-    rotations, shifts, said = [], [], []
+    rotations, shifts, stated = [], [], []
     for k in std * np.sqrt(2) * np.sin(np.arange(20) * np.pi / 10):
         points = points1 * np.exp(-k), (points2 + noise) * np.exp(-k)
         problem = normalised_problem(*points, 4 * SCALE)
         scale = pose_error_scale(problem, scene.R, scene.t)
-        model = Model.of_pose(problem, *refine_pose(*points, scene.R, scene.t, scale))
-        covariance = pose_covariance(problem, model, spread, fitted=False)
-        rotations.append(Rotation.from_matrix(model.R @ scene.R.T).as_rotvec())
-        shifts.append(model.t - scene.t)
-        said.append(covariance.pose - pose_covariance(problem, model).pose)
+        pose = Hypothesis.of_pose(problem, *least_squares_pose(problem, scene.R, scene.t, scale))
+        covariance = pose_covariance(problem, pose, spread, fitted=False)
+        rotations.append(Rotation.from_matrix(pose.R @ scene.R.T).as_rotvec())
+        shifts.append(pose.t - scene.t)
+        stated.append(covariance.pose - pose_covariance(problem, pose).pose)
         assert covariance.focal_stds == pytest.approx((std, std))
     drawn = np.cov(np.column_stack([rotations, shifts]).T, bias=True)
-    mean = np.mean(said, axis=0)
+    mean = np.mean(stated, axis=0)
     for part in (slice(0, 3), slice(3, 6)):
         assert 0.8 < np.trace(mean[part, part]) / np.trace(drawn[part, part]) < 1.25
 
@@ -139,14 +110,14 @@ def test_errors_that_neighbours_share_make_the_pose_less_certain():
     assert radii[1] > 2.5 * radii[0]
 
 
-def test_matches_in_one_spot_tell_no_covariance():
+def test_matches_in_one_spot_have_no_covariance():
     points = np.full((30, 2), 0.1)
     every = np.ones(30, dtype=bool)
-    model = Model(np.eye(3), np.array([1.0, 0, 0]), inliers=every, in_front=every)
-    assert pose_covariance(normalised_problem(points, points, SCALE), model) is None
+    pose = Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers=every, in_front=every)
+    assert pose_covariance(normalised_problem(points, points, SCALE), pose) is None
 
 
-def test_nine_errors_in_ten_are_below_what_the_pose_says():
+def test_nine_errors_in_ten_are_below_those_of_the_pose():
     within = []
     for seed in range(30):
         scene = two_view_scene(seed=seed, count=400, sigma_px=1.0, outliers=0.3)
@@ -164,11 +135,11 @@ def test_the_number_of_threads_changes_no_digit():
     scene, *_ = normalised(3000)
     problem, (camera1, camera2) = scene.problem(), scene.cameras
     loose = [replace(c, focal_std=0.3, centre_std=5.0) for c in (camera1, camera2)]
-    model = Model.of_pose(problem, scene.R, scene.t)
-    found = []
+    pose = Hypothesis.of_pose(problem, scene.R, scene.t)
+    covariances = []
     for threads in (1, 2, 4):
         with threadpoolctl.threadpool_limits(threads):
-            found.append(pose_covariance(problem, model, CameraSpread.of(*loose)))
-    for other in found[1:]:
-        np.testing.assert_array_equal(other.pose, found[0].pose)
-        np.testing.assert_array_equal(other.cameras, found[0].cameras)
+            covariances.append(pose_covariance(problem, pose, CameraSpread.of(*loose)))
+    for other in covariances[1:]:
+        np.testing.assert_array_equal(other.pose, covariances[0].pose)
+        np.testing.assert_array_equal(other.cameras, covariances[0].cameras)

@@ -1,11 +1,21 @@
+"""Measurements of a pose against loops, exact arithmetic, and scenes whose truth is known."""
+
+import math
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.estimation.evidence import gather, robust_rotation
-from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.evidence import (
+    chance_ratio,
+    gather,
+    log10_false_alarms,
+    robust_rotation,
+)
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.verdict import judge
-from dgc_pose.metrics.pose import rotation_error_deg
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.metrics import rotation_error_deg
 from two_view import CELLS, normalised_problem, two_view_scene
 
 THRESHOLD = 2e-3
@@ -19,28 +29,13 @@ def test_the_rotation_is_found_among_inliers_of_a_wrong_essential_matrix(rotatio
     assert rotation_error_deg(R, scene.R) < 0.05
 
 
-def test_the_evidence_of_the_true_pose():
-    scene = two_view_scene("general", seed=1, count=800, sigma_px=0.5)
-    problem = scene.problem(THRESHOLD, CELLS)
-    model = Model.of_pose(problem, scene.R, scene.t)
-    evidence = gather(problem, model, homography_ratio=0.1)
-    assert evidence.num_inliers == model.count
-    assert evidence.inlier_ratio == pytest.approx(model.inliers.mean())
-    assert evidence.inlier_ratio > 0.69
-    assert 0 < evidence.chance_ratio < 0.05
-    assert evidence.cheirality_ratio > 0.98
-    assert evidence.homography_ratio == 0.1
-    assert not evidence.collinear
-    assert judge(evidence, LEAST).status == "ok"
-
-
-@pytest.mark.parametrize("sigma_px", [0.0, 0.3, 1.0, 3.0])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("sigma_px", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_after_a_pure_rotation_the_parallax_is_one_whatever_translation_is_claimed(seed, sigma_px):
     scene = two_view_scene("rotation_only", seed=seed, count=600, sigma_px=sigma_px, outliers=0.2)
     problem = scene.problem(THRESHOLD, CELLS)
     t = Rotation.random(random_state=seed).as_matrix()[0]
-    evidence = gather(problem, Model.of_pose(problem, scene.R, t), homography_ratio=1.0)
+    evidence = gather(problem, Hypothesis.of_pose(problem, scene.R, t), homography_ratio=1.0)
     low, high = (0.0, 1e-3) if sigma_px == 0 else (0.75, 1.3)
     assert low <= evidence.parallax <= high
     assert evidence.rotation_share > 0.8
@@ -48,7 +43,7 @@ def test_after_a_pure_rotation_the_parallax_is_one_whatever_translation_is_claim
 
 
 def test_the_parallax_grows_with_the_baseline():
-    found = []
+    parallaxes = []
     for baseline in (0.02, 0.06, 0.18):
         rng = np.random.default_rng(0)
         X = rng.uniform(-1, 1, (500, 3)) * (3, 2, 2) + (0, 0, 6)
@@ -56,9 +51,9 @@ def test_the_parallax_grows_with_the_baseline():
         points1 = X[:, :2] / X[:, 2:] + 3e-4 * rng.standard_normal((500, 2))
         points2 = moved[:, :2] / moved[:, 2:] + 3e-4 * rng.standard_normal((500, 2))
         problem = normalised_problem(points1, points2, 4e-3, CELLS)
-        model = Model.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
-        found.append(gather(problem, model, homography_ratio=0.0).parallax)
-    assert 1.3 < found[0] < found[1] / 2 < found[2] / 4
+        pose = Hypothesis.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
+        parallaxes.append(gather(problem, pose, homography_ratio=0.0).parallax)
+    assert 1.3 < parallaxes[0] < parallaxes[1] / 2 < parallaxes[2] / 4
 
 
 def test_inliers_on_one_line_are_collinear():
@@ -67,9 +62,9 @@ def test_inliers_on_one_line_are_collinear():
     local = X @ scene.R.T + scene.t
     points1, points2 = X[:, :2] / X[:, 2:], local[:, :2] / local[:, 2:]
     problem = normalised_problem(points1, points2, THRESHOLD, CELLS)
-    model = Model.of_pose(problem, scene.R, scene.t)
-    assert model.inliers.all()
-    assert gather(problem, model, homography_ratio=0.0).collinear
+    pose = Hypothesis.of_pose(problem, scene.R, scene.t)
+    assert pose.inliers.all()
+    assert gather(problem, pose, homography_ratio=0.0).collinear
 
 
 def test_inliers_crowded_in_a_few_spots_occupy_few_cells():
@@ -78,15 +73,13 @@ def test_inliers_crowded_in_a_few_spots_occupy_few_cells():
     points1, points2 = whole.points1, whole.points2
 
     def evidence_of(problem):
-        return gather(problem, Model.of_pose(problem, scene.R, scene.t), homography_ratio=0.0)
+        return gather(problem, Hypothesis.of_pose(problem, scene.R, scene.t), homography_ratio=0.0)
 
     counted = (
         {tuple(cell) for cell in np.floor(points1 / 0.05)},
         {tuple(cell) for cell in np.floor(points2 / 0.05)},
     )
     assert evidence_of(whole).occupied_cells == min(map(len, counted)) > 100
-    uneven = evidence_of(scene.problem(THRESHOLD, (0.2, 0.05)))
-    assert uneven.occupied_cells == len({tuple(cell) for cell in np.floor(points1 / 0.2)})
     # Eight of the points, each a hundred times within a hair: as many inliers, few cells.
     rng = np.random.default_rng(0)
     few = np.repeat(np.arange(8), 100)
@@ -102,10 +95,43 @@ def test_inliers_crowded_in_a_few_spots_occupy_few_cells():
     assert judge(independent, LEAST).status == "ok"
 
 
-def test_evidence_without_inliers_is_a_failure():
-    points = np.random.default_rng(0).uniform(-1, 1, (2, 30, 2))
-    problem = normalised_problem(*points, 1e-12, CELLS)
-    model = Model.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
-    assert model.count == 0
-    evidence = gather(problem, model, homography_ratio=0.0)
-    assert judge(evidence, LEAST).status == "chance_inliers"
+def test_the_chance_level_is_the_share_of_inliers_among_all_wrong_pairs():
+    rng = np.random.default_rng(1)
+    points1, points2 = rng.uniform(-0.5, 0.5, (2, 40, 2))
+    E = essential_from_pose(np.eye(3), np.array([0.6, 0.0, 0.8]))
+    hits = sum(
+        sampson_distance(points1[i : i + 1], points2[j : j + 1], E)[0] < 0.02
+        for i in range(40)
+        for j in range(40)
+        if i != j
+    )
+    assert hits > 20
+    ratio = chance_ratio(normalised_problem(points1, points2, 0.02, seed=3), E)
+    assert ratio == pytest.approx((hits + 1) / (40 * 39 + 1))
+
+
+def test_of_many_matches_a_draw_tells_the_same():
+    rng = np.random.default_rng(4)
+    points1, points2 = rng.uniform(-0.5, 0.5, (2, 9000, 2))
+    E = essential_from_pose(np.eye(3), np.array([0.6, 0.0, 0.8]))
+    wrong = [np.roll(np.arange(9000), shift) for shift in range(1, 30)]
+    every = np.mean([sampson_distance(points1, points2[i], E) < 0.05 for i in wrong])
+    ratio = chance_ratio(normalised_problem(points1, points2, 0.05, seed=5), E)
+    assert ratio == pytest.approx(every, rel=0.1)
+
+
+def test_matches_that_all_end_in_one_point_agree_by_chance_alone():
+    points1 = np.random.default_rng(2).uniform(-0.5, 0.5, (50, 2))
+    points2 = np.tile([[0.1, -0.2]], (50, 1))
+    E = essential_from_pose(np.eye(3), np.array([0.1, -0.2, 1.0]))  # its epipole is that point
+    assert chance_ratio(normalised_problem(points1, points2, 0.01), E) == 1
+
+
+@pytest.mark.parametrize(
+    ("count", "inliers", "chance"), [(100, 21, 0.04), (20, 20, 0.01), (57_600, 223, 0.002)]
+)
+def test_false_alarms_are_those_of_exact_arithmetic(count, inliers, chance):
+    samples = (count - 5) * math.comb(count, inliers) * math.comb(inliers, 5)
+    expected = math.log10(samples) + (inliers - 5) * math.log10(chance)
+    assert log10_false_alarms(count, inliers, chance) == pytest.approx(expected, abs=1e-6)
+    assert log10_false_alarms(1000, 5, 1e-6) == math.inf  # a minimal sample

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from dgc_pose.estimation.choice import CHOICE_FEATURES
+from dgc_pose.estimation.competition import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FEATURES,
@@ -19,7 +19,6 @@ from dgc_pose.estimation.probability import (
     parse_models,
     shipped_models,
 )
-from dgc_pose.estimation.verdict import judge
 
 ERROR = {"slope": -0.25, "intercept": 0.5}
 MODEL = {
@@ -50,7 +49,7 @@ def test_the_probability_is_the_logistic_function_of_the_weighted_features() -> 
 
 
 @pytest.mark.parametrize("part", ["rotation", "translation"])
-@pytest.mark.parametrize("error_deg", [15.0, 30.0, 90.0])
+@pytest.mark.parametrize("error_deg", [15.0, 90.0])
 def test_the_probability_is_no_more_than_the_expected_errors_leave(
     part: str, error_deg: float
 ) -> None:
@@ -66,26 +65,14 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
     "changes",
     [
         {"num_inliers": 30},
-        {"inlier_ratio": 0.3},
         {"chance_ratio": 0.2},
         {"log10_false_alarms": -3.0},
-        {"cheirality_ratio": 0.5},
-        {"occupied_cells": 12},
-        {"hull_cells": 20.0},
         {"jackknife_rotation_90_deg": 9.0},
         {"jackknife_rotation_90_deg": None},
-        {"jackknife_translation_90_deg": None},
-        {"residual": 0.5},
-        {"threshold_cells": 0.3},
         {"parallax": 1.5},
-        {"rotation_share": 0.9},
-        {"median_triangulation_angle_deg": 0.5},
         {"homography_ratio": 0.95},
-        {"depth_spread": 0.02},
-        {"confidence": 0.6},
         {"run_agreement": 0.2},
-        {"rival_ratio": 0.95},
-        {"map_matchability": 0.05},
+        {"other_ratio": 0.95},
         {"map_agreement": 0.3},
     ],
 )
@@ -154,34 +141,3 @@ def test_the_package_s_own_file_can_be_read() -> None:
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
         assert set(model.choice) <= set(CHOICE_FEATURES)
         assert all(weight >= 0 for weight in model.choice.values())
-
-
-LEAST = 0.5  # probability of a success
-
-
-def test_the_probability_decides_and_not_the_gates() -> None:
-    few = _worse(num_inliers=12, occupied_cells=9)
-    assert judge(few, LEAST).status == "chance_inliers"
-    assert judge(few, LEAST, 0.5).status == "ok"
-    assert judge(GOOD_EVIDENCE, LEAST, 0.49).status == "improbable"
-    assert judge(GOOD_EVIDENCE, 0.3, 0.4).status == "ok"
-    assert judge(GOOD_EVIDENCE, None, 0.1).status == "ok"
-    assert judge(_worse(homography_ratio=0.9), LEAST, 0.9).status == "planar"
-
-
-def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
-    against = ["only 28 % of the matches are inliers", "there is little parallax"]
-    status, reason, _ = judge(_worse(occupied_cells=8), LEAST, 0.231, against)
-    assert status == "chance_inliers"
-    assert reason == (
-        "the pose is right with a probability of 23 %: only 28 % of the matches are inliers, "
-        "there is little parallax"
-    )
-
-
-def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behind() -> None:
-    assert judge(_worse(log10_false_alarms=0.0), LEAST, 0.99).status == "chance_inliers"
-    rotated = _worse(rotation_share=1.0, parallax=1.0)
-    assert judge(rotated, LEAST, 0.99).status == "rotation_only"
-    assert judge(_worse(collinear=True), LEAST, 0.99).status == "collinear"
-    assert judge(_worse(cheirality_ratio=0.4), LEAST, 0.99).status == "behind_cameras"

@@ -38,14 +38,6 @@ def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_l
     assert kept[:300][scene.true].mean() > 0.8
 
 
-@pytest.mark.parametrize(("value", "count"), [(np.nan, 0), (100.0, 1)])
-def test_bad_matches_or_copies_of_one_are_too_few(value, count):
-    points = np.full((40, 2), value)
-    pose = estimate(two_view_scene(count=1), as_matches(points, points))
-    assert (pose.status, pose.num_matches) == ("too_few_matches", count)
-    assert pose.inliers.shape == (40,)
-
-
 def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
     scene = two_view_scene("general", count=300, sigma_px=0.2, outliers=0.0)
     _, camera2 = scene.cameras
@@ -56,26 +48,6 @@ def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
     assert pose.num_matches == 300 - lost.sum()
     assert pose.inliers.shape == (300,) and not pose.inliers[lost].any()
     assert any(f"{lost.sum()} matches dropped" in warning for warning in pose.warnings)
-
-
-def test_the_problem_is_the_finite_distinct_matches_in_normalised_coordinates():
-    scene = two_view_scene("general", seed=3, count=50)
-    points1 = scene.points1.copy()
-    points1[7] = np.nan
-    points1[20], points2 = points1[19], scene.points2.copy()
-    points2[20] = points2[19]
-    problem = TwoViewProblem.of(as_matches(points1, points2), *scene.cameras)
-    kept = [k for k in range(50) if k not in (7, 20)]
-    assert problem.index.tolist() == kept and len(problem) == 48
-    for points, pixels, K in (
-        (problem.points1, points1[kept], scene.K1),
-        (problem.points2, points2[kept], scene.K2),
-    ):
-        rays = np.linalg.solve(K, np.column_stack([pixels, np.ones(48)]).T).T
-        np.testing.assert_allclose(points, rays[:, :2], atol=1e-13)
-    part = problem.subset(np.arange(48) % 2 == 0)
-    assert part.index.tolist() == kept[::2]
-    assert np.array_equal(part.points2, problem.points2[::2])
 
 
 def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length():

@@ -1,4 +1,4 @@
-"""From matches to a pose or to a failure, on every kind of scene ."""
+"""From matches to a pose or to a failure, on every kind of scene."""
 
 import numpy as np
 import pycolmap
@@ -13,11 +13,11 @@ from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.model import Model
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import SIZE1, SIZE2, two_view_scene
 
 
@@ -58,17 +58,16 @@ def test_the_pose_of_a_solid_scene(kind):
 @pytest.mark.parametrize("refine", [True, False])
 def test_the_pose_is_as_good_as_those_of_other_libraries(refine):
     errors, theirs = [], []
+    options = EstimationOptions(refine=refine, threshold_px=2.0)
     for seed in range(3):
         scene = two_view_scene("general", seed=seed, count=600, sigma_px=1.0, outliers=0.5)
-        pose = estimate(scene, refine=refine, threshold_px=2.0)
+        pose = estimate_pose(scene.matches, *scene.cameras, options)
         errors.append(pose_error(pose.R, pose.t, scene))
-        problem = TwoViewProblem.of(
-            scene.matches, *scene.cameras, EstimationOptions(threshold_px=2.0)
-        )
+        problem = TwoViewProblem.of(scene.matches, *scene.cameras, options)
         for oracle in ORACLES.values():
             E = oracle(problem.points1, problem.points2, problem.threshold)
-            model = Model.of_essential(problem, E)
-            theirs.append(pose_error(model.R, model.t, scene))
+            other = Hypothesis.of_essential(problem, E)
+            theirs.append(pose_error(other.R, other.t, scene))
     assert np.mean(errors) < 1.5 * np.mean(theirs) + 0.05
 
 
@@ -77,30 +76,16 @@ def pose_error(R, t, scene):
 
 
 @pytest.mark.parametrize("kind", ["rotation_only", "identical"])
-def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind):
-    for factor in (1.0, 2.0, 4.0):
-        scene = two_view_scene(kind, seed=4, count=500, sigma_px=1.0, outliers=0.4)
-        first, second = scene.cameras
-        second = first if kind == "identical" else second
-        options = EstimationOptions(runs=2, threshold_px=factor * 2 * scene.matches.error_px)
-        pose = estimate_pose(scene.matches, first, second, options)
-        assert_no_pose(pose)
-        assert pose.status == "rotation_only"
-        assert rotation_error_deg(pose.R, scene.R) < 0.1
-        assert "translation" in pose.reason
-        assert len(pose.quaternion_wxyz) == 4
-
-
-@pytest.mark.parametrize("count", [60, 200, 3000])
-@pytest.mark.parametrize("sigma_px", [0.0, 0.5, 3.0])
-def test_a_pure_rotation_is_recognised_at_any_noise_and_count(sigma_px, count):
-    scene = two_view_scene("rotation_only", count=count, sigma_px=sigma_px, outliers=0.2)
+@pytest.mark.parametrize(("sigma_px", "count"), [(0.0, 60), (0.5, 200), (3.0, 60), (3.0, 3000)])
+def test_cameras_in_one_place_give_a_rotation_and_no_translation(kind, sigma_px, count):
+    scene = two_view_scene(kind, count=count, sigma_px=sigma_px, outliers=0.2)
     pose = estimate(scene, runs=1)
-    assert pose.status == "rotation_only"
-    assert rotation_error_deg(pose.R, scene.R) < 0.5
+    assert_no_pose(pose)
+    assert pose.status == "rotation_only" and pose.probability == 0
+    assert rotation_error_deg(pose.R, scene.R) < 0.5 and len(pose.quaternion_wxyz) == 4
 
 
-@pytest.mark.parametrize("degrees", [0.0, 1.0, 45.0, 90.0, 180.0])
+@pytest.mark.parametrize("degrees", [0.0, 1.0, 90.0, 180.0])
 def test_a_pure_roll_is_recognised(degrees):
     rng = np.random.default_rng(7)
     camera = Camera(np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]]), (1001, 1001))
@@ -112,17 +97,7 @@ def test_a_pure_roll_is_recognised(degrees):
     assert rotation_error_deg(pose.R, R) < 0.1
 
 
-def test_exact_copies_of_one_image_are_a_rotation_of_nothing():
-    points = np.random.default_rng(0).random((500, 2)) * SIZE1
-    camera, _ = two_view_scene().cameras
-    pose = estimate_pose(as_matches(points, points), camera, camera)
-    assert pose.status == "rotation_only" and pose.alternatives == ()
-    np.testing.assert_allclose(pose.R, np.eye(3), atol=1e-9)
-    assert pose.t is None
-
-
-@pytest.mark.parametrize("degrees", [0, 90])
-@pytest.mark.parametrize("smooth", [3, 6, 15])
+@pytest.mark.parametrize(("smooth", "degrees"), [(3, 0), (6, 90), (15, 0)])
 def test_smooth_errors_of_dense_matches_are_no_translation(smooth, degrees):
     """A network's errors vary slowly over its grid of 60 x 60, and so look like parallax."""
     camera = Camera(np.array([[1700.0, 0, 799.5], [0, 1700, 599.5], [0, 0, 1]]), SIZE1)
@@ -161,10 +136,11 @@ def test_a_small_but_real_baseline_is_a_pose(baseline):
         assert translation_error_deg(pose.t, t) < 5
 
 
-@pytest.mark.parametrize("count", [20, 100, 1000, 20_000])
-@pytest.mark.parametrize("threshold_px", [1.0, 10.0])
+@pytest.mark.parametrize(
+    ("count", "threshold_px"), [(20, 10.0), (100, 1.0), (100, 20.0), (1000, 1.0), (20_000, 10.0)]
+)
 def test_random_matches_never_give_a_pose(count, threshold_px):
-    for seed in range(2):
+    for seed in range(3):
         scene = two_view_scene("random", seed=seed, count=2)
         rng = np.random.default_rng(seed)
         matches = as_matches(rng.random((count, 2)) * SIZE1, rng.random((count, 2)) * SIZE2)
@@ -174,8 +150,8 @@ def test_random_matches_never_give_a_pose(count, threshold_px):
         assert pose.status in ("chance_inliers", "no_model")
 
 
-@pytest.mark.parametrize("count", [0, 1, 4, 5, 19])
-def test_too_few_matches_are_said_to_be_too_few(count):
+@pytest.mark.parametrize("count", [0, 1, 19])
+def test_too_few_matches_have_no_pose(count):
     scene = two_view_scene(count=20, outliers=0.0)
     pose = estimate(scene, as_matches(scene.points1[:count], scene.points2[:count]))
     assert_no_pose(pose)
@@ -183,16 +159,6 @@ def test_too_few_matches_are_said_to_be_too_few(count):
     assert pose.R is None
     assert pose.num_matches == count and pose.inliers.shape == (count,)
     assert str(count) in pose.reason
-
-
-@pytest.mark.parametrize("alike", ["both", "first", "second"])
-def test_points_all_in_one_spot_give_no_pose(alike):
-    scene = two_view_scene(count=50)
-    spot = np.full((50, 2), 300.0) + 1e-6 * np.arange(100).reshape(50, 2)
-    points1 = scene.points1 if alike == "second" else spot
-    points2 = scene.points2 if alike == "first" else spot
-    pose = estimate(scene, as_matches(points1, points2), runs=2)
-    assert not pose.success and pose.t is None
 
 
 def test_points_of_one_line_in_space_give_no_pose():
@@ -225,16 +191,6 @@ def test_most_points_behind_a_camera_are_a_failure():
     assert pose.num_inliers > 500
 
 
-def test_huge_coordinates_do_not_raise_nor_spoil_the_pose():
-    scene = two_view_scene("general", count=200, sigma_px=0.5)
-    points1, points2 = scene.points1.copy(), scene.points2.copy()
-    wrong = np.flatnonzero(~scene.true)[:2]
-    points1[wrong], points2[wrong] = 1e12, -1e12
-    pose = estimate(scene, as_matches(points1, points2), runs=2)
-    assert pose.success
-    assert pose_error(pose.R, pose.t, scene) < 1
-
-
 def test_the_same_seed_gives_the_same_answer_to_the_bit():
     scene = two_view_scene("planar", seed=1, count=400, sigma_px=2.0, outliers=0.5)
     first, again = (estimate(scene, seed=11) for _ in range(2))
@@ -254,19 +210,6 @@ def test_exchanged_images_give_the_inverse_pose(seed):
     )
     assert rotation_error_deg(back.R, there.R.T) < 0.2
     assert translation_error_deg(back.t, -there.R.T @ there.t) < 0.5
-
-
-def test_each_camera_has_its_own_matrix():
-    scene = two_view_scene("general", count=400, sigma_px=0.5)
-    camera1, camera2 = scene.cameras
-    assert pose_error_of(scene, camera1, camera2) < 0.5
-    assert pose_error_of(scene, camera1, camera1) > 1
-    assert pose_error_of(scene, camera2, camera2) > 1
-
-
-def pose_error_of(scene, camera1, camera2):
-    pose = estimate_pose(scene.matches, camera1, camera2)
-    return pose_error(pose.R, pose.t, scene) if pose.success else np.inf
 
 
 def test_lens_distortion_is_undone_by_the_camera_that_has_it():
@@ -291,7 +234,17 @@ def test_lens_distortion_is_undone_by_the_camera_that_has_it():
     assert undone.num_inliers > 1.1 * ignored.num_inliers
 
 
-def test_something_else_than_matches_is_refused_by_name():
-    camera, _ = two_view_scene(count=1).cameras
-    with pytest.raises(InputError, match="matches"):
-        estimate_pose((np.zeros((30, 2)), np.zeros((30, 2))), camera, camera)
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("runs", 0),
+        ("iterations", -5),
+        ("threshold_px", 0.0),
+        ("threshold_px", float("nan")),
+        ("min_probability", 1.5),
+        ("seed", -1),
+    ],
+)
+def test_an_option_out_of_range_is_refused_by_its_name(field, value):
+    with pytest.raises(InputError, match=field):
+        EstimationOptions(**{field: value})

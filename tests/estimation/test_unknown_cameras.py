@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.matches import Matches
-from dgc_pose.metrics.pose import rotation_error_deg, translation_error_deg
-from two_view import K1, SIZE1, two_view_scene
+from dgc_pose.estimation import estimate_pose
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from two_view import two_view_scene
 
 
 def _unknown(camera: Camera, identity: str | None = None, factor: float = 1.3) -> Camera:
@@ -29,8 +28,7 @@ def _error(pose, scene) -> float:
     return max(rotation_error_deg(pose.R, scene.R), translation_error_deg(pose.t, scene.t))
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("factor", [0.6, 1.0, 1.7])
+@pytest.mark.parametrize(("seed", "factor"), [(0, 0.6), (1, 1.0), (2, 1.7)])
 def test_the_matches_tell_the_focal_length_of_one_camera(seed, factor):
     scene = two_view_scene("skew", seed=seed, same_camera=True, count=1500)
     cameras = (_unknown(camera, "a", factor) for camera in scene.cameras)
@@ -61,7 +59,7 @@ def test_a_camera_that_is_known_stays_as_it_is():
     assert _error(pose, scene) < 1
 
 
-def test_where_the_axes_meet_the_focal_length_is_said_to_be_uncertain():
+def test_where_the_axes_meet_the_focal_length_is_uncertain():
     scene = two_view_scene("orbit", same_camera=True, count=1500, outliers=0.1)
     pose = estimate_pose(scene.matches, *(_unknown(camera, "a") for camera in scene.cameras))
     assert pose.camera1.focal_std > 0.1
@@ -69,16 +67,8 @@ def test_where_the_axes_meet_the_focal_length_is_said_to_be_uncertain():
     assert pose.rotation_error_90_deg > 1
 
 
-def test_the_same_seed_gives_the_same_cameras_to_the_bit():
-    scene = two_view_scene("skew", same_camera=True)
-    cameras = [_unknown(camera, "a") for camera in scene.cameras]
-    first, again = (estimate_pose(scene.matches, *cameras) for _ in range(2))
-    np.testing.assert_array_equal(first.camera1.K, again.camera1.K)
-    np.testing.assert_array_equal(first.R, again.R)
-
-
-@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
-def test_a_wrong_K_is_told_with_the_focal_length_that_fits(factor):
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25])
+def test_the_warning_of_a_wrong_K_has_the_focal_length_that_fits(factor):
     scene = two_view_scene("skew", same_camera=True, count=1500)
     pose = estimate_pose(scene.matches, *(_scaled(camera, factor) for camera in scene.cameras))
     (warning,) = (w for w in pose.warnings if w.startswith("the matches suggest f"))
@@ -89,7 +79,7 @@ def test_a_wrong_K_is_told_with_the_focal_length_that_fits(factor):
     assert pose.evidence.focal_check.factor == pytest.approx(1 / factor, rel=0.03)
 
 
-def test_a_wrong_K_is_told_although_it_has_a_deviation():
+def test_a_wrong_K_with_a_deviation_has_a_warning():
     scene = two_view_scene("skew", same_camera=True, count=1500)
     cameras = (replace(_scaled(c, 1.3), focal_std=0.02, identity="a") for c in scene.cameras)
     pose = estimate_pose(scene.matches, *cameras)
@@ -97,7 +87,7 @@ def test_a_wrong_K_is_told_although_it_has_a_deviation():
 
 
 @pytest.mark.parametrize(("factor", "contradicted"), [(1.9, True), (1.05, False)])
-def test_exif_data_that_the_matches_contradict_are_told(factor, contradicted):
+def test_exif_data_that_the_matches_contradict_have_a_warning(factor, contradicted):
     scene = two_view_scene("skew", same_camera=True, count=1500)
     of_exif = {"focal_std": 0.06, "centre_std": 8.0, "focal_source": "exif", "identity": "a"}
     pose = estimate_pose(
@@ -108,9 +98,9 @@ def test_exif_data_that_the_matches_contradict_are_told(factor, contradicted):
 
 
 @pytest.mark.parametrize("kind", ["general", "skew", "forward", "planar"])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_right_K_is_not_doubted(kind, seed):
-    pose = estimate_pose(two_view_scene(kind, seed=seed).matches, *two_view_scene(kind).cameras)
+def test_a_right_K_is_not_doubted(kind):
+    scene = two_view_scene(kind)
+    pose = estimate_pose(scene.matches, *scene.cameras)
     assert not any("suggest" in warning for warning in pose.warnings)
     assert pose.camera1.focal_source == "given"
 
@@ -131,10 +121,3 @@ def test_random_matches_of_unknown_cameras_are_no_pose():
     scene = two_view_scene("random", same_camera=True)
     pose = estimate_pose(scene.matches, *(_unknown(camera, "a") for camera in scene.cameras))
     assert not pose.success and pose.camera1 is None
-
-
-def test_matches_of_one_place_are_no_pose_and_no_error():
-    points = np.full((40, 2), 300.0) + np.arange(40)[:, None] * 1e-3
-    matches = Matches(points, points, np.ones(40), 1.0)
-    camera = _unknown(Camera(K1, SIZE1), "a")
-    assert not estimate_pose(matches, camera, camera, EstimationOptions(runs=2)).success

@@ -8,12 +8,12 @@ from dgc_pose.estimation.verdict import judge
 LEAST = 0.5  # probability of a success
 
 
+def _changed(**changes):
+    return dataclasses.replace(GOOD_EVIDENCE, **changes)
+
+
 def verdict(**changes):
-    return judge(dataclasses.replace(GOOD_EVIDENCE, **changes), LEAST)
-
-
-def test_good_evidence_is_a_pose_without_warnings():
-    assert verdict() == ("ok", "a pose", ())
+    return judge(_changed(**changes), LEAST)
 
 
 @pytest.mark.parametrize(
@@ -37,14 +37,10 @@ def test_good_evidence_is_a_pose_without_warnings():
         # What comes first: chance before all, a rotation before cheirality and planes.
         ("chance_inliers", {"inlier_ratio": 0.1, "rotation_share": 1, "parallax": 1}),
         ("rotation_only", {"rotation_share": 1, "parallax": 1, "cheirality_ratio": 0.4}),
-        ("rotation_only", {"rotation_share": 1, "parallax": 1, "homography_ratio": 1.0}),
-        ("behind_cameras", {"cheirality_ratio": 0.4, "homography_ratio": 1.0}),
     ],
 )
 def test_each_gate_closes_by_itself(status, changes):
-    found, reason, _ = verdict(**changes)
-    assert found == status
-    assert reason
+    assert verdict(**changes).status == status
 
 
 @pytest.mark.parametrize(
@@ -59,6 +55,7 @@ def test_each_gate_closes_by_itself(status, changes):
         {"still_ratio": 0.89},
         {"jackknife_rotation_90_deg": None},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1
+        {"rotation_share": 0.95, "parallax": 1.6, "num_rotation_inliers": 10_000},
         {"rotation_share": 0.7, "parallax": 1.0},
         {"strict_rotation_share": 0.88},
         {"cheirality_ratio": 0.65},
@@ -66,13 +63,7 @@ def test_each_gate_closes_by_itself(status, changes):
     ],
 )
 def test_each_gate_is_open_on_its_other_side(changes):
-    assert verdict(**changes).status == "ok"
-
-
-def test_few_matches_need_more_parallax():
-    few, many = {"num_rotation_inliers": 25}, {"num_rotation_inliers": 10_000}
-    assert verdict(rotation_share=0.95, parallax=2.0, **few).status == "rotation_only"
-    assert verdict(rotation_share=0.95, parallax=2.0, **many).status == "ok"
+    assert verdict(**changes) == ("ok", "a pose", ())
 
 
 def test_a_small_triangulation_angle_and_a_plane_give_warnings():
@@ -88,10 +79,8 @@ def test_a_small_triangulation_angle_and_a_plane_give_warnings():
     [
         ("ok", 0.5, ()),
         ("improbable", 0.49, ()),
-        ("ok", 0.5, (1.0,)),
         ("ok", 0.63, (0.8, 0.2)),  # 0.504
         ("improbable", 0.62, (0.8, 0.2)),  # 0.496
-        ("improbable", 0.5, (0.99, 0.01)),  # 0.495
         ("ambiguous", 0.99, (0.79, 0.21)),  # although 0.782
         ("ambiguous", 0.5, (0.79, 0.21)),  # 0.395
         ("ambiguous", 0.5, (0.4, 0.3, 0.3)),
@@ -111,16 +100,28 @@ def test_an_ambiguous_pair_has_the_probabilities_of_its_poses_in_words():
     )
 
 
-def test_an_improbable_pose_has_its_own_probability_in_words():
-    verdict = judge(GOOD_EVIDENCE, LEAST, 0.55, ("there is little parallax",), (0.9, 0.1))
-    assert verdict.reason == (
-        "the pose is right with a probability of 50 %: there is little parallax"  # 0.495
+def test_the_probability_decides_and_not_the_gates() -> None:
+    few = _changed(num_inliers=12, occupied_cells=9)
+    assert judge(few, LEAST).status == "chance_inliers"
+    assert judge(few, LEAST, 0.5).status == "ok"
+    assert judge(GOOD_EVIDENCE, 0.3, 0.4).status == "ok"
+    assert judge(GOOD_EVIDENCE, None, 0.1).status == "ok"
+    assert judge(_changed(homography_ratio=0.9), LEAST, 0.9).status == "planar"
+
+
+def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
+    against = ["only 28 % of the matches are inliers", "there is little parallax"]
+    status, reason, _ = judge(_changed(occupied_cells=8), LEAST, 0.231, against)
+    assert status == "chance_inliers"
+    assert reason == (
+        "the pose is right with a probability of 23 %: only 28 % of the matches are inliers, "
+        "there is little parallax"
     )
 
 
-def test_only_the_probability_makes_a_pair_ambiguous():
-    shares = (0.5, 0.5)
-    assert judge(GOOD_EVIDENCE, None, 0.9, (), shares).status == "ok"
-    assert judge(GOOD_EVIDENCE, LEAST, None, (), shares).status == "ok"
-    rotated = dataclasses.replace(GOOD_EVIDENCE, rotation_share=1.0, parallax=1.0)
-    assert judge(rotated, LEAST, 0.9, (), shares).status == "rotation_only"
+def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behind() -> None:
+    assert judge(_changed(log10_false_alarms=0.0), LEAST, 0.99).status == "chance_inliers"
+    rotated = _changed(rotation_share=1.0, parallax=1.0)
+    assert judge(rotated, LEAST, 0.99).status == "rotation_only"
+    assert judge(_changed(collinear=True), LEAST, 0.99).status == "collinear"
+    assert judge(_changed(cheirality_ratio=0.4), LEAST, 0.99).status == "behind_cameras"

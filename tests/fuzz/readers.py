@@ -19,7 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 from dgc_pose.batch.matches_file import Again, PairMatches
 from dgc_pose.batch.plan import Plan, read_plan, write_plan
 from dgc_pose.batch.result import read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import BAD_INPUT, AlternativeRow, PairRow
+from dgc_pose.batch.rows import BAD_INPUT, HypothesisRow, PairRow
 from dgc_pose.batch.store import MATCHED, PairStore
 from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
@@ -286,7 +286,7 @@ def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
     write_plan(folder, plan)
     store = PairStore(folder, MATCHED, plan)
     values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
-    values |= {"alternatives": (AlternativeRow(values["R"], (0, 0, 1), 7, 0.25),)}
+    values |= {"alternatives": (HypothesisRow(values["R"], (0, 0, 1), 7, 0.25),)}
     values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
     good = PairRow(*names[:2], "ok", True, "a pose", **values)
     rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]

@@ -45,12 +45,6 @@ def test_the_essential_matrix_annuls_exact_points_and_is_pycolmaps(seed):
     np.testing.assert_allclose(E, theirs, atol=1e-12)
 
 
-def test_the_fundamental_matrix_annuls_exact_pixels():
-    scene = two_view_scene("general", count=50, sigma_px=0.0, outliers=0.0)
-    F = fundamental_from_essential(essential_from_pose(scene.R, scene.t), scene.K1, scene.K2)
-    assert symmetric_epipolar_distance(scene.points1, scene.points2, F).max() < 1e-8
-
-
 @given(seeds, st.floats(-1e3, 1e3).filter(lambda s: abs(s) > 1e-3))
 @settings(max_examples=25, deadline=None)
 def test_the_true_pose_is_one_of_four_whatever_the_scale_of_the_essential_matrix(seed, scale):

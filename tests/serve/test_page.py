@@ -10,7 +10,6 @@ import pytest
 from ambiguous_pose import ambiguous_pose
 
 from dgc_pose.cameras.pair_list import bundled_pair
-from dgc_pose.cli.output import pose_data
 
 pytestmark = pytest.mark.slow
 
@@ -73,7 +72,7 @@ def test_alternatives_and_the_probability_are_shown_if_there_are_any(example):
 
 
 def test_both_poses_of_an_ambiguous_pair_are_shown(page):
-    pose = pose_data(ambiguous_pose())
+    pose = ambiguous_pose().as_dict()
     changes = {"pose": pose, "reason": pose["warnings"][0], "F": None}
     page.evaluate(CHANGED % json.dumps(changes))
     page.click("#example")

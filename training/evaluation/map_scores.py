@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.metrics import Reliability
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
 from dgc_pose.training.evaluation.map_errors import count_within, endpoint_errors, jaccard
+from dgc_pose.training.evaluation.reliability import Reliability
 
 if TYPE_CHECKING:
     from dgc_pose.training.evaluation.map_comparison import Comparison

@@ -8,10 +8,10 @@ import numpy as np
 from evaluation_pairs import posed_pairs
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import protocol_options
+from dgc_pose.benchmarks.metrics import median_and_mean, true_fundamental
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import MatchingOptions
-from dgc_pose.metrics.epipolar import median_and_mean, true_fundamental
 
 
 def test_paper_squares_the_images_and_the_cameras(tmp_path) -> None:

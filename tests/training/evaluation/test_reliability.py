@@ -1,11 +1,9 @@
 """Counts by confidence and the calibration error, against loops over single matches."""
 
-import math
-
 import numpy as np
 import pytest
 
-from dgc_pose.metrics import Reliability
+from dgc_pose.training.evaluation.reliability import Reliability, plot_reliability
 
 
 @pytest.fixture
@@ -48,7 +46,16 @@ def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
     assert found.counts.tolist() == [1, 0, 0, 2]
     np.testing.assert_array_equal(found.share_correct, [0, np.nan, np.nan, 0.5])
     assert found.calibration_error == pytest.approx(2 / 3 * 0.5)
+    assert np.isnan(Reliability.of(np.zeros(0), np.zeros(0, bool)).calibration_error)
 
 
-def test_nothing_has_no_calibration_error() -> None:
-    assert math.isnan(Reliability.of(np.zeros(0), np.zeros(0, bool)).calibration_error)
+def test_shares_stand_over_the_mean_confidence_and_counts_below() -> None:
+    confidence = np.array([0.02, 0.06, 0.55, 0.57, 0.53, 0.51])
+    reliability = Reliability.of(confidence, np.array([False, False, True, True, True, False]))
+    upper, lower = plot_reliability({"net": reliability}, right="within 3 px").axes
+    curve = upper.lines[1]
+    assert curve.get_xdata().tolist() == pytest.approx([0.04, 0.54])  # empty bins are left out
+    assert curve.get_ydata().tolist() == pytest.approx([0, 0.75])
+    values, _, _ = lower.patches[0].get_data()
+    assert values[0] == pytest.approx(100 / 3) and values[5] == pytest.approx(200 / 3)
+    assert len(plot_reliability({}, right="within 3 px").axes[0].lines) == 1

@@ -1,29 +1,17 @@
-"""Errors of a relative pose, and the area under their recall curve."""
+"""Scores of poses and of matches: the area under the recall curve, and D_e of the paper."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-
-
-def rotation_error_deg(R: np.ndarray, R_gt: np.ndarray) -> float:
-    """Angle of the rotation R_gt^T R between two rotation matrices (3, 3), degrees in [0, 180].
-
-    acos((trace - 1) / 2), computed as an arctangent, which is accurate near 0 and 180 too.
-    """
-    R = np.asarray(R_gt, dtype=np.float64).T @ np.asarray(R, dtype=np.float64)
-    axis = (R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
-    # The axis has length 2 sin(angle), and trace - 1 is 2 cos(angle).
-    return float(np.degrees(np.arctan2(np.linalg.norm(axis), np.trace(R) - 1)))
-
-
-def translation_error_deg(t: np.ndarray, t_gt: np.ndarray) -> float:
-    """Angle between two directions (3,) of any length but 0, degrees in [0, 180]."""
-    a, b = (np.asarray(direction, dtype=np.float64) for direction in (t, t_gt))
-    a, b = a / np.abs(a).max(), b / np.abs(b).max()
-    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+from dgc_pose.geometry.epipolar import (
+    essential_from_pose,
+    fundamental_from_essential,
+    symmetric_epipolar_distance,
+)
 
 
 def folded(error_deg: float) -> float:
@@ -59,3 +47,25 @@ def _auc_percent(errors: np.ndarray, recalls: np.ndarray, threshold: float) -> f
     y = np.concatenate(([0.0], recalls[:below]))
     y = np.append(y, y[-1])
     return float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold)
+
+
+def true_fundamental(camera1: Camera, camera2: Camera, R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """F (3, 3) of the pose x2 = R x1 + t, for pixels of the cameras: x2^T F x1 = 0."""
+    E = essential_from_pose(R, t / np.linalg.norm(t))
+    return fundamental_from_essential(E, camera1.K, camera2.K)
+
+
+def median_and_mean(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> tuple[float, float]:
+    """Median and mean of the symmetric epipolar distances of matches (..., 2), in pixels.
+
+    A match that is not finite counts as infinitely far, and so do no matches at all.
+    """
+    first, second = (
+        np.asarray(points, dtype=np.float64).reshape(-1, 2) for points in (points1, points2)
+    )
+    if not len(first):
+        return np.inf, np.inf
+    finite = np.isfinite(first).all(1) & np.isfinite(second).all(1)
+    distances = np.full(len(first), np.inf)
+    distances[finite] = symmetric_epipolar_distance(first[finite], second[finite], F)
+    return float(np.median(distances)), float(distances.mean())

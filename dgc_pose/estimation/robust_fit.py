@@ -1,0 +1,173 @@
+"""Sampling and refinement of hypotheses, by PoseLib.
+
+Seeded runs of LO-RANSAC on the five-point solver, and on solvers that have focal lengths among
+their unknowns; robust least squares, the Cauchy loss of the Sampson errors.
+"""
+
+import numpy as np
+import poselib
+
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.system.threads import in_threads
+
+# Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC grows
+# with the matches that it scores; the hypotheses are compared and refined on all matches.
+MAX_SAMPLED = 3000
+MINIMAL = 5  # matches that determine an essential matrix
+_MIN_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
+
+_ROUNDS = 3  # of a refinement
+_MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
+
+# PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
+_FOCAL = 1000.0
+_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
+
+
+def sample(problem: TwoViewProblem, options: EstimationOptions) -> list[Hypothesis]:
+    """The hypotheses of `options.runs` RANSAC runs, that with most inliers first.
+
+    Each run draws its samples from at most `MAX_SAMPLED` matches, chosen by its seed.
+    Inliers are counted over all matches.
+    """
+    if len(problem) < MINIMAL:
+        return []
+
+    def run(seed: int) -> np.ndarray | None:
+        drawn = draw(problem, seed) if len(problem) > MAX_SAMPLED else problem
+        return essential_matrix(drawn, options, seed)
+
+    matrices = in_threads(run, run_seeds(options))
+    poses = [Hypothesis.of_essential(problem, E) for E in matrices if E is not None]
+    return sorted(poses, key=lambda pose: -pose.num_inliers)  # of equals the first run's
+
+
+def run_seeds(options: EstimationOptions) -> list[int]:
+    """A seed for each run, all different, drawn from the one in the options."""
+    seeds = np.random.SeedSequence(options.seed).generate_state(options.runs)
+    return [int(seed) % (2**31 - 1) for seed in seeds]
+
+
+def draw(problem: TwoViewProblem, seed: int) -> TwoViewProblem:
+    """At most `MAX_SAMPLED` of the matches, shuffled."""
+    order = np.random.default_rng(seed).permutation(len(problem))
+    return problem.subset(order[:MAX_SAMPLED])
+
+
+def essential_matrix(
+    problem: TwoViewProblem, options: EstimationOptions, seed: int
+) -> np.ndarray | None:
+    """The essential matrix (3, 3) of one RANSAC run on at least five matches; None if it fails.
+
+    The same seed gives the same answer to the bit. A run ends as soon as its share of inliers shows
+    that a sample without outliers was drawn, with PoseLib's probability of 0.9999.
+    """
+    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
+    return _essential(*poselib.estimate_relative_pose(*points, _CAMERA, _CAMERA, *settings))
+
+
+def essential_and_focal(
+    problem: TwoViewProblem, options: EstimationOptions, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """As `essential_matrix`, for points that were normalised by a focal length that is wrong by the
+    same factor in both images: E of the points divided by that factor, and the factor of each image
+    (2,) (six-point solver)."""
+    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
+    pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
+    E, factor = _essential(pair.pose, info), pair.camera1.focal() / _FOCAL
+    return None if E is None or not 0 < factor < np.inf else (E, np.array([factor] * 2))
+
+
+def essential_and_focals(
+    problem: TwoViewProblem, options: EstimationOptions, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """As `essential_and_focal`, with a factor for each image, by the fundamental matrix: the
+    factors nearest to 1 that it allows (Kocur, Kyselica, Kukelova, CVPR 2024)."""
+    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
+    F, info = poselib.estimate_fundamental(*points, *settings)
+    if info["num_inliers"] == 0:
+        return None
+    camera1, camera2, _ = poselib.focals_from_fundamental_iterative(F, _CAMERA, _CAMERA)
+    factors = np.array([camera1.focal(), camera2.focal()]) / _FOCAL
+    if not ((factors > 0) & np.isfinite(factors)).all():
+        return None
+    first, second = (np.diag([factor * _FOCAL, factor * _FOCAL, 1.0]) for factor in factors)
+    E = second @ F @ first
+    return E / np.linalg.norm(E), factors
+
+
+def _pixels(problem: TwoViewProblem) -> tuple[np.ndarray, np.ndarray]:
+    return problem.points1 * _FOCAL, problem.points2 * _FOCAL
+
+
+def _ransac_options(
+    problem: TwoViewProblem, options: EstimationOptions, seed: int
+) -> tuple[dict[str, float], dict[str, str | float]]:
+    """PoseLib's options of a run and of its local optimisation."""
+    threshold = problem.threshold * _FOCAL
+    ransac = {
+        "max_iterations": options.iterations,
+        "min_iterations": min(options.iterations, _MIN_ITERATIONS),
+        "max_epipolar_error": threshold,
+        "seed": seed,
+    }
+    return ransac, {"loss_type": "TRUNCATED", "loss_scale": threshold}
+
+
+def _essential(pose: poselib.CameraPose, info: dict[str, float]) -> np.ndarray | None:
+    length = np.linalg.norm(pose.t)
+    if info["num_inliers"] == 0 or length < 1e-12 or not np.isfinite(pose.R).all():
+        return None
+    return essential_from_pose(pose.R, pose.t / length)
+
+
+def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
+    """The hypothesis after at most three fits with the threshold as the scale of the loss, until
+    the inliers, chosen anew after each fit, stay the same."""
+    pose = start
+    for _ in range(_ROUNDS):
+        before, pose = pose, refit(problem, pose)
+        if np.array_equal(pose.inliers, before.inliers):
+            break
+    return pose
+
+
+def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = False) -> Hypothesis:
+    """The hypothesis after least squares on its inliers in front of both cameras.
+
+    adapt_scale: take the scale of the loss from the inliers' errors, three times in turn,
+    instead of the threshold. Most inliers are far more accurate than the threshold, and the others
+    would bias the pose. Returns `start` itself if it has no more than five such inliers, or if the
+    fit would lose more than one inlier in fifty.
+    """
+    # An inlier behind a camera is an outlier that happens to lie near its epipolar line.
+    inliers = problem.subset(start.inliers_in_front)
+    if len(inliers) <= MINIMAL:
+        return start
+    R, t = start.R, start.t
+    for _ in range(_ROUNDS if adapt_scale else 1):
+        scale = pose_error_scale(inliers, R, t) if adapt_scale else problem.threshold
+        R, t = least_squares_pose(inliers, R, t, scale)
+    fitted = Hypothesis.of_pose(problem, R, t)
+    if not adapt_scale:
+        # The epipolar error does not depend on the sign of the translation; the depths do.
+        opposite = Hypothesis.of_pose(problem, R, -t)
+        fitted = max((fitted, opposite), key=lambda pose: (pose.num_inliers, pose.num_in_front))
+    return fitted if fitted.num_inliers >= _MIN_KEPT * start.num_inliers else start
+
+
+def least_squares_pose(
+    inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and unit t of least Cauchy loss, from a start. scale: of the loss, in the points' unit."""
+    start = poselib.CameraPose()
+    start.R, start.t = R, t
+    options = {"loss_type": "CAUCHY", "loss_scale": scale * _FOCAL, "max_iterations": 100}
+    pose, _ = poselib.refine_relative_pose(*_pixels(inliers), start, _CAMERA, _CAMERA, options)
+    length = np.linalg.norm(pose.t)
+    if length < 1e-12 or not np.isfinite(pose.R).all():
+        return R, t
+    return pose.R, pose.t / length

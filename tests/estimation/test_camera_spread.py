@@ -1,0 +1,125 @@
+"""Sampson errors of deviating cameras, with and without lenses, and their derivatives, against
+cameras that deviate and finite differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import estimate_pose
+from dgc_pose.estimation.camera_spread import (
+    EXACT,
+    CameraSpread,
+    deviated,
+    deviating,
+    error_slopes,
+    normaliser,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from two_view import normalised_problem, two_view_scene
+
+BASIS = np.random.default_rng(3).standard_normal((6, 4)) * 0.02
+DEVIATIONS = np.array([0.1, 0.01, -0.02, -0.2, 0.03, 0.01])
+LENSES = [None, Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("SIMPLE_FISHEYE")]
+SHIFT = np.array([0.04, -0.01, 0.02])  # of one camera
+SCENE = two_view_scene(outliers=0.0)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_slopes_are_the_differences_of_the_errors(lens):
+    """By a rotation, two coordinates of t, and the cameras, where these deviate already."""
+    scene = two_view_scene("skew", count=50, outliers=0.0)
+    problem, spread = replace(scene.problem(), lenses=(lens, lens)), CameraSpread(BASIS)
+    _, slopes, tangent = error_slopes(problem, scene.R, scene.t, spread, DEVIATIONS)
+    assert slopes.shape == (50, 9)
+    np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(tangent.T @ scene.t, 0, atol=1e-12)
+
+    def errors(step):
+        R = Rotation.from_rotvec(step[:3]).as_matrix() @ scene.R
+        t = scene.t + tangent @ step[3:5]
+        deviations = DEVIATIONS + BASIS @ step[5:]
+        return error_slopes(problem, R, t / np.linalg.norm(t), spread, deviations)[0]
+
+    for k, step in enumerate(1e-5 * np.eye(9)):
+        expected = (errors(step) - errors(-step)) / 2e-5
+        np.testing.assert_allclose(slopes[:, k], expected, atol=1e-6 if lens is None else 2e-4)
+
+
+def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
+    """Up to the unit, which stays that of the cameras before."""
+    scene = two_view_scene("skew", count=50, outliers=0.0)
+    problem = scene.problem()
+    errors, _, _ = error_slopes(problem, scene.R, scene.t, CameraSpread(BASIS), DEVIATIONS)
+    A1, A2 = normaliser(DEVIATIONS[:3]), normaliser(DEVIATIONS[3:])
+    F = A2.T @ essential_from_pose(scene.R, scene.t) @ A1
+    expected = sampson_distance(problem.points1, problem.points2, F)
+    np.testing.assert_allclose(np.abs(errors), expected, atol=1e-14)
+    for points, camera, part in (
+        (scene.points1, scene.cameras[0], DEVIATIONS[:3]),
+        (scene.points2, scene.cameras[1], DEVIATIONS[3:]),
+    ):
+        A = normaliser(part)
+        ideal = camera.normalise(points) @ A[:2, :2].T + A[:2, 2]
+        # fx and fy differ, the shift is over fx and over fy.
+        np.testing.assert_allclose(ideal, deviating(camera, part).normalise(points), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("identity", "same_size", "columns"), [("a", True, 3), ("a", False, 5), (None, True, 6)]
+)
+def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, same_size, columns):
+    camera1, camera2 = two_view_scene(same_camera=True).cameras
+    camera1, camera2 = (
+        replace(camera, focal_std=0.3, centre_std=17.0, identity=identity)
+        for camera in (camera1, camera2 if same_size else replace(camera2, size=(1200, 1600)))
+    )
+    spread = CameraSpread.of(camera1, camera2)
+    assert len(spread) == columns
+    covariance = spread.basis @ spread.basis.T
+    np.testing.assert_allclose(covariance[0, 3], 0.09 if identity else 0)
+    np.testing.assert_allclose(covariance[1, 4] > 0, identity is not None and same_size)
+    shift = 17.0 / camera1.focal
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.3, shift, shift, 0.3, shift, shift])
+    assert spread.shared_focal == (identity is not None)
+
+
+def test_a_match_at_both_epipoles_has_no_slope_rather_than_nan():
+    points = np.zeros((1, 2))
+    problem = normalised_problem(points, points)
+    for spread in (EXACT, CameraSpread(BASIS)):
+        errors, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]), spread)
+        assert np.isfinite(errors).all() and np.isfinite(slopes).all()
+
+
+def through(lens: Distortion | None, **changes) -> tuple[list[Camera], TwoViewProblem, object]:
+    """Cameras of short focal lengths with the lens, and the scene's matches as these see them."""
+    cameras, points = [], []
+    for pinhole, pixels in zip(SCENE.cameras, (SCENE.points1, SCENE.points2), strict=True):
+        K = pinhole.K * [[0.6], [0.6], [1]]
+        cameras.append(Camera(K, pinhole.size, lens, **changes))
+        points.append(cameras[-1].project(pinhole.normalise(pixels)))
+    matches = replace(SCENE.matches, points1=points[0], points2=points[1])
+    return cameras, TwoViewProblem.of(matches, *cameras), matches
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_are_what_the_deviating_camera_makes_of_the_pixels(lens):
+    (camera, _), problem, matches = through(lens)
+    expected = deviating(camera, SHIFT).normalise(matches.points1[problem.index])
+    moved = deviated(problem.points1, lens, SHIFT)
+    # The shift is over both focal lengths, each by its own: these differ by some per cent.
+    np.testing.assert_allclose(moved, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_focal_length_within_its_deviation_is_fitted(lens):
+    cameras, _, matches = through(lens, focal_std=0.05, identity="x")
+    wrong = [deviating(camera, np.array([0.05, 0, 0])) for camera in cameras]
+    pose = estimate_pose(matches, *wrong)
+    assert pose.camera1.focal_std < 0.02
+    assert pose.camera1.focal == pytest.approx(cameras[0].focal, rel=3 * pose.camera1.focal_std)
