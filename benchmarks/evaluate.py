@@ -29,7 +29,6 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import CorrespondenceMap, MatchResult, PairSearch, select_matches
 from dgc_pose.pose import pose_of_pair
-from dgc_pose.system.options import check_options, option
 from dgc_pose.system.processes import process_pools
 
 
@@ -48,15 +47,12 @@ def score_pairs(
 
 @dataclass(frozen=True)
 class Evaluation(Generic[Score]):
-    """Methods on a data set. Raises InputError, naming the field, for a number below 1."""
+    """Methods on a data set."""
 
     pairs: PairSet[Score]
     methods: Sequence[Method]
     matchers: Matchers
-    workers: int = option(1, min=1)  # processes that estimate poses; one is this process
-
-    def __post_init__(self) -> None:
-        check_options(self)
+    workers: int = 1  # processes that estimate poses; one is this process
 
     def run(self, first: int = 0) -> Iterator[list[Score]]:
         """For each pair from number `first` on, in order, a record a method.
@@ -82,7 +78,7 @@ class Evaluation(Generic[Score]):
         ids = json.dumps([dict(pair_ids) for pair_ids in self.pairs.ids])
         return {
             "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
-            "methods": [_settings(method) for method in self.methods],
+            "methods": [asdict(method) for method in self.methods],
             "weights": {
                 options.weights: matcher.fingerprint
                 for options, matcher in self.matchers.items()
@@ -155,14 +151,6 @@ def _seeded(method: Method, pair: PosedPair) -> EstimationOptions:
     """The estimation of a method with the seed of the pair, if the pair has one."""
     words, options = pair.truth.seed, method.estimation
     return replace(options, seed=pair_seed(options.seed, *words)) if words else options
-
-
-def _settings(method: Method) -> dict[str, Any]:
-    """All that a method's records depend on; the list's own cameras go without saying."""
-    settings = asdict(method)
-    if not method.cameras.reports:
-        del settings["cameras"]
-    return settings
 
 
 def _at_once(pool: int, work: Any, *items: Any) -> Future[Any]:

@@ -11,7 +11,6 @@ the homography from im1 to im2 at full size.
 """
 
 import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
-from dgc_pose.errors import InputError, reason
+from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import load_image, resize
@@ -33,7 +32,6 @@ _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
 _MATRIX_BYTES = 2**16  # of a file with nine numbers
 # Columns of the DGC-Net authors' lists
 _MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
-_COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]
 # AEPE at 240x240 on HPatches, viewpoints I to V, pixels, as their authors printed them. "paper" is
 # Melekhov et al., DGC-Net: Dense Geometric Correspondence Network, WACV 2019; GLU-Net is Truong et
 # al., CVPR 2020; RANSAC-Flow is Shen et al., ECCV 2020.
@@ -113,18 +111,14 @@ def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
         path = Path(folder) / f"hpatches_1_{k}.csv"
         if not path.is_file():
             raise InputError(f"{path}: no such list; there are five, hpatches_1_2 to hpatches_1_6")
-        text = io.StringIO(read_text(path, "a list of pairs"), newline="")
-        with read_as("a list of pairs", path):
-            reader = csv.DictReader(text)
-            absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-            if absent:
-                raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
-            for row in reader:
-                pair = _list_pair(row, f"{path}:{reader.line_num}", Path(root), viewpoint)
-                if pair.path1.is_file() and pair.path2.is_file():
-                    pairs.append(pair)
-                else:
-                    missing.append(pair.name)
+        rows = csv.DictReader(read_text(path, "a list of pairs").splitlines())
+        for row in rows:
+            with read_as("a pair of HPatches", f"{path}:{rows.line_num}"):
+                pair = _list_pair(row, Path(root), viewpoint)
+            if pair.path1.is_file() and pair.path2.is_file():
+                pairs.append(pair)
+            else:
+                missing.append(pair.name)
     if not pairs:
         raise InputError(f"{root}: holds no image of the {len(missing)} pairs listed in {folder}")
     return HomographySet(tuple(pairs), tuple(missing))
@@ -176,21 +170,15 @@ def true_map(
 
 def read_matrix(path: Path) -> np.ndarray:
     """A homography from a text file. Raises InputError, with the path, if it is malformed."""
-    text = read_text(path, "a homography", _MATRIX_BYTES)
-    try:
-        rows = [line.split() for line in text.splitlines()]
-        H = np.array([[float(field) for field in row] for row in rows if row])
-    except ValueError as error:
-        raise InputError(f"{path}: not a matrix of numbers ({reason(error)})") from None
-    return check_matrix(H, str(path))
+    with read_as("a homography", path):
+        return _checked_matrix(read_text(path, "a homography", _MATRIX_BYTES).split())
 
 
-def check_matrix(H: np.ndarray, where: str) -> np.ndarray:
-    """H itself, if it is a homography; else InputError that begins with `where`."""
-    if H.shape != (3, 3) or not np.isfinite(H).all():
-        raise InputError(f"{where}: a homography has 3 rows of 3 finite numbers")
-    if np.linalg.matrix_rank(H) < 3:
-        raise InputError(f"{where}: the matrix has no inverse, so it is no homography")
+def _checked_matrix(words: Sequence[str]) -> np.ndarray:
+    """A homography (3, 3) of its numbers, row by row. Raises ValueError if they are none."""
+    H = np.array(words, np.float64).reshape(3, 3)
+    if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
+        raise ValueError("a homography has finite numbers and an inverse")
     return H
 
 
@@ -231,14 +219,9 @@ def _image(stem: Path) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _list_pair(row: dict[str, str], where: str, root: Path, viewpoint: str) -> HomographyPair:
-    if any(row[name] is None for name in _COLUMNS):
-        raise InputError(f"{where}: {len(_COLUMNS)} fields are needed")
-    try:
-        H = np.array([float(row[name]) for name in _MATRIX]).reshape(3, 3)
-        size1 = (int(float(row["Wim"])), int(float(row["Him"])))
-    except (ValueError, OverflowError) as error:
-        raise InputError(f"{where}: {error}") from None
+def _list_pair(row: Mapping[str, str], root: Path, viewpoint: str) -> HomographyPair:
     path1, path2 = (root / row["obj"] / f"{row[name]}.ppm" for name in ("im1", "im2"))
+    H = _checked_matrix([row[name] for name in _MATRIX])
+    size1 = (int(float(row["Wim"])), int(float(row["Him"])))
     name = f"{row['obj']} {row['im1']}-{row['im2']}"
-    return HomographyPair(name, viewpoint, path1, path2, check_matrix(H, where), size1)
+    return HomographyPair(name, viewpoint, path1, path2, H, size1)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
 import torch
 
 from dgc_pose.benchmarks.rivals.table import kind_of
@@ -16,6 +15,7 @@ from dgc_pose.network.weights import load_network
 from dgc_pose.training.evaluation.map_comparison import Comparison, compare, compare_matcher
 from dgc_pose.training.evaluation.map_scores import PairScores, score_map
 from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays
+from dgc_pose.viz.map_figure import MapPicture
 
 MapMethod = Callable[[MapPairs], list[Comparison]]  # of a batch, pair by pair
 
@@ -36,16 +36,6 @@ class MapSet:
     cases: Iterable[MapCase]
     total: int  # pairs
     facts: Mapping[str, Any]  # what the JSON says of the set
-
-
-@dataclass(frozen=True, eq=False)
-class MapOutcome:
-    """One method's result for one pair."""
-
-    scores: PairScores
-    comparison: Comparison
-    image1: np.ndarray  # (240, 240, 3) uint8
-    image2: np.ndarray  # (240, 240, 3) uint8
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
@@ -76,12 +66,17 @@ def _map_method(name: str, device: torch.device) -> MapMethod:
 
 def map_outcomes(
     cases: Iterable[MapCase], methods: Mapping[str, MapMethod], per_axis: bool = False
-) -> Iterator[MapOutcome]:
-    """Yield the outcome of each pair by each method, case by case, as soon as it is known."""
+) -> Iterator[tuple[PairScores, MapPicture]]:
+    """Score each pair by each method, case by case; yields the figures with what a picture shows.
+
+    per_axis: see `score_map`.
+    """
     for case in cases:
-        images1, images2 = map(image_arrays, (case.pairs.image1, case.pairs.image2))
+        images = zip(*map(image_arrays, (case.pairs.image1, case.pairs.image2)), strict=True)
+        shown = list(zip(case.names, images, strict=True))
         for method, comparisons_of in methods.items():
-            comparisons = comparisons_of(case.pairs)
-            for index, (name, comparison) in enumerate(zip(case.names, comparisons, strict=True)):
+            for (name, pixels), comparison in zip(shown, comparisons_of(case.pairs), strict=True):
                 scores = score_map(method, case.group, name, comparison, per_axis)
-                yield MapOutcome(scores, comparison, images1[index], images2[index])
+                title = f"{name}, AEPE {scores.aepe:.2f}"
+                points, errors = comparison.finest.points, comparison.errors
+                yield scores, MapPicture(title, *pixels, points, errors)

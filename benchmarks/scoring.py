@@ -1,5 +1,6 @@
 """From the matches of one method on one pair to its record: the work that other processes do."""
 
+import json
 import time
 from dataclasses import dataclass
 from typing import Generic
@@ -8,7 +9,6 @@ import numpy as np
 
 from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
 from dgc_pose.benchmarks.posed_pairs import Truth
-from dgc_pose.benchmarks.samples import draw_sample, sample_text
 from dgc_pose.benchmarks.scores import Score, make_score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
@@ -16,6 +16,8 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
+
+_SAMPLE = 60  # matches of each pair and method, for the pictures of a report
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def score(pair: MatchedPair[Score]) -> Score:
         "epipolar_confident_mean_px": confident[1],
         "match_seconds": pair.match_seconds,
         "estimate_seconds": seconds,
-        "sample": sample_text(draw_sample(matches, pose.inliers, options.seed)),
+        "sample": sample_text(matches, pose.inliers, options.seed),
     }
     return make_score(pair.kind, values)
 
@@ -84,6 +86,17 @@ def _focal_lengths(pose: RelativePose, truth: Truth) -> dict[str, float]:
         values[f"focal{n}_error"] = error
         values[f"focal{n}_std"] = np.nan if camera is None else camera.focal_std
     return values
+
+
+def sample_text(matches: Matches, inliers: np.ndarray, seed: int) -> str:
+    """Some of the finite matches at random as JSON: a row x1, y1, x2, y2, whether it is an inlier,
+    in pixels of the images that the methods saw. inliers: (N,) bool."""
+    finite = np.isfinite(matches.points1).all(1) & np.isfinite(matches.points2).all(1)
+    shuffled = np.random.default_rng(seed).permutation(np.flatnonzero(finite))
+    chosen = np.sort(shuffled[:_SAMPLE])
+    points = np.column_stack([matches.points1, matches.points2])[chosen].round(2).tolist()
+    rows = [[*row, int(inlier)] for row, inlier in zip(points, inliers[chosen], strict=True)]
+    return json.dumps(rows, separators=(",", ":"))
 
 
 def map_errors(truth: Truth, dense: CorrespondenceMap | None) -> tuple[float, float]:

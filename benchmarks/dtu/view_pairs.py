@@ -7,8 +7,7 @@ from itertools import combinations, groupby
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
-from dgc_pose.benchmarks.dtu.dataset import Dataset
-from dgc_pose.benchmarks.dtu.scene import DtuScene
+from dgc_pose.benchmarks.dtu.dataset import Dataset, DtuScene
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError

@@ -90,17 +90,12 @@ def drawn_dtu(folder: Path, count: int, seed: int) -> list[Pair]:
     options = ViewPairOptions(
         pairs=count, max_rotation=_DTU_ROTATION, min_overlap=_DTU_OVERLAP, seed=seed
     )
-    drawn = draw(find_view_pairs(dataset, options), options)
-    prefix = dataset.root.relative_to(folder)
-    return [
-        replace(
-            pair,
-            name1=(prefix / pair.name1).as_posix(),
-            name2=(prefix / pair.name2).as_posix(),
-            root=folder,
-        )
-        for pair in (listed_pair(dataset, views) for views in drawn)
-    ]
+    pairs = []
+    for views in draw(find_view_pairs(dataset, options), options):
+        pair = listed_pair(dataset, views)
+        name1, name2 = (path.relative_to(folder).as_posix() for path in (pair.path1, pair.path2))
+        pairs.append(replace(pair, name1=name1, name2=name2, root=folder))
+    return pairs
 
 
 def _chosen(

@@ -46,7 +46,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     samples = [
         (row, row.evidence)
         for row in rows
-        if row.part == "fit" and row.evidence and row.cameras != "wrong"
+        if row.entry.part == "fit" and row.evidence and row.cameras != "wrong"
     ]
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
@@ -114,7 +114,7 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     samples = [
         (row, row.evidence)
         for row in rows
-        if row.part == "fit"
+        if row.entry.part == "fit"
         and row.exact
         and row.evidence
         and row.evidence.jackknife_focal_90_percent is not None

@@ -12,17 +12,17 @@ import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
-    PlanePairs,
     PosedPair,
     Truth,
+    posed_pair,
     rendered_pair,
     require_images,
-    unrelated_pair,
 )
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
+from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.images.folder import search_images
@@ -30,7 +30,9 @@ from dgc_pose.images.image import Image, load_image
 
 BlankKind = Literal["even", "gradient", "vignette", "noise", "lens cap", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
-_RENDERED_SIZE = 640  # pixels a side
+PLANE_SIZE = 640  # pixels a side of a view
+_RENDERED_SIZE = 640
+_PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
 _BLANK_SIZE = (640, 480)
 _DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
 
@@ -61,7 +63,6 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
 
     Raises InputError or ImageError if the data are not as the plan says.
     """
-    require_data([entry], data)
     folders = [data / path for path in entry.path]
     makers = {
         "rendered": _rendered,
@@ -117,8 +118,20 @@ def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedP
 
 
 def _planes(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
-    pairs = PlanePairs(folders[0], entry.seed)
-    return [partial(pairs.pair, k) for k in range(entry.pairs)]
+    """Planes with a relief, whose homographies have two poses; see `synthesis.render.plane_pairs`.
+    The heights of the reliefs come in turn."""
+    from dgc_pose.training.synthesis.draw import seeded
+    from dgc_pose.training.synthesis.photos import load_held_back
+    from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS, render_plane_pair
+
+    textures = load_held_back(folders[0], _PLANE_PHOTO).textures
+
+    def make(number: int) -> PosedPair:
+        generator = seeded("planes", entry.seed, number)
+        relief = RELIEFS[number % len(RELIEFS)]
+        return posed_pair(render_plane_pair(textures, PLANE_SIZE, generator, relief), {})
+
+    return [partial(make, k) for k in range(entry.pairs)]
 
 
 def _unrelated(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
@@ -131,8 +144,15 @@ def _unrelated(folders: list[Path], entry: PlanEntry) -> list[Callable[[], Posed
     while len(makers) < entry.pairs:
         path1, path2 = (paths[k] for k in rng.integers(0, len(paths), 2))
         if places[path1] != places[path2] or (path1 in one_each and path1 != path2):
-            makers.append(partial(unrelated_pair, path1, path2))
+            makers.append(partial(_unrelated_pair, path1, path2))
     return makers
+
+
+def _unrelated_pair(path1: Path, path2: Path) -> PosedPair:
+    """Two photographs with the cameras that they suggest (see `auto_camera`), taken as known."""
+    images = load_image(path1), load_image(path2)
+    camera1, camera2 = (Camera(auto_camera(image).K, image.size) for image in images)
+    return PosedPair(Truth({}, camera1, camera2, None, None), *images)
 
 
 def _textureless(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:

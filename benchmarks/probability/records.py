@@ -14,7 +14,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
-from dgc_pose.benchmarks.probability.plan import Part
+from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.estimation import EstimationOptions
@@ -58,10 +58,8 @@ class PoseRecord:
 class Record:
     """What a pair's evidence is, and how wrong its pose."""
 
-    entry: str  # of the plan, its name
+    entry: PlanEntry
     scene: str
-    part: Part
-    exact: bool  # the true pose is: see `PlanEntry.rough`
     evidence: Evidence | None  # None without a model
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
@@ -77,6 +75,11 @@ class Record:
     def right(self) -> bool:
         """Whether R and t are both within 10 degrees."""
         return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
+
+    @property
+    def exact(self) -> bool:
+        """Whether the true pose is: see `PlanEntry.rough`."""
+        return self.scene not in self.entry.rough
 
     @property
     def any_right(self) -> bool:
@@ -114,8 +117,6 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     return Record(
         pair.entry,
         pair.scene,
-        pair.part,
-        pair.exact,
         None if assessed is None else assessed.evidence,
         rotation,
         translation,
@@ -135,9 +136,9 @@ def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
 
 
 def _cases(pair: StoredPair) -> list[CameraCase]:
-    if pair.matches.key_points or not pair.withheld:
+    if pair.matches.key_points or not pair.entry.withheld:
         return ["exact"]
-    reported = pair.part == "report" and pair.truth.R is not None
+    reported = pair.entry.part == "report" and pair.truth.R is not None
     wrong = reported and _draw(pair.name, _WRONG_SHARE) == 0
     return ["exact", "auto", "wrong"] if wrong else ["exact", "auto"]
 

@@ -15,12 +15,11 @@ from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
-from dgc_pose.metrics import Reliability, pose_auc
+from dgc_pose.metrics import Reliability
 
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
 _INLIERS = (0, 60, 200, 600, math.inf)
 _DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
-_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +74,8 @@ def report_text(poses: Sequence[Judged]) -> str:
     parts = [
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
         claims_table(poses),
-        "AUC@5/10/20 with the verdict, and with every pair answered (true pairs alone)",
-        auc_table(poses),
         f"calibration error of the probability {100 * reliability(poses).calibration_error:.1f} %",
         reliability_table(poses),
-        "precision and recall of right poses by the least probability",
-        levels_table(poses),
         "share of right claimed poses whose error is within the expected one, 90 % of them meant; "
         "scenes of a rough reference left out",
         coverage_table(poses),
@@ -115,19 +110,6 @@ def claims_table(poses: Sequence[Judged]) -> str:
     return aligned(rows)
 
 
-def auc_table(poses: Sequence[Judged]) -> str:
-    """With the verdict, and without one."""
-    rows: list[tuple[str, ...]] = [("pairs", "probability", "all answered")]
-    for name, members in _groups(poses).items():
-        errors = np.array([pose.record.pair_error_deg for pose in members])
-        if not np.isfinite(errors).any():
-            continue
-        claims = (_values(members, "by_probability"), np.ones(len(members), bool))
-        cells = (pose_auc(np.where(claim, errors, np.inf)) for claim in claims)
-        rows.append((name, *("/".join(f"{a:.1f}" for a in auc) for auc in cells)))
-    return aligned(rows)
-
-
 def reliability(poses: Sequence[Judged]) -> Reliability:
     """Of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
@@ -143,20 +125,6 @@ def reliability_table(poses: Sequence[Judged]) -> str:
         if count:
             name = f"{low:.1f} to {low + 0.1:.1f}"
             rows.append((name, str(count), f"{100 * mean:.0f} %", f"{100 * right:.0f} %"))
-    return aligned(rows)
-
-
-def levels_table(poses: Sequence[Judged]) -> str:
-    """Precision and recall at several least probabilities."""
-    rows = [("least probability", "claimed", "precision", "recall")]
-    right, probability = _values(poses, "right"), _values(poses, "probability")
-    for level in _LEVELS:
-        claimed = probability >= level
-        true = int((claimed & right).sum())
-        precision = f"{100 * true / claimed.sum():.1f} %" if claimed.any() else "-"
-        rows.append(
-            (f"{level:g}", str(claimed.sum()), precision, f"{100 * true / right.sum():.1f} %")
-        )
     return aligned(rows)
 
 
@@ -233,5 +201,5 @@ def _expected(error: float | None, model: ErrorModel) -> float:
 def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:
     groups: dict[str, list[Judged]] = {}
     for pose in poses:
-        groups.setdefault(pose.record.entry, []).append(pose)
+        groups.setdefault(pose.record.entry.name, []).append(pose)
     return {**groups, "all": list(poses)}

@@ -1,7 +1,7 @@
 """Fit, calibration and report in one go, from stored matches."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -26,32 +26,21 @@ WORDS = {
 }
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """What a fit writes."""
-
-    models: str  # JSON
-    report: str
-    figure: Figure
-
-
 def fit_all(
     out: Path,
     methods: Sequence[str],
     entries: Sequence[PlanEntry],
     options: EstimationOptions = _DEFAULTS,
-    say: Callable[[str], object] = lambda line: None,
-) -> Fitted:
-    """A model for each kind of matches that the methods make, and the report.
+) -> tuple[str, str, Figure]:
+    """Fit a model for each kind of matches that the methods make.
 
-    options: of the estimation, as users have them. say: takes a line of progress. Raises InputError
-    if nothing is stored, or too little.
+    options: of the estimation, as users have them. Returns `probability.json`, the report, and its
+    figure. Raises InputError if nothing is stored, or too little.
     """
     engines = {method: read_engine(out, method) for method in methods}
     by_kind: dict[MatchKind, list[Record]] = {}
     for method in methods:
         of_method = list(records(read_collection(out, method, entries), options))
-        say(f"{method}: {len(of_method)} pairs")
         for kind, rows in _by_kind(of_method).items():
             by_kind.setdefault(kind, rows)  # of several networks the first
     if not by_kind:
@@ -61,12 +50,12 @@ def fit_all(
     text = models_text(fitted, focal_error, engines)
     models, focal = parse_models(text)
     reported = {
-        kind: [judged(row, models[kind], focal) for row in rows if row.part == "report"]
+        kind: [judged(row, models[kind], focal) for row in rows if row.entry.part == "report"]
         for kind, rows in by_kind.items()
     }
     parts = [f"{WORDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
     figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
-    return Fitted(text, "\n\n\n".join(parts), figure)
+    return text, "\n\n\n".join(parts), figure
 
 
 def _kind(evidence: Evidence) -> MatchKind:

@@ -10,6 +10,7 @@ import click
 
 from dgc_pose.benchmarks.camera_summary import camera_table, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
@@ -30,7 +31,7 @@ from dgc_pose.benchmarks.summary import (
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
+from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, work
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
@@ -133,8 +134,8 @@ def bench_pairs(
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
         matchers = load_matchers(chosen, device=run.device, runtime=run.runtime)
-        evaluation = run.evaluation(pairs, chosen, matchers)
-        results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
+        evaluation = Evaluation(pairs, chosen, matchers, run.workers)
+        results = by_method(work(evaluation, options.out, run))
         summarised: Callable[..., Any] = summarise_cameras if trial else summarise
         if issubclass(pairs.kind, MapScore):
             summarised = summarise_epipolar

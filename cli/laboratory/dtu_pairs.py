@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import click
 
-from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, open_dataset
-from dgc_pose.benchmarks.dtu.scene import Light
+from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, Light, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
 from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options

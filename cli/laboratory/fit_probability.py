@@ -57,7 +57,7 @@ def fit_probability(choice: FitChoice) -> None:
     """
     entries = read_plan(choice.plan)
     drawn = {"rendered", "planes"} & {entry.kind for entry in entries}
-    needs = {"fit-probability": "fit"}  # told before the work
+    needs = {"fit-probability": "fit"}  # asked for before the work
     if drawn and not choice.collected:
         needs[f"the plan's {min(drawn)}"] = "torch"
     require(needs)
@@ -70,15 +70,16 @@ def fit_probability(choice: FitChoice) -> None:
     from dgc_pose.benchmarks.probability.run import fit_all
     from dgc_pose.viz import save_figure
 
-    fitted = fit_all(choice.out, methods, entries, say=click.echo)
-    model, text, figure = (
+    models, report, figure = fit_all(choice.out, methods, entries)
+    paths = [
         str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
-    )
-    with staged(model, text, figure) as stage:
-        save_text(stage(model), fitted.models)
-        save_text(stage(text), fitted.report + "\n")
-        save_figure(fitted.figure, stage(figure))
-    click.echo(fitted.report)
+    ]
+    with staged(*paths) as stage:
+        model_file, report_file, figure_file = map(stage, paths)
+        save_text(model_file, models)
+        save_text(report_file, report + "\n")
+        save_figure(figure, figure_file)
+    click.echo(report)
 
 
 def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> bool:

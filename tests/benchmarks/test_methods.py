@@ -95,12 +95,12 @@ def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
     assert methods[1].estimation.runs == 2
 
 
-def test_a_matcher_is_loaded_once(tmp_path) -> None:
+def test_a_matcher_is_loaded_once() -> None:
     methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
-    mine = FileMatcher(tmp_path, lambda *names: "pair")
+    mine = FileMatcher("mine", {})
     loaded = load_matchers(methods, device="cpu", stored={"mine": mine})
     assert [options.weights for options in loaded] == ["dis", "mine"]
-    assert loaded[methods[2].matcher].folder == mine.folder
+    assert loaded[methods[2].matcher].name == "mine"
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
         load_matchers(parse_methods(["nowhere"]), device="cpu")
 
@@ -112,9 +112,3 @@ def test_a_network_is_read_once_for_all_its_passes() -> None:
     assert len(loaded) == 3
     refined, coarse, plain = (loaded[method.matcher] for method in methods)
     assert coarse.engine is plain.engine is refined.engine is not None
-
-
-def test_refinement_by_features_needs_a_network() -> None:
-    for name in ("sift", "rocco"):
-        with pytest.raises(InputError, match=f"{name}:refine=features: .* needs the features"):
-            parse_methods([f"{name}:refine=features"])

@@ -12,12 +12,9 @@ from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import Method
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
-    PlanePairs,
     RenderedPosedPairs,
     require_images,
 )
-from dgc_pose.benchmarks.probability.plan import PlanEntry
-from dgc_pose.benchmarks.probability.planned import planned
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import ImageError, InputError
@@ -83,7 +80,6 @@ def test_the_K_of_another_image_is_refused(pairs):
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     monkeypatch.setattr(posed_pairs, "RENDERED_SIZE", 160)
-    monkeypatch.setattr(posed_pairs, "PLANE_SIZE", 160)
     write_photos(tmp_path / "photos", 60)
     return tmp_path / "photos"
 
@@ -100,18 +96,6 @@ def test_rendered_pairs_are_the_same_from_any_of_them_on(photos):
         assert one.image1.size == one.truth.camera1.size == (160, 160)
         assert 5 <= rotation_error_deg(one.truth.R, np.eye(3)) <= 45
         assert np.linalg.norm(one.truth.t) > 0
-
-
-def test_planes_of_a_plan_come_from_their_seed_with_reliefs_in_turn(photos, tmp_path):
-    entry = PlanEntry("planes", "fit", "planes", (photos,), pairs=9, seed=5)
-    of_plan = planned(entry, tmp_path, tmp_path)
-    pairs = PlanePairs(photos, 5)
-    assert len({one.make().image1.pixels.tobytes() for one in of_plan}) == 9
-    for number, again in ((7, of_plan[7].make()), (8, of_plan[8].make())):
-        pair = pairs.pair(number)
-        assert pair.image1.size == pair.truth.camera1.size == (160, 160)
-        assert np.array_equal(pair.image2.pixels, again.image2.pixels)
-        assert np.array_equal(pair.truth.t, again.truth.t)
 
 
 def test_rendered_pairs_have_their_distances_from_the_epipolar_lines(photos, tmp_path):

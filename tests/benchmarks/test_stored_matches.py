@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.stored_matches import FileMatcher
+from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
@@ -27,7 +27,7 @@ def _images(size: tuple[int, int] = SHOWN) -> tuple[Image, Image]:
 
 
 def _matcher(folder: Path) -> FileMatcher:
-    return FileMatcher(folder, lambda *names: "_".join(["scan65", *(Path(n).stem for n in names)]))
+    return FileMatcher("mine", pair_files(folder, {("3.png", "7.png"): STEM}))
 
 
 def _map(folder: Path, size: tuple[int, int] = SHOWN) -> CorrespondenceMap:
@@ -149,22 +149,16 @@ def _bad_archive(**arrays: np.ndarray):
 @pytest.mark.parametrize(
     ("suffix", "write", "reason"),
     [
-        (".flo", lambda path: path.write_bytes(b"PIEH" + b"\0" * 4), "202021.25"),
-        (".flo", lambda path: _write_flo(path, _flow()) or _cut(path), "bytes are not those"),
+        (".flo", lambda path: path.write_bytes(b"FLOW" + b"\0" * 8), "202021.25"),
+        (".flo", lambda path: _write_flo(path, _flow()) or _cut(path), "is not a map, a flow"),
         (".npy", lambda path: path.write_bytes(b"\x93NUMPY"), "not an .npy"),
         (".npy", lambda path: np.save(path, np.zeros((4, 5, 3))), r"\(H, W, 2\)"),
-        (".npy", lambda path: np.save(path, np.array([["a", "b"]])), "must be numbers"),
-        (".npz", lambda path: path.write_bytes(b"PK\x03\x04 no archive"), "not an .npz"),
+        (".npy", lambda path: np.save(path, np.full((4, 5, 2), "a")), "could not convert"),
         (".npz", _bad_archive(other=np.zeros(3)), "found other"),
-        (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), matchability=np.ones((5, 4))), r"\(5, 4\)"),
+        (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), matchability=np.ones((5, 4))), r"\(4, 5\)"),
         (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), certainty=np.full((4, 5), 2.0)), "0 to 1"),
         (".npz", _bad_archive(map=np.zeros((4, 5, 2)), grid=np.zeros((4, 4, 2))), "grid"),
-        (".npz", _bad_archive(points1=np.zeros((4, 2)), points2=np.zeros((3, 2))), r"\(N, 2\)"),
-        (
-            ".npz",
-            _bad_archive(points1=np.ones((1, 2)), points2=np.ones((1, 2)), key_points=[1, 1]),
-            "key_points must be true or false",
-        ),
+        (".npz", _bad_archive(points1=np.zeros((4, 2)), points2=np.zeros((3, 2))), "length"),
         (".png", lambda path: cv2.imwrite(str(path), np.zeros((4, 5, 3), np.uint8)), "16-bit"),
     ],
 )
@@ -181,13 +175,11 @@ def _cut(path: Path) -> None:
 
 
 def test_each_pair_needs_one_file(tmp_path) -> None:
-    files = _matcher(tmp_path)
-    np.save(tmp_path / "scan65_3_7.npy", _flow())
-    files.require([("3.png", "7.png")])
-    with pytest.raises(InputError, match=r"scan65_7_3: no such file .*\.flo"):
-        files.require([("3.png", "7.png"), ("7.png", "3.png")])
-    np.savez(tmp_path / "scan65_3_7.npz", flow=_flow())
+    stems = {("3.png", "7.png"): STEM}
+    np.save(tmp_path / f"{STEM}.npy", _flow())
+    assert pair_files(tmp_path, stems) == {("3.png", "7.png"): tmp_path / f"{STEM}.npy"}
+    with pytest.raises(InputError, match=r"scan65_7_3: no files .*\.flo"):
+        pair_files(tmp_path, {**stems, ("7.png", "3.png"): "scan65_7_3"})
+    np.savez(tmp_path / f"{STEM}.npz", flow=_flow())
     with pytest.raises(InputError, match="2 files"):
-        files.require([("3.png", "7.png")])
-    with pytest.raises(InputError, match="no such folder"):
-        _matcher(tmp_path / "nowhere").require([])
+        pair_files(tmp_path, stems)

@@ -7,8 +7,7 @@ from dtu_layout import SIZE, WRITERS, arc, grey_scan
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
-from dgc_pose.benchmarks.dtu.dataset import Dataset, open_dataset
-from dgc_pose.benchmarks.dtu.scene import DtuScene
+from dgc_pose.benchmarks.dtu.dataset import Dataset, DtuScene, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import (
     ViewPairOptions,
     draw,

@@ -4,12 +4,12 @@ import dataclasses
 import json
 from pathlib import Path
 
-import cv2
 import dense_scene
 import numpy as np
 import pytest
 from command_line import assert_refused, run
 from good_evidence import GOOD_EVIDENCE
+from photos import write_photos
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.collection import (
@@ -135,14 +135,14 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
 
 def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
     out, sources = stored
-    found = fit_all(out, ["sift"], sources, OPTIONS)
-    models = parse_models(found.models).by_kind
+    text, report, figure = fit_all(out, ["sift"], sources, OPTIONS)
+    models = parse_models(text).by_kind
     assert set(models) == {"key_points"}
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
-    assert "calibration error" in found.report and "key points" in found.report
-    assert json.loads(found.models)["engine"]["sift"]["name"] == "scenes"
-    assert len(found.figure.axes) == 2
+    assert "calibration error" in report and "key points" in report
+    assert json.loads(text)["engine"]["sift"]["name"] == "scenes"
+    assert len(figure.axes) == 2
     rows = [record(pair, OPTIONS) for pair in read_collection(out, "sift", sources)]
     known = [row for row in rows if row.evidence is not None]
     likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
@@ -162,7 +162,7 @@ CHOICE = 1.5  # log-odds for a unit of the likelihood
 def _records(count: int, seed: int, part: Part) -> list[Record]:
     """Poses whose chance to be right is a known function of three numbers."""
     rng = np.random.default_rng(seed)
-    found = []
+    found, entry = [], PlanEntry("s", part, "list")
     for k in range(count):
         ratio, cells, agreement = rng.random(), rng.integers(5, 120), rng.random()
         odds = 6 * (ratio - 0.5) + 2 * np.log(cells / 25) + 2 * (agreement - 0.5)
@@ -186,7 +186,7 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
             if rng.random() > 1 / (1 + np.exp(-CHOICE * apart)):
                 poses = [replace_errors(poses[0], 60.0), replace_errors(poses[1], error)]
                 error = 60.0
-        record = Record("s", f"{part} {k % 5}", part, True, evidence, error, error, tuple(poses))
+        record = Record(entry, f"{part} {k % 5}", evidence, error, error, tuple(poses))
         found.append(record)
     return found
 
@@ -222,22 +222,17 @@ def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
         fit_model(data, "network")
 
 
-def test_blank_and_unrelated_pairs_are_made_for_a_seed(tmp_path) -> None:
+@pytest.mark.parametrize("kind", ["unrelated", "textureless", "planes"])
+def test_pairs_are_made_for_a_seed(tmp_path, monkeypatch, kind) -> None:
+    monkeypatch.setattr("dgc_pose.benchmarks.probability.planned.PLANE_SIZE", 160)
     for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        for k in range(3):
-            pixels = np.random.default_rng(k).integers(0, 255, (30, 40, 3), np.uint8)
-            cv2.imwrite(str(tmp_path / folder / f"{folder}{k}_1.png"), pixels)
-    paths = (Path("a"), Path("b"))
-    for kind in ("unrelated", "textureless"):
-        source = PlanEntry(kind, "report", kind, paths, pairs=8, seed=3)
-        first, again = (
-            [one.make() for one in planned(source, tmp_path, tmp_path / "lists")] for _ in "12"
-        )
-        assert len(first) == 8
-        for one, other in zip(first, again, strict=True):
-            assert np.array_equal(one.image1.pixels, other.image1.pixels)
-            assert one.truth.R is None and one.truth.camera1.size == one.image1.size
-    missing = PlanEntry("x", "fit", "rgbd", (Path("nowhere"),))
-    with pytest.raises(InputError, match="nowhere: no such data"):
-        planned(missing, tmp_path, tmp_path / "lists")
+        write_photos(tmp_path / folder, 60)
+    source = PlanEntry(kind, "report", kind, (Path("a"), Path("b")), pairs=8, seed=3)
+    first, again = (
+        [one.make() for one in planned(source, tmp_path, tmp_path / "lists")] for _ in "12"
+    )
+    assert len({pair.image1.pixels.tobytes() + pair.image2.pixels.tobytes() for pair in first}) == 8
+    for one, other in zip(first, again, strict=True):
+        assert np.array_equal(one.image2.pixels, other.image2.pixels)
+        assert (one.truth.R is None) == (kind != "planes")
+        assert one.truth.camera1.size == one.image1.size
