@@ -73,10 +73,10 @@ def map_outcomes(
     """
     for case in cases:
         images = zip(*map(image_arrays, (case.pairs.image1, case.pairs.image2)), strict=True)
-        shown = list(zip(case.names, images, strict=True))
+        pairs = list(zip(case.names, images, strict=True))
         for method, comparisons_of in methods.items():
-            for (name, pixels), comparison in zip(shown, comparisons_of(case.pairs), strict=True):
+            for (name, shown), comparison in zip(pairs, comparisons_of(case.pairs), strict=True):
                 scores = score_map(method, case.group, name, comparison, per_axis)
                 title = f"{name}, AEPE {scores.aepe:.2f}"
                 points, errors = comparison.finest.points, comparison.errors
-                yield scores, MapPicture(title, *pixels, points, errors)
+                yield scores, MapPicture(title, shown[0], shown[1], points, errors)
