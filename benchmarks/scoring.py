@@ -7,16 +7,17 @@ from typing import Generic
 
 import numpy as np
 
-from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.scores import Score, make_score
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
 
+# How a warning of a K that may be wrong begins
+_DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
 _SAMPLE = 60  # matches of each pair and method, for the pictures of a report
 
 
@@ -46,7 +47,13 @@ def score(pair: MatchedPair[Score]) -> Score:
     if pose.success and pose.R is not None and pose.t is not None:  # it counts only as a whole
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, truth.t)
+    check = None if pose.evidence is None else pose.evidence.focal_check
     confident = epipolar_errors(truth, matches.points1, matches.points2)
+    focal = {}  # error of ln f and its expected deviation, NaN without a pose
+    for n, camera, true in ((1, pose.camera1, truth.camera1), (2, pose.camera2, truth.camera2)):
+        error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
+        focal |= {f"focal{n}_error": error}
+        focal |= {f"focal{n}_std": np.nan if camera is None else camera.focal_std}
     values = {
         **truth.ids,
         "method": pair.method,
@@ -63,9 +70,10 @@ def score(pair: MatchedPair[Score]) -> Score:
         "rotation_90_deg": _number(pose.rotation_error_90_deg),
         "translation_90_deg": _number(pose.translation_error_90_deg),
         "probability": _number(pose.probability),
-        **_focal_lengths(pose, truth),
-        **dict(zip(("focal_ratio", "focal_ratio_std"), suggested_focal(pose), strict=True)),
-        "doubts_camera": doubts_camera(pose),
+        **focal,
+        "focal_ratio": np.nan if check is None else check.factor,
+        "focal_ratio_std": np.nan if check is None else check.std,
+        "doubts_camera": any(warning.startswith(_DOUBTS) for warning in pose.warnings),
         "epipolar_all_px": pair.everywhere_px[0],
         "epipolar_confident_px": confident[0],
         "epipolar_all_mean_px": pair.everywhere_px[1],
@@ -75,17 +83,6 @@ def score(pair: MatchedPair[Score]) -> Score:
         "sample": sample_text(matches, pose.inliers, options.seed),
     }
     return make_score(pair.kind, values)
-
-
-def _focal_lengths(pose: RelativePose, truth: Truth) -> dict[str, float]:
-    """Of both cameras the error of ln f and its expected deviation, NaN without a pose."""
-    values = {}
-    cameras = (1, pose.camera1, truth.camera1), (2, pose.camera2, truth.camera2)
-    for n, camera, true in cameras:
-        error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
-        values[f"focal{n}_error"] = error
-        values[f"focal{n}_std"] = np.nan if camera is None else camera.focal_std
-    return values
 
 
 def sample_text(matches: Matches, inliers: np.ndarray, seed: int) -> str:

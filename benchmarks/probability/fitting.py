@@ -26,6 +26,7 @@ from dgc_pose.estimation.probability import (
     MatchKind,
     log_error,
 )
+from dgc_pose.metrics import folded
 
 _STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # inverse regularisation, of standardised features
 _LEAST = 20  # right poses and wrong ones that a fit needs
@@ -43,11 +44,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
-    samples = [
-        (row, row.evidence)
-        for row in rows
-        if row.entry.part == "fit" and row.evidence and row.cameras != "wrong"
-    ]
+    samples = [(row, row.evidence) for row in rows if row.entry.part == "fit" and row.evidence]
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
@@ -119,7 +116,8 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
         and row.evidence
         and row.evidence.jackknife_focal_90_percent is not None
         and row.exact_cameras
-        and row.pair_error_deg < _ALTOGETHER_WRONG_DEG
+        and row.rotation_error_deg < _ALTOGETHER_WRONG_DEG
+        and folded(row.translation_error_deg) < _ALTOGETHER_WRONG_DEG
     ]
     if len(samples) < _LEAST:
         return {"slope": 0.0, "intercept": 0.0}

@@ -34,6 +34,7 @@ PLANE_SIZE = 640  # pixels a side of a view
 _RENDERED_SIZE = 640
 _PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
 _BLANK_SIZE = (640, 480)
+Maker = Callable[[int], PosedPair]  # of a pair by its number
 _DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
 
 
@@ -71,20 +72,13 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         "textureless": _textureless,
     }
     if entry.kind in makers:
-        made = makers[entry.kind](folders, entry)
-        return [PlannedPair(entry, k, entry.name, make) for k, make in enumerate(made)]
+        make = makers[entry.kind](folders, entry)
+        return [PlannedPair(entry, k, entry.name, partial(make, k)) for k in range(entry.pairs)]
     pairs = _listed(entry, folders[0], lists)
     require_images(pairs)
     listed = ListedPairs(pairs)
-    return [
-        PlannedPair(
-            entry,
-            k,
-            Path(pair.name1).parts[0] if entry.scene_by_folder else entry.name,
-            partial(listed.pair, k),
-        )
-        for k, pair in enumerate(pairs)
-    ]
+    scenes = (Path(p.name1).parts[0] if entry.scene_by_folder else entry.name for p in pairs)
+    return [PlannedPair(entry, k, scene, partial(listed.pair, k)) for k, scene in enumerate(scenes)]
 
 
 def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
@@ -99,7 +93,7 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
     return read_pairs(known, path)
 
 
-def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _rendered(folders: list[Path], entry: PlanEntry) -> Maker:
     from dgc_pose.training.synthesis.options import SceneOptions
     from dgc_pose.training.synthesis.photos import load_held_back
 
@@ -114,10 +108,10 @@ def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedP
         generator = torch.Generator().manual_seed(1000 * entry.seed + number)
         return rendered_pair(textures, _RENDERED_SIZE, generator, scenes, {})
 
-    return [partial(make, k) for k in range(entry.pairs)]
+    return make
 
 
-def _planes(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _planes(folders: list[Path], entry: PlanEntry) -> Maker:
     """Planes with a relief, whose homographies have two poses; see `synthesis.render.plane_pairs`.
     The heights of the reliefs come in turn."""
     from dgc_pose.training.synthesis.draw import seeded
@@ -131,31 +125,31 @@ def _planes(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPai
         relief = RELIEFS[number % len(RELIEFS)]
         return posed_pair(render_plane_pair(textures, PLANE_SIZE, generator, relief), {})
 
-    return [partial(make, k) for k in range(entry.pairs)]
+    return make
 
 
-def _unrelated(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _unrelated(folders: list[Path], entry: PlanEntry) -> Maker:
     """Photographs of different places: of different folders, or of different prefixes in one."""
     paths = _photographs_in(folders)
     places = {path: f"{path.parent} {path.stem.split('_')[0]}" for path in paths}
     one_each = {path for path in paths if "photos" in path.parts and "more" not in path.parts}
     rng = np.random.default_rng(entry.seed)
-    makers: list[Callable[[], PosedPair]] = []
-    while len(makers) < entry.pairs:
+    chosen: list[tuple[Path, Path]] = []
+    while len(chosen) < entry.pairs:
         path1, path2 = (paths[k] for k in rng.integers(0, len(paths), 2))
         if places[path1] != places[path2] or (path1 in one_each and path1 != path2):
-            makers.append(partial(_unrelated_pair, path1, path2))
-    return makers
+            chosen.append((path1, path2))
+
+    def make(number: int) -> PosedPair:
+        """The cameras that the images suggest (see `auto_camera`) are taken as known."""
+        images = [load_image(path) for path in chosen[number]]
+        camera1, camera2 = (Camera(auto_camera(image).K, image.size) for image in images)
+        return PosedPair(Truth({}, camera1, camera2, None, None), *images)
+
+    return make
 
 
-def _unrelated_pair(path1: Path, path2: Path) -> PosedPair:
-    """Two photographs with the cameras that they suggest (see `auto_camera`), taken as known."""
-    images = load_image(path1), load_image(path2)
-    camera1, camera2 = (Camera(auto_camera(image).K, image.size) for image in images)
-    return PosedPair(Truth({}, camera1, camera2, None, None), *images)
-
-
-def _textureless(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _textureless(folders: list[Path], entry: PlanEntry) -> Maker:
     """Each kind of blank image with itself, with another and with a photograph, in turn."""
     paths = _photographs_in(folders)
 
@@ -175,7 +169,7 @@ def _textureless(folders: list[Path], entry: PlanEntry) -> list[Callable[[], Pos
         camera = Camera(K.astype(np.float64), _BLANK_SIZE)
         return PosedPair(Truth({}, camera, camera, None, None), Image(first), Image(second))
 
-    return [partial(make, k) for k in range(entry.pairs)]
+    return make
 
 
 def blank(kind: BlankKind, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

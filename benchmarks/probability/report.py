@@ -1,17 +1,29 @@
-"""What a probability is worth on scenes that nothing was fitted on."""
+"""The fit from stored matches, and what it is worth on scenes that have no part in it."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.probability.records import Record
+from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
+from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model, models_text
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.records import Record, records
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.choice import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
-from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.estimation.probability import (
+    ErrorModel,
+    MatchKind,
+    ProbabilityModel,
+    match_kind,
+    parse_models,
+)
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
@@ -20,6 +32,16 @@ from dgc_pose.metrics import Reliability
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
 _INLIERS = (0, 60, 200, 600, math.inf)
 _DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
+
+
+_DEFAULTS = EstimationOptions()
+_KINDS: dict[MatchKind, str] = {
+    "network": "matches of a network, with its dense map",
+    "matches": "the same matches without the map",
+    "key_points": "key points",
+    "network_auto": "matches of a network, K withheld",
+    "matches_auto": "the same without the map, K withheld",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +90,12 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
 
 
 def report_text(poses: Sequence[Judged]) -> str:
-    """All tables. Of poses with a wrong K the first alone."""
-    wrong = [pose for pose in poses if pose.record.cameras == "wrong"]
-    poses = [pose for pose in poses if pose.record.cameras != "wrong"]
+    """All tables."""
+    error = 100 * reliability(poses).calibration_error
     parts = [
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
         claims_table(poses),
-        f"calibration error of the probability {100 * reliability(poses).calibration_error:.1f} %",
+        f"calibration error of the probability {error:.1f} %",
         reliability_table(poses),
         "share of right claimed poses whose error is within the expected one, 90 % of them meant; "
         "scenes of a rough reference left out",
@@ -82,14 +103,6 @@ def report_text(poses: Sequence[Judged]) -> str:
     ]
     if any(math.isfinite(pose.focal_90_percent) for pose in poses):
         parts += ["focal lengths that were fitted", focal_table(poses)]
-    if wrong:
-        bins = reliability(wrong)
-        parts += [
-            "The same pairs, a third of them, with focal lengths that are wrong by a factor of 0.5 "
-            "to 2",
-            claims_table(wrong),
-            f"calibration error of the probability {100 * bins.calibration_error:.1f} %",
-        ]
     return "\n\n".join(parts)
 
 
@@ -166,26 +179,15 @@ def focal_table(poses: Sequence[Judged]) -> str:
 
 
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
-    """The reliability diagram and precision against recall, a curve a kind of matches."""
+    """The reliability diagram, a curve a kind of matches."""
     from dgc_pose.viz.curves import draw_reliability
     from dgc_pose.viz.figure import new_figure
 
-    figure = new_figure(11, 5)
-    left, other = figure.subplots(1, 2)
+    figure = new_figure(5.5, 5)
+    axes = figure.subplots()
     curves = {name: reliability(poses) for name, poses in kinds.items()}
-    draw_reliability(left, curves, right="within 10 degrees")
-    left.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    for number, (name, poses) in enumerate(kinds.items()):
-        right = _values(poses, "right")
-        order = np.argsort(-_values(poses, "probability"), kind="stable")
-        true = np.cumsum(right[order])
-        total = max(int(right.sum()), 1)
-        other.plot(
-            true / total, true / np.arange(1, len(poses) + 1), color=f"C{number}", label=name
-        )
-    other.set(xlabel="recall of right poses", ylabel="precision", xlim=(0, 1.02), ylim=(0.5, 1.01))
-    other.grid(alpha=0.3)
-    other.legend(loc="lower left", fontsize=9)
+    draw_reliability(axes, curves, right="within 10 degrees")
+    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     return figure
 
 
@@ -203,3 +205,60 @@ def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:
     for pose in poses:
         groups.setdefault(pose.record.entry.name, []).append(pose)
     return {**groups, "all": list(poses)}
+
+
+def fit_all(
+    out: Path,
+    methods: Sequence[str],
+    entries: Sequence[PlanEntry],
+    options: EstimationOptions = _DEFAULTS,
+) -> tuple[str, str, Figure]:
+    """Fit a model for each kind of matches that the methods make.
+
+    options: of the estimation, as users have them. Returns `probability.json`, the report, and its
+    figure. Raises InputError if nothing is stored, or too little.
+    """
+    engines = {method: read_engine(out, method) for method in methods}
+    by_kind: dict[MatchKind, list[Record]] = {}
+    for method in methods:
+        of_method = list(records(read_collection(out, method, entries), options))
+        for kind, rows in _by_kind(of_method).items():
+            by_kind.setdefault(kind, rows)  # of several networks the first
+    if not by_kind:
+        raise InputError(f"{out}: no pose was found in any stored pair")
+    focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
+    fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
+    text = models_text(fitted, focal_error, engines)
+    models, focal = parse_models(text)
+    reported = {
+        kind: [judged(row, models[kind], focal) for row in rows if row.entry.part == "report"]
+        for kind, rows in by_kind.items()
+    }
+    parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
+    figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
+    return text, "\n\n\n".join(parts), figure
+
+
+def _kind(evidence: Evidence) -> MatchKind:
+    return match_kind(
+        key_points=evidence.key_points,
+        with_map=evidence.map_agreement is not None,
+        fitted=evidence.jackknife_focal_90_percent is not None,
+    )
+
+
+def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
+    """A method's records by their kind of matches and cameras, and a network's as those of no map
+    too. Those without evidence are of every kind of their cameras."""
+    blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
+    kinds: dict[MatchKind, list[Record]] = {}
+    for auto in (False, True):
+        members = [row for row in rows if (row.cameras == "auto") == auto]
+        kind = {_kind(row.evidence) for row in members if row.evidence is not None}
+        for name in kind:
+            kinds[name] = members
+        if "network" in kind or "network_auto" in kind:
+            evidence = [row.evidence and replace(row.evidence, **blank) for row in members]  # type: ignore[arg-type]
+            without = [replace(row, evidence=e) for row, e in zip(members, evidence, strict=True)]
+            kinds["matches_auto" if auto else "matches"] = without
+    return kinds

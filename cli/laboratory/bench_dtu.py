@@ -18,7 +18,7 @@ from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
 from dgc_pose.benchmarks.summary import (
     by_method,
     heading,
-    summarise_epipolar,
+    summarise,
     summary_data,
     summary_table,
 )
@@ -116,7 +116,7 @@ def bench_dtu(
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
     scores = work(Evaluation(pairs, chosen, matchers, run.workers), experiment.out, run, settings)
     write_pair_csv(out / "pairs.csv", views)
-    summaries = [summarise_epipolar(rows) for rows in by_method(scores).values()]
+    summaries = [summarise(rows) for rows in by_method(scores).values()]
     facts = {
         "protocol": f"{protocol}: {DESCRIPTIONS[protocol]}",
         "data": f"DTU in the {dataset.layout} layout, light {folder.light}",

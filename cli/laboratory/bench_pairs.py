@@ -1,6 +1,5 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +7,6 @@ from typing import Any
 
 import click
 
-from dgc_pose.benchmarks.camera_summary import camera_table, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_matchers, parse_methods
@@ -18,13 +16,13 @@ from dgc_pose.benchmarks.posed_pairs import (
     RenderedPosedPairs,
     require_images,
 )
-from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore
+from dgc_pose.benchmarks.scores import CameraScore, PairScore
 from dgc_pose.benchmarks.summary import (
     by_method,
+    camera_table,
     columns,
     heading,
     summarise,
-    summarise_epipolar,
     summary_data,
     summary_table,
 )
@@ -136,10 +134,7 @@ def bench_pairs(
         matchers = load_matchers(chosen, device=run.device, runtime=run.runtime)
         evaluation = Evaluation(pairs, chosen, matchers, run.workers)
         results = by_method(work(evaluation, options.out, run))
-        summarised: Callable[..., Any] = summarise_cameras if trial else summarise
-        if issubclass(pairs.kind, MapScore):
-            summarised = summarise_epipolar
-        summaries = [summarised(rows) for rows in results.values()]
+        summaries = [summarise(rows) for rows in results.values()]
         data = json_text(summary_data(summaries))
         if options.json_path is not None:
             save_text(stage(options.json_path), data)

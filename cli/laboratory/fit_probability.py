@@ -67,7 +67,7 @@ def fit_probability(choice: FitChoice) -> None:
     if not choice.collected and not _collected(choice, methods, entries):
         click.echo("stopped; the same command continues")
         return
-    from dgc_pose.benchmarks.probability.run import fit_all
+    from dgc_pose.benchmarks.probability.report import fit_all
     from dgc_pose.viz import save_figure
 
     models, report, figure = fit_all(choice.out, methods, entries)
