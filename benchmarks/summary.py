@@ -108,8 +108,8 @@ class CameraSummary(MethodSummary):
     # Of the right poses that expect an error: whether that of R, of t, is within
     rotation_within_percent: float
     translation_within_percent: float
-    # Of the focal lengths of all claimed poses, two a pair; those with a deviation below `_SURE_STD`
-    # are sure
+    # Of the focal lengths of all claimed poses, two a pair; sure: those with a deviation below
+    # `_SURE_STD`
     median_focal_error_percent: float
     focal_within_percent: float  # error within two deviations, of those that have a deviation
     sure_percent: float
@@ -219,16 +219,8 @@ def _median_percent(log_errors: np.ndarray) -> float:
 
 def camera_table(summaries: Sequence[CameraSummary]) -> str:
     """What the summaries have besides those of known cameras, as a table below its heading."""
-    rows = [
-        [
-            summary.method,
-            *(
-                decimals(getattr(summary, name), digits)
-                for name, digits in _CAMERA_COLUMNS.values()
-            ),
-        ]
-        for summary in summaries
-    ]
+    fields = _CAMERA_COLUMNS.values()
+    rows = [[s.method, *(decimals(getattr(s, name), d) for name, d in fields)] for s in summaries]
     return f"{_CAMERA_HEADING}\n{aligned([['method', *_CAMERA_COLUMNS], *rows])}"
 
 
