@@ -136,26 +136,25 @@ def load_pair(pair: HomographyPair) -> MapPairs:
             f"{pair.path1}: the image is {image1.size[0]}x{image1.size[1]} and the list was made "
             f"for {pair.size1[0]}x{pair.size1[1]}"
         )
-    truth, valid = true_map(pair.H, image1.size, image2.size)
+    points, valid = true_map(pair.H, image1.size, image2.size)
+    truth = points.astype(np.float32)
     squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
-    source, target = (
-        torch.from_numpy(square).permute(2, 0, 1)[None].float() / 255 for square in squares
-    )
-    truth32 = truth.astype(np.float32)
-    return MapPairs(source, target, torch.from_numpy(truth32)[None], torch.from_numpy(valid)[None])
+    source, target = (torch.from_numpy(s).permute(2, 0, 1)[None].float() / 255 for s in squares)
+    return MapPairs(source, target, *(torch.from_numpy(part)[None] for part in (truth, valid)))
 
 
 def true_map(
-    H: np.ndarray, size1: tuple[int, int], size2: tuple[int, int], cells: int = INPUT_SIZE
+    H: np.ndarray, size1: tuple[int, int], size2: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The map of a homography between images that are squared to `cells` x `cells` pixels.
+    """The map of a homography between images that are squared to 240 x 240 pixels.
 
     H: (3, 3), x2 ~ H x1 in pixels of images of size1 and size2, (width, height). Returns the map
-    (cells, cells, 2) float64, for each pixel of the squared target a point of the squared source,
-    and a mask (cells, cells) of valid pixels: both coordinates within 0 and cells - 1, which is
-    [-1, 1] in the paper's normalised coordinates. Squaring follows the half-pixel rule.
+    (240, 240, 2) float64, for each pixel of the squared target a point of the squared source, and
+    a mask (240, 240) of valid pixels: both coordinates within 0 and 239, which is [-1, 1] in the
+    paper's normalised coordinates. Squaring follows the half-pixel rule.
     """
-    squared = _squaring(size2, cells) @ H @ np.linalg.inv(_squaring(size1, cells))
+    cells = INPUT_SIZE
+    squared = _squaring(size2) @ H @ np.linalg.inv(_squaring(size1))
     # The scale of H decides the sign of the depth alone: positive at the source's centre.
     centre = np.array([(cells - 1) / 2, (cells - 1) / 2, 1.0])
     inverse = np.linalg.inv(squared * np.sign((squared @ centre)[2] or 1.0))
@@ -182,9 +181,9 @@ def _checked_matrix(words: Sequence[str]) -> np.ndarray:
     return H
 
 
-def _squaring(size: tuple[int, int], cells: int) -> np.ndarray:
+def _squaring(size: tuple[int, int]) -> np.ndarray:
     """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
-    sx, sy = np.divide(cells, size)
+    sx, sy = np.divide(INPUT_SIZE, size)
     return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
 
 

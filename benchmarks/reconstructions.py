@@ -2,9 +2,10 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,32 +48,27 @@ COLUMNS = {  # of the table
 }
 
 
-@dataclass(frozen=True)
-class PairFigures:
-    """Of the pairs that a model is made from; NaN where nothing is known of them."""
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionScore:
+    """A model compared with the truth. NaN where nothing is known, as of the model if too few
+    images are registered."""
 
     pairs: int = 0  # matched
     poses: int = 0  # pairs with a pose
     # Percent; of max(rotation, folded translation), infinite without a pose
     pair_auc5: float = np.nan
     pooled_focal_percent: float = np.nan  # mean error of the images' focal lengths
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructionScore(PairFigures):
-    """A model compared with the truth. NaN if too few images are registered."""
-
     method: str
     images: int
-    registered: int
-    rotation_median_deg: float  # of the relative rotations of all registered pairs
-    position_rms: float  # after a similarity, the truth's unit
-    position_median: float
-    position_percent: float  # position_rms over the largest distance of two cameras
-    points: int
-    mean_track_length: float
-    reprojection_error_px: float
-    focal_percent: float  # mean error of the images' focal lengths
+    registered: int = 0
+    rotation_median_deg: float = np.nan  # of the relative rotations of all registered pairs
+    position_rms: float = np.nan  # after a similarity, the truth's unit
+    position_median: float = np.nan
+    position_percent: float = np.nan  # position_rms over the largest distance of two cameras
+    points: int = 0
+    mean_track_length: float = np.nan
+    reprojection_error_px: float = np.nan
+    focal_percent: float = np.nan  # mean error of the images' focal lengths
     seconds: float
 
 
@@ -93,7 +89,7 @@ def run_method(
     """
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    figures = PairFigures()
+    figures: dict[str, Any] = {}
     try:
         if method == COLMAP_SIFT:
             database, mapping = out / DATABASE, reconstruction.mapping
@@ -102,8 +98,7 @@ def run_method(
             refines = mapping.refine_intrinsics or withheld is not None
             mapping = replace(mapping, refine_intrinsics=refines)
             model = sparse_model(map_database(database, views.root, mapping))
-            pairs_of_all = len(views.poses) * (len(views.poses) - 1) // 2
-            figures = PairFigures(pairs_of_all, pairs_of_all)
+            figures["pairs"] = figures["poses"] = len(views.poses) * (len(views.poses) - 1) // 2
         else:
             batch = run_batch(
                 Source(views.root, tuple(sorted(views.cameras)), None, {}),
@@ -118,10 +113,12 @@ def run_method(
             )
             figures = pair_figures(batch, views)
             model, _ = reconstruct(batch, out, reconstruction)
+        figures |= model_figures(model, views)
     except MappingError:
-        model = None
+        pass  # a score without a model
     seconds = time.perf_counter() - start
-    return score(method, model, views, figures, seconds)
+    images = len(views.poses)
+    return ReconstructionScore(method=method, images=images, seconds=seconds, **figures)
 
 
 def sift_database(
@@ -154,8 +151,8 @@ def sift_database(
     pycolmap.match_exhaustive(database, matching_options=matching)
 
 
-def pair_figures(batch: Batch, views: PosedViews) -> PairFigures:
-    """The poses and cameras of a batch compared with the true ones."""
+def pair_figures(batch: Batch, views: PosedViews) -> dict[str, Any]:
+    """The poses and cameras of a batch compared with the true ones, by field of the score."""
     errors = []
     for row in batch.rows:
         error = np.inf
@@ -166,68 +163,53 @@ def pair_figures(batch: Batch, views: PosedViews) -> PairFigures:
             rotation = rotation_error_deg(np.reshape(row.R, (3, 3)), R)
             error = max(rotation, folded(translation_error_deg(np.array(row.t), t)))
         errors.append(error)
-    cameras = batch.plan.final_cameras
-    return PairFigures(
-        batch.summary["pairs"],
-        batch.summary["poses"],
-        pose_auc(np.array(errors), (5,))[0] if errors else np.nan,
-        _focal_percent([(name, camera.focal) for name, camera in cameras.items()], views),
-    )
+    focal_lengths = [(name, camera.focal) for name, camera in batch.plan.final_cameras.items()]
+    return {
+        "pairs": batch.summary["pairs"],
+        "poses": batch.summary["poses"],
+        "pair_auc5": pose_auc(np.array(errors), (5,))[0] if errors else np.nan,
+        "pooled_focal_percent": _focal_percent(focal_lengths, views),
+    }
 
 
-def score(
-    method: str,
-    model: SparseModel | None,
-    views: PosedViews,
-    pairs: PairFigures,
-    seconds: float,
-) -> ReconstructionScore:
-    """A model's cameras compared with the true ones."""
-    names = [] if model is None else sorted(model.poses)
-    rotation = position = np.array([np.nan])
-    if model is not None and len(names) > 2:
-        rotation = rotation_errors(model, views, names)
-        position = position_errors(model, views, names)
-    true = np.stack([views.centre(name) for name in views.poses])
-    extent = np.linalg.norm(true[:, None] - true, axis=-1).max()
-    rms = float(np.sqrt((position**2).mean()))
+def model_figures(model: SparseModel, views: PosedViews) -> dict[str, Any]:
+    """A model's cameras compared with the true ones, by field of the score."""
+    names = sorted(model.poses)
     focal_lengths: list[tuple[str, float]] = []
-    for camera in () if model is None else model.cameras:
+    for camera in model.cameras:
         focal_lengths += [(camera.first_image, camera.focal_px)] * camera.images
-    return ReconstructionScore(
-        **asdict(pairs),
-        method=method,
-        images=len(views.poses),
-        registered=len(names),
-        rotation_median_deg=float(np.median(rotation)),
-        position_rms=rms,
-        position_median=float(np.median(position)),
-        position_percent=100 * rms / float(extent),
-        points=0 if model is None else len(model.points),
-        mean_track_length=np.nan if model is None else model.mean_track_length,
-        reprojection_error_px=np.nan if model is None else model.reprojection_error_px,
-        focal_percent=_focal_percent(focal_lengths, views),
-        seconds=seconds,
-    )
+    figures = {
+        "registered": len(names),
+        "points": len(model.points),
+        "mean_track_length": model.mean_track_length,
+        "reprojection_error_px": model.reprojection_error_px,
+        "focal_percent": _focal_percent(focal_lengths, views),
+    }
+    if len(names) < 3:
+        return figures
+    rotations = [
+        rotation_error_deg(
+            model.poses[b][:, :3] @ model.poses[a][:, :3].T,
+            views.poses[b][:, :3] @ views.poses[a][:, :3].T,
+        )
+        for a, b in combinations(names, 2)
+    ]
+    true = np.stack([views.centre(name) for name in views.poses])
+    extent = float(np.linalg.norm(true[:, None] - true, axis=-1).max())
+    positions = position_errors(model, views, names)
+    rms = float(np.sqrt((positions**2).mean()))
+    return figures | {
+        "rotation_median_deg": float(np.median(rotations)),
+        "position_rms": rms,
+        "position_median": float(np.median(positions)),
+        "position_percent": 100 * rms / extent,
+    }
 
 
 def _focal_percent(focal_lengths: Iterable[tuple[str, float]], views: PosedViews) -> float:
     """Mean error of the focal lengths of images, each with its name; NaN without any."""
     errors = [abs(focal / views.cameras[name].focal - 1) for name, focal in focal_lengths]
     return 100 * float(np.mean(errors)) if errors else np.nan
-
-
-def rotation_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
-    """Errors of the relative rotations of all pairs, degrees."""
-    return np.array(
-        [
-            rotation_error_deg(
-                model.poses[b][:, :3] @ model.poses[a][:, :3].T,
-                views.poses[b][:, :3] @ views.poses[a][:, :3].T,
-            )
-            for a, b in combinations(names, 2)
-        ]
-    )
 
 
 def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:

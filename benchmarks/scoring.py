@@ -49,7 +49,7 @@ def score(pair: MatchedPair[Score]) -> Score:
         translation = translation_error_deg(pose.t, truth.t)
     check = None if pose.evidence is None else pose.evidence.focal_check
     confident = epipolar_errors(truth, matches.points1, matches.points2)
-    focal = {}  # error of ln f and its expected deviation, NaN without a pose
+    focal: dict[str, float] = {}  # error of ln f and its expected deviation, NaN without a pose
     for n, camera, true in ((1, pose.camera1, truth.camera1), (2, pose.camera2, truth.camera2)):
         error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
         focal |= {f"focal{n}_error": error}

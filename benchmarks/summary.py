@@ -217,8 +217,8 @@ def _median_percent(log_errors: np.ndarray) -> float:
     return 100 * float(np.median(np.abs(np.expm1(log_errors)))) if len(log_errors) else np.nan
 
 
-def camera_table(summaries: Sequence[CameraSummary]) -> str:
-    """What the summaries have besides those of known cameras, as a table below its heading."""
+def camera_table(summaries: Sequence[MethodSummary]) -> str:
+    """What summaries of cameras have besides, as a table below its heading."""
     fields = _CAMERA_COLUMNS.values()
     rows = [[s.method, *(decimals(getattr(s, name), d) for name, d in fields)] for s in summaries]
     return f"{_CAMERA_HEADING}\n{aligned([['method', *_CAMERA_COLUMNS], *rows])}"

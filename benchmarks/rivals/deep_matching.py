@@ -195,7 +195,7 @@ def _best(at: np.ndarray, scores: np.ndarray, shape: tuple[int, ...]) -> Paths:
 def _to_quadrants(at: np.ndarray, scores: np.ndarray, level: int, shape: tuple[int, ...]) -> Paths:
     """Each path to the quadrants of its patch, as far as `shape` (h, w, H, W) has them."""
     step, apart = _quadrants(level)
-    sides = np.array(_SIDES)[:, None]
+    sides: np.ndarray = np.array(_SIDES)[:, None]
     rows_columns = at[:, :2] - step + apart * sides
     ends = np.concatenate([rows_columns, 2 * (at[:, 2:] - 1 + 2 * sides)], -1).reshape(-1, 4)
     inside = ((ends >= 0) & (ends < shape)).all(1)

@@ -8,6 +8,7 @@ from command_line import run as run_command
 from photos import write_photos
 
 from dgc_pose.benchmarks import posed_pairs
+from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import Method
 from dgc_pose.benchmarks.posed_pairs import (
@@ -41,7 +42,8 @@ def run(pairs, matchers, options):
     """The records of matchers by name, one by one."""
     unrefined = RefinementOptions(source="none")
     methods = [
-        Method(name, MatcherOptions(name, refinement=unrefined), options) for name in matchers
+        Method(name, MatcherOptions(name, refinement=unrefined), options, CameraTrial())
+        for name in matchers
     ]
     loaded = {method.matcher: matchers[method.name] for method in methods}
     for scores in Evaluation(ListedPairs(pairs), methods, loaded).run():
