@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import chain
 from typing import Any, Generic
@@ -61,15 +60,18 @@ class Evaluation(Generic[Score]):
 
         Raises what reading a pair raises, and DgcPoseError if a process ends before its work.
         """
+        matched = (self._match(pair) for pair in self.pairs.read(first))
+        if self.workers == 1:
+            yield from ([score(pair) for pair in methods] for methods in matched)
+            return
         waiting: deque[list[Future[Score]]] = deque()
-        pools = nullcontext(_at_once) if self.workers == 1 else process_pools([self.workers])
-        with pools as submit:
-            for pair in self.pairs.read(first):
-                waiting.append([submit(0, score, matched) for matched in self._match(pair)])
-                while waiting and (
-                    len(waiting) > 2 * self.workers or all(future.done() for future in waiting[0])
-                ):
+        with process_pools([self.workers]) as submit:
+            for methods in matched:
+                waiting.append([submit(0, score, pair) for pair in methods])
+                while len(waiting) > 2 * self.workers or all(f.done() for f in waiting[0]):
                     yield [future.result() for future in waiting.popleft()]
+                    if not waiting:
+                        break
             while waiting:
                 yield [future.result() for future in waiting.popleft()]
 
@@ -97,7 +99,9 @@ class Evaluation(Generic[Score]):
             search, everywhere_px = searches[method.matcher], (np.nan, np.nan)
             if "epipolar_all_px" in {of.name for of in fields(self.pairs.kind)}:
                 everywhere_px = map_errors(pair.truth, search.whole_map)
-            cameras, options = method.cameras.cameras(pair), _seeded(method, pair)
+            cameras, options = method.cameras.cameras(pair), method.estimation
+            if pair.truth.seed:
+                options = replace(options, seed=pair_seed(options.seed, *pair.truth.seed))
             final, seconds = search.matches(method, cameras, options)
             yield MatchedPair(
                 kind=self.pairs.kind,
@@ -145,15 +149,3 @@ class _Search:
         for step, seconds in steps.items():
             self.seconds[step] = max(seconds, self.seconds.get(step, 0.0))
         return result, sum(self.seconds[step] for step in steps)
-
-
-def _seeded(method: Method, pair: PosedPair) -> EstimationOptions:
-    """The estimation of a method with the seed of the pair, if the pair has one."""
-    words, options = pair.truth.seed, method.estimation
-    return replace(options, seed=pair_seed(options.seed, *words)) if words else options
-
-
-def _at_once(pool: int, work: Any, *items: Any) -> Future[Any]:
-    future: Future[Any] = Future()
-    future.set_result(work(*items))
-    return future

@@ -41,22 +41,15 @@ class DtuScene:
     views: Mapping[int, DtuView]  # by DTU's position, from 1; in pixels of `size`
     images: Mapping[int, Path]  # by position
     size: tuple[int, int]  # (width, height) of every image; (0, 0) without any
-    missing: Mapping[int, str]  # by position, the file that was expected, of the views left out
 
     @property
     def name(self) -> str:
         return f"scan{self.number}"
 
-    def require(self, position: int) -> None:
-        """Raise InputError, with the file that was expected, if this view is missing."""
-        if position in self.missing:
-            raise InputError(
-                f"view {position} of {self.name} is not there: expected {self.missing[position]}"
-            )
-        if position not in self.views:
-            raise InputError(
-                f"{self.name} has views 1 to {number_of_views(self.number)}, not {position}"
-            )
+    @property
+    def missing(self) -> int:
+        """How many of DTU's positions lack an image or a calibration."""
+        return number_of_views(self.number) - len(self.views)
 
 
 @dataclass(frozen=True)
@@ -104,8 +97,8 @@ def open_dataset(
     if short and (scenes is not None or len(short) == len(opened)):
         scene = short[0]
         raise InputError(
-            f"{root}: {scene.name} has {len(scene.views)} views in the {layout} layout, and two "
-            f"are needed: expected {next(iter(scene.missing.values()))}"
+            f"{root}: {scene.name} has {len(scene.views)} views with image (light {light}) and "
+            f"calibration in the {layout} layout, and two are needed, such as {_EXPECTED[layout]}"
         )
     return Dataset(
         root=root,
@@ -162,17 +155,12 @@ def _read_scene(
     files = _raw_files if layout == "raw" else _mvsnet_files
     views: dict[int, DtuView] = {}
     images: dict[int, Path] = {}
-    missing: dict[int, str] = {}
     size: tuple[int, int] | None = None
     for position in range(1, number_of_views(number) + 1):
         stem, calibration, read = files(root, number, position, light)
         paths = (stem.with_name(stem.name + suffix) for suffix in (".png", ".jpg"))
         image = next((path for path in paths if path.is_file()), None)
-        if image is None:
-            missing[position] = f"{stem}.png or .jpg"
-            continue
-        if not calibration.is_file():
-            missing[position] = str(calibration)
+        if image is None or not calibration.is_file():
             continue
         if (calibration, read) not in known:
             known[calibration, read] = read(calibration)
@@ -185,7 +173,7 @@ def _read_scene(
         # Its warning about the principal point is for cameras that a user gives.
         check_size(Camera(view.K), size, f"K of {image}")
         views[position], images[position] = view, image
-    return DtuScene(number, views, images, size or (0, 0), missing)
+    return DtuScene(number, views, images, size or (0, 0))
 
 
 def _raw_files(root: Path, scene: int, position: int, light: Light) -> tuple[Path, Path, Reader]:

@@ -92,7 +92,8 @@ def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewP
 def view_pair(scene: DtuScene, view1: int, view2: int) -> ViewPair:
     """Two views by their numbers. Raises InputError if one is missing, or both have one centre."""
     for number in (view1, view2):
-        scene.require(number)
+        if number not in scene.views:
+            raise InputError(f"{scene.name} has no view {number} with an image and a calibration")
     motion = _motion(scene.views[view1], scene.views[view2], scene.size)
     pair = ViewPair(scene.number, view1, view2, *motion)
     if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:

@@ -35,10 +35,10 @@ from dgc_pose.system.options import option
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    names = split_names(text)
-    if not names or not all(name.isdecimal() and len(name) < 10 for name in names):
-        raise InputError(f"--scenes takes numbers separated by commas, not {text!r}")
-    return tuple(int(name) for name in names)
+    try:
+        return tuple(int(name[:10]) for name in split_names(text))
+    except ValueError:
+        raise InputError(f"--scenes takes numbers separated by commas, not {text!r}") from None
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,10 @@ def bench_dtu(
 
 def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
     """What was found, and what was left out."""
-    absent = sum(len(scene.missing) for scene in dataset.scenes)
     views = sum(len(scene.views) for scene in dataset.scenes)
     lines = [
         f"{dataset.layout} layout: {len(dataset.scenes)} scenes, {views} views, "
-        f"{absent} left out without an image or a calibration"
+        f"{sum(s.missing for s in dataset.scenes)} left out without an image or a calibration"
     ]
     if dataset.left_out:
         names = ", ".join(f"scan{number}" for number in dataset.left_out)

@@ -53,7 +53,7 @@ def dtu_pairs(
     click.echo(
         f"{out}: {len(drawn)} pairs of {len(candidates)} candidates, "
         f"rotations {rotations[0]:.1f} to {rotations[-1]:.1f} deg, {len(scene.views)} views, "
-        f"{len(scene.missing)} left out without an image or a calibration"
+        f"{scene.missing} left out without an image or a calibration"
     )
     if len(drawn) < options.pairs:
         click.echo(f"warning: {options.pairs} pairs were asked for; there are no more", err=True)

@@ -40,7 +40,7 @@ def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
         assert {path.suffix for path in scene.images.values()} == {f".{extension}"}
         assert len(set(scene.images.values())) == 3
         assert scene.size == SIZE
-        assert len(scene.missing) == views - 3
+        assert scene.missing == views - 3
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -147,7 +147,7 @@ def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
 def test_another_light_is_another_image(tmp_path, light):
     write_raw(tmp_path, grey_scan([0, 10]), light=light)
     assert len(open_dataset(tmp_path, light=light).scenes) == 1
-    with pytest.raises(InputError, match=r"scan65 has 0 views .* expected .*rect_001_3_r5000"):
+    with pytest.raises(InputError, match=r"scan65 has 0 views .*light 3"):
         open_dataset(tmp_path)
 
 
@@ -177,20 +177,10 @@ def test_views_that_are_not_there_are_left_out_and_named(tmp_path, layout):
     scan = grey_scan([0, 10, 20, 30, 40])
     WRITERS[layout](tmp_path, scan, extension="png")
     (tmp_path / IMAGE_2[layout]).unlink()
-    calibration = tmp_path / CALIBRATION_4[layout]
-    calibration.unlink()
+    (tmp_path / CALIBRATION_4[layout]).unlink()
     (scene,) = open_dataset(tmp_path).scenes
     assert sorted(scene.views) == sorted(scene.images) == [1, 3, 5]
-    assert len(scene.missing) == 46
-    stem = str(tmp_path / IMAGE_2[layout]).removesuffix(".png")
-    assert scene.missing[2] == f"{stem}.png or .jpg"
-    assert scene.missing[4] == str(calibration)
-    scene.require(3)
-    with pytest.raises(InputError, match="view 4 of scan65 is not there: expected ") as caught:
-        scene.require(4)
-    assert str(calibration) in str(caught.value)
-    with pytest.raises(InputError, match="scan65 has views 1 to 49, not 50"):
-        scene.require(50)
+    assert scene.missing == 46
 
 
 def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_path):
@@ -199,7 +189,7 @@ def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_
     dataset = open_dataset(tmp_path)
     assert [scene.number for scene in dataset.scenes] == [7]
     assert dataset.left_out == (8,)
-    with pytest.raises(InputError, match="scan8 has 1 views .* expected .*rect_002_3_r5000"):
+    with pytest.raises(InputError, match="scan8 has 1 views .*two are needed"):
         open_dataset(tmp_path, scenes=[7, 8])
     assert len(open_dataset(tmp_path, scenes=[7, 7]).scenes) == 1
 
