@@ -68,10 +68,10 @@ class Evaluation(Generic[Score]):
         with process_pools([self.workers]) as submit:
             for methods in matched:
                 waiting.append([submit(0, score, pair) for pair in methods])
-                while len(waiting) > 2 * self.workers or all(f.done() for f in waiting[0]):
+                while waiting and (
+                    len(waiting) > 2 * self.workers or all(future.done() for future in waiting[0])
+                ):
                     yield [future.result() for future in waiting.popleft()]
-                    if not waiting:
-                        break
             while waiting:
                 yield [future.result() for future in waiting.popleft()]
 

@@ -72,22 +72,18 @@ def read_engine(out: Path, method: str) -> Any:
     return read_json(path, "what a collection was matched with")
 
 
-def collect(
-    pairs: Sequence[PlannedPair], matchers: Mapping[str, Matcher], out: Path
-) -> Iterator[PlannedPair]:
-    """Match the pairs that are not stored yet; yields each pair that is done.
+def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> None:
+    """Match a pair by the methods of which it is not stored yet.
 
     Raises what reading a pair raises.
     """
-    for pair in pairs:
-        paths = {name: store_path(out, name, pair.entry, pair.number) for name in matchers}
-        missing = {name: path for name, path in paths.items() if not path.is_file()}
-        if missing:
-            posed = pair.make()
-            for name, path in missing.items():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                _match(path, pair.scene, posed, matchers[name])
-        yield pair
+    paths = {name: store_path(out, name, pair.entry, pair.number) for name in matchers}
+    missing = {name: path for name, path in paths.items() if not path.is_file()}
+    posed = pair.make() if missing else None
+    for name, path in missing.items():
+        assert posed is not None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _match(path, pair.scene, posed, matchers[name])
 
 
 def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Iterator[StoredPair]:

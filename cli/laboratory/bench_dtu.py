@@ -36,7 +36,7 @@ from dgc_pose.system.options import option
 
 def _numbers(text: str) -> tuple[int, ...]:
     try:
-        return tuple(int(name[:10]) for name in split_names(text))
+        return tuple(int(name) for name in split_names(text))
     except ValueError:
         raise InputError(f"--scenes takes numbers separated by commas, not {text!r}") from None
 

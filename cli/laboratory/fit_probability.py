@@ -89,16 +89,16 @@ def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[Plan
     from dgc_pose.matchers import load_matcher
 
     start = time.monotonic()
-    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
     require_data(entries, choice.data)
+    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
     for name, matcher in matchers.items():
         require_engine(choice.out, name, matcher)
     lists = choice.out / "lists"
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
     # One pair of each scene in turn: a collection that is cut short has some of each.
     pairs.sort(key=lambda pair: pair.number)
-    done = collect(pairs, matchers, choice.out)
-    for _ in tqdm(done, total=len(pairs), unit="pair", disable=None):
+    for pair in tqdm(pairs, unit="pair", disable=None):
+        collect(pair, matchers, choice.out)
         minutes = (time.monotonic() - start) / 60
         if choice.stop_after is not None and minutes >= choice.stop_after:
             return False
