@@ -6,8 +6,7 @@ each scene gets from weights fitted on the other scenes. The expected error is a
 on right poses of scenes whose reference is exact.
 """
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from dgc_pose.estimation.choice import CHOICE_FEATURES, choice_shares
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FEATURES,
-    FORMAT,
     OF_AUTO,
     OF_MAPS,
     MatchKind,
@@ -122,16 +120,6 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     if len(samples) < _LEAST:
         return {"slope": 0.0, "intercept": 0.0}
     return _error_model(samples, "focal")
-
-
-def models_text(
-    models: Mapping[MatchKind, Mapping[str, Any]],
-    focal_error: Mapping[str, float],
-    engine: Mapping[str, Any],
-) -> str:
-    """The file that the package reads."""
-    data = {"format": FORMAT, "engine": engine, "focal_error": focal_error, "models": models}
-    return json.dumps(data, indent=1) + "\n"
 
 
 def _logistic(

@@ -1,7 +1,6 @@
 """The pairs of a plan's entries, each made when it is matched."""
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,6 @@ from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image, load_image
@@ -46,16 +44,6 @@ class PlannedPair:
     number: int
     scene: str
     make: Callable[[], PosedPair]
-
-
-def require_data(entries: Sequence[PlanEntry], data: Path) -> None:
-    """Raise InputError, with the path, if something that the entries name is not there."""
-    for entry in entries:
-        for path in entry.path:
-            if not os.path.exists(data / path):  # False for a name with a zero byte, too
-                raise InputError(
-                    f"{data / path}: no such data; the plan's source {entry.name} needs it"
-                )
 
 
 def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:

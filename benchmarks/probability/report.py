@@ -1,5 +1,6 @@
 """The fit from stored matches, and what it is worth on scenes that have no part in it."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model, models_text
+from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.errors import InputError
@@ -18,6 +19,7 @@ from dgc_pose.estimation.choice import choice_shares, utility
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
+    FORMAT,
     ErrorModel,
     MatchKind,
     ProbabilityModel,
@@ -30,7 +32,6 @@ from dgc_pose.files.tables import aligned
 from dgc_pose.metrics import Reliability
 
 _ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
-_INLIERS = (0, 60, 200, 600, math.inf)
 _DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
 
 
@@ -96,7 +97,6 @@ def report_text(poses: Sequence[Judged]) -> str:
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
         claims_table(poses),
         f"calibration error of the probability {error:.1f} %",
-        reliability_table(poses),
         "share of right claimed poses whose error is within the expected one, 90 % of them meant; "
         "scenes of a rough reference left out",
         coverage_table(poses),
@@ -129,29 +129,14 @@ def reliability(poses: Sequence[Judged]) -> Reliability:
     return Reliability.of(_values(known, "probability"), _values(known, "right"))
 
 
-def reliability_table(poses: Sequence[Judged]) -> str:
-    """Of each tenth of probability the mean, and the share that is right."""
-    bins = reliability(poses)
-    rows = [("probability", "poses", "mean", "right")]
-    columns = (bins.edges, bins.counts, bins.mean_confidence, bins.share_correct)
-    for low, count, mean, right in zip(*columns, strict=False):
-        if count:
-            name = f"{low:.1f} to {low + 0.1:.1f}"
-            rows.append((name, str(count), f"{100 * mean:.0f} %", f"{100 * right:.0f} %"))
-    return aligned(rows)
-
-
 def coverage_table(poses: Sequence[Judged]) -> str:
-    """By bins of rotation and of inliers."""
+    """By bins of rotation."""
     claimed = [p for p in poses if p.by_probability and p.right and p.record.exact]
     evidence = [pose.record.evidence for pose in claimed]
     angles = np.array([e.rotation_angle_deg for e in evidence if e is not None])
-    inliers = np.array([e.num_inliers for e in evidence if e is not None])
     bins = {"all": np.ones(len(claimed), bool)}
     for low, high in zip(_ROTATIONS, _ROTATIONS[1:], strict=False):
         bins[f"rotation {low} to {high} deg"] = (low <= angles) & (angles < high)
-    for less, more in zip(_INLIERS, _INLIERS[1:], strict=False):
-        bins[f"inliers {less:.0f} to {more:.0f}"] = (less <= inliers) & (inliers < more)
     R = np.array([p.record.rotation_error_deg <= p.rotation_90_deg for p in claimed])
     t = np.array([p.record.translation_error_deg <= p.translation_90_deg for p in claimed])
     rows: list[tuple[str, ...]] = [("poses", "number", "R within", "t within")]
@@ -228,7 +213,8 @@ def fit_all(
         raise InputError(f"{out}: no pose was found in any stored pair")
     focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
-    text = models_text(fitted, focal_error, engines)
+    data = {"format": FORMAT, "engine": engines, "focal_error": focal_error, "models": fitted}
+    text = json.dumps(data, indent=1) + "\n"
     models, focal = parse_models(text)
     reported = {
         kind: [judged(row, models[kind], focal) for row in rows if row.entry.part == "report"]

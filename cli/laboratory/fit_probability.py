@@ -85,16 +85,15 @@ def fit_probability(choice: FitChoice) -> None:
 def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> bool:
     """Match what is not stored yet; whether nothing is left."""
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
-    from dgc_pose.benchmarks.probability.planned import planned, require_data
+    from dgc_pose.benchmarks.probability.planned import planned
     from dgc_pose.matchers import load_matcher
 
     start = time.monotonic()
-    require_data(entries, choice.data)
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
-    for name, matcher in matchers.items():
-        require_engine(choice.out, name, matcher)
     lists = choice.out / "lists"
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
+    for name, matcher in matchers.items():
+        require_engine(choice.out, name, matcher)
     # One pair of each scene in turn: a collection that is cut short has some of each.
     pairs.sort(key=lambda pair: pair.number)
     for pair in tqdm(pairs, unit="pair", disable=None):
