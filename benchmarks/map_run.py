@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from dgc_pose.benchmarks.rivals.table import kind_of
+from dgc_pose.benchmarks.methods import kind_of
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.device import choose_device

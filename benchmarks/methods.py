@@ -16,11 +16,11 @@ from functools import partial
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.rivals.table import RIVALS, kind_of
+from dgc_pose.benchmarks.rivals.deep_matching import DeepMatcher
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions
+from dgc_pose.matchers import KINDS, MatcherCaches, MatcherKind, MatcherOptions
 from dgc_pose.matching import Matcher
 from dgc_pose.network.stored import shipped
 from dgc_pose.refinement import RefinementOptions
@@ -37,6 +37,26 @@ _KEYS = {"source": "refine", "refine": "refine_pose"} | {
 _SETTING = re.compile(r":(?=[A-Za-z]\w*=)")  # begins with; a path and K=auto:two hold colons, too
 
 Options = TypeVar("Options")
+
+
+def _rocco(options: MatcherOptions, _: MatcherCaches | None, engine: Engine | None) -> Matcher:
+    from dgc_pose.benchmarks.rivals.rocco import RoccoMatcher  # needs torch
+
+    return RoccoMatcher(options.matching, options.device)
+
+
+# The paper's rivals, beside the matchers that `KINDS` has
+RIVALS = {
+    "rocco": MatcherKind("rocco", _rocco, dense_map=True),
+    "deepmatching": MatcherKind(
+        "deepmatching", lambda options, *_: DeepMatcher(options.matching), dense_map=True
+    ),
+}
+
+
+def kind_of(options: MatcherOptions) -> MatcherKind:
+    """The kind of a matcher, that of a rival too."""
+    return RIVALS.get(options.weights) or options.kind
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,6 @@ from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matching.cache import BoundedCache
 
 if TYPE_CHECKING:
-    import torch
-
-    from dgc_pose.training.synthesis.options import SceneOptions
-    from dgc_pose.training.synthesis.render.bank import TextureBank
     from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPairs
 
 Ids = Mapping[str, str | int | float]
@@ -143,6 +139,7 @@ class RenderedPosedPairs(PairSet[MapScore]):
         import torch
 
         from dgc_pose.training.synthesis.options import SceneOptions
+        from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
         generator = torch.Generator().manual_seed(self._seed)
         # Several copies of a photograph side by side would make its blur, not its detail, the scene
@@ -150,18 +147,9 @@ class RenderedPosedPairs(PairSet[MapScore]):
             rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
         )
         for number, ids in enumerate(self.ids):
-            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids)
+            views = render_pairs(self._textures, 1, RENDERED_SIZE, generator, scenes)
             if number >= first:
-                yield pair
-
-
-def rendered_pair(
-    textures: TextureBank, side: int, generator: torch.Generator, scenes: SceneOptions, ids: Ids
-) -> PosedPair:
-    """Two views of a rendered scene, `side` pixels square."""
-    from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
-
-    return posed_pair(render_pairs(textures, 1, side, generator, scenes), ids)
+                yield posed_pair(views, ids)
 
 
 def posed_pair(views: RenderedPairs, ids: Ids) -> PosedPair:

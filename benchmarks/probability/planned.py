@@ -14,7 +14,6 @@ from dgc_pose.benchmarks.posed_pairs import (
     PosedPair,
     Truth,
     posed_pair,
-    rendered_pair,
     require_images,
 )
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
@@ -84,6 +83,7 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
 def _rendered(folders: list[Path], entry: PlanEntry) -> Maker:
     from dgc_pose.training.synthesis.options import SceneOptions
     from dgc_pose.training.synthesis.photos import load_held_back
+    from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
     textures = load_held_back(folders[0]).textures
     scenes = SceneOptions(
@@ -94,7 +94,7 @@ def _rendered(folders: list[Path], entry: PlanEntry) -> Maker:
         import torch
 
         generator = torch.Generator().manual_seed(1000 * entry.seed + number)
-        return rendered_pair(textures, _RENDERED_SIZE, generator, scenes, {})
+        return posed_pair(render_pairs(textures, 1, _RENDERED_SIZE, generator, scenes), {})
 
     return make
 

@@ -7,7 +7,6 @@ down. All arrays are indexed by row and column.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image, resize
+from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
@@ -32,14 +32,6 @@ _SIDES = tuple(np.ndindex(2, 2))  # of the quadrants: 0 above or left, 1 below o
 # Ways down from large patches. at (M, 4): row and column of the patch where each has arrived, row
 # and column of its place; scores (M,) float32: the sum of its responses.
 Paths = tuple[np.ndarray, np.ndarray]
-
-
-@dataclass(frozen=True)
-class AtomMatches:
-    """Matches of the 4x4 patches of image 2, each the best of its patch and of its place."""
-
-    points2: np.ndarray  # (N, 2) centres of the patches, pixels x, y of image 2
-    points1: np.ndarray  # (N, 2) where they lie in image 1
 
 
 class DeepMatcher(Matcher):
@@ -88,8 +80,9 @@ def _interpolated(points: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.
     return result
 
 
-def deep_matches(grey1: np.ndarray, grey2: np.ndarray) -> AtomMatches:
-    """Match the 4x4 patches of image 2 to image 1.
+def deep_matches(grey1: np.ndarray, grey2: np.ndarray) -> Matches:
+    """Match the 4x4 patches of image 2 to image 1, centre to centre: each match is the best of its
+    patch and of its place.
 
     grey1, grey2: (H, W) uint8 or float, grey levels of 0 to 255, of one shape whose sides are
     multiples of 4. Memory is about H^2 W^2 / 8 bytes.
@@ -106,10 +99,9 @@ def deep_matches(grey1: np.ndarray, grey2: np.ndarray) -> AtomMatches:
         rows * patches2.shape[1] + columns, ys // ATOM * grey1.shape[1] + xs // ATOM, scores
     )
     centre = (ATOM - 1) / 2
-    return AtomMatches(
-        points2=np.column_stack([columns, rows])[best] * float(ATOM) + centre,
-        points1=np.column_stack([xs, ys])[best] + centre,
-    )
+    points2 = np.column_stack([columns, rows])[best] * ATOM + centre
+    points1 = np.column_stack([xs, ys])[best] + centre
+    return Matches(points1, points2, np.ones(len(best)), float(ATOM))
 
 
 def _patch_descriptors(grey: np.ndarray) -> np.ndarray:

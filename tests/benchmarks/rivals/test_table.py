@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dgc_pose import load_matcher
+from dgc_pose.benchmarks.methods import RIVALS
 from dgc_pose.benchmarks.rivals import deep_matching
-from dgc_pose.benchmarks.rivals.table import RIVALS
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
