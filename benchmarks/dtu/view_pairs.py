@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations, groupby
 
 import numpy as np
@@ -55,15 +56,11 @@ class ViewPair:
 
 def find_view_pairs(dataset: Dataset, options: ViewPairOptions) -> list[ViewPair]:
     """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
-    # In some layouts all scenes share their views.
-    known: dict[tuple[DtuView, DtuView, tuple[int, int]], tuple[float, float, float]] = {}
     pairs = []
     for scene in dataset.scenes:
         for view1, view2 in combinations(sorted(scene.views), 2):
-            key = (scene.views[view1], scene.views[view2], scene.size)
-            if key not in known:
-                known[key] = _motion(*key)
-            pair = ViewPair(scene.number, view1, view2, *known[key])
+            motion = _motion(scene.views[view1], scene.views[view2], scene.size)
+            pair = ViewPair(scene.number, view1, view2, *motion)
             if (
                 options.min_rotation <= pair.rotation_deg <= options.max_rotation
                 and pair.overlap >= options.min_overlap
@@ -125,6 +122,7 @@ def overlap(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
     return (_share_seen(view1, view2, size) + _share_seen(view2, view1, size)) / 2
 
 
+@cache  # in some layouts all scenes share their views
 def _motion(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> tuple[float, float, float]:
     """Rotation, overlap and baseline of a ViewPair."""
     R, t = relative_pose(view1, view2)

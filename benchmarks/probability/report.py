@@ -16,7 +16,6 @@ from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.choice import choice_shares, utility
-from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FORMAT,
@@ -30,10 +29,6 @@ from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
 from dgc_pose.metrics import Reliability
-
-_ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
-_DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
-
 
 _DEFAULTS = EstimationOptions()
 _KINDS: dict[MatchKind, str] = {
@@ -54,7 +49,6 @@ class Judged:
     probability: float  # 0 if the evidence says that the translation is not determined
     rotation_90_deg: float
     translation_90_deg: float
-    focal_90_percent: float = math.nan  # of a focal length that was fitted
     ambiguous: bool = False
 
     @property
@@ -62,7 +56,7 @@ class Judged:
         return self.record.right
 
 
-def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> Judged:
+def judged(record: Record, model: ProbabilityModel) -> Judged:
     """The verdict on a record, by the probability."""
     evidence = record.evidence
     if evidence is None:
@@ -85,25 +79,23 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
         0.0 if known.rotation_alone else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
         min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
-        _expected(evidence.jackknife_focal_90_percent, focal_error),
         verdict.status == "ambiguous",
     )
 
 
 def report_text(poses: Sequence[Judged]) -> str:
-    """All tables."""
+    """The claims on scenes that have no part in the fit, and what they are worth."""
     error = 100 * reliability(poses).calibration_error
-    parts = [
-        "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
-        claims_table(poses),
-        f"calibration error of the probability {error:.1f} %",
-        "share of right claimed poses whose error is within the expected one, 90 % of them meant; "
-        "scenes of a rough reference left out",
-        coverage_table(poses),
-    ]
-    if any(math.isfinite(pose.focal_90_percent) for pose in poses):
-        parts += ["focal lengths that were fitted", focal_table(poses)]
-    return "\n\n".join(parts)
+    exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
+    R = [p.record.rotation_error_deg <= p.rotation_90_deg for p in exact]
+    t = [p.record.translation_error_deg <= p.translation_90_deg for p in exact]
+    within = f"{100 * np.mean(R):.0f} and {100 * np.mean(t):.0f} %" if exact else "none"
+    return (
+        "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.\n\n"
+        f"{claims_table(poses)}\n\ncalibration error of the probability {error:.1f} %\n"
+        "right claimed poses whose R and t are within the expected error, 90 % of them meant, "
+        f"scenes of a rough reference left out: {within} of {len(exact)}"
+    )
 
 
 def claims_table(poses: Sequence[Judged]) -> str:
@@ -127,40 +119,6 @@ def reliability(poses: Sequence[Judged]) -> Reliability:
     """Of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
     return Reliability.of(_values(known, "probability"), _values(known, "right"))
-
-
-def coverage_table(poses: Sequence[Judged]) -> str:
-    """By bins of rotation."""
-    claimed = [p for p in poses if p.by_probability and p.right and p.record.exact]
-    evidence = [pose.record.evidence for pose in claimed]
-    angles = np.array([e.rotation_angle_deg for e in evidence if e is not None])
-    bins = {"all": np.ones(len(claimed), bool)}
-    for low, high in zip(_ROTATIONS, _ROTATIONS[1:], strict=False):
-        bins[f"rotation {low} to {high} deg"] = (low <= angles) & (angles < high)
-    R = np.array([p.record.rotation_error_deg <= p.rotation_90_deg for p in claimed])
-    t = np.array([p.record.translation_error_deg <= p.translation_90_deg for p in claimed])
-    rows: list[tuple[str, ...]] = [("poses", "number", "R within", "t within")]
-    for name, chosen in bins.items():
-        if chosen.any():
-            shares = (f"{100 * np.mean(within[chosen]):.0f} %" for within in (R, t))
-            rows.append((name, str(chosen.sum()), *shares))
-    return aligned(rows)
-
-
-def focal_table(poses: Sequence[Judged]) -> str:
-    """By what the fit says of them: errors of ln f, and how many are within two deviations."""
-    rows = [("deviation of f", "poses", "median error", "within two deviations")]
-    members = [p for p in poses if p.by_probability and math.isfinite(p.record.focal_error_percent)]
-    error = np.array([pose.record.focal_error_percent for pose in members])
-    std = np.array([pose.focal_90_percent for pose in members]) / NORMAL_90
-    for low, high in zip(_DEVIATIONS, _DEVIATIONS[1:], strict=False):
-        chosen = (low <= std) & (std < high)
-        if chosen.any():
-            within = 100 * np.mean(error[chosen] <= 2 * std[chosen])
-            median = f"{np.median(error[chosen]):.2f} %"
-            name = f"{low:g} to {high:g} %"
-            rows.append((name, str(chosen.sum()), median, f"{within:.0f} %"))
-    return aligned(rows)
 
 
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
@@ -215,9 +173,9 @@ def fit_all(
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
     data = {"format": FORMAT, "engine": engines, "focal_error": focal_error, "models": fitted}
     text = json.dumps(data, indent=1) + "\n"
-    models, focal = parse_models(text)
+    models = parse_models(text).by_kind
     reported = {
-        kind: [judged(row, models[kind], focal) for row in rows if row.entry.part == "report"]
+        kind: [judged(row, models[kind]) for row in rows if row.entry.part == "report"]
         for kind, rows in by_kind.items()
     }
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]

@@ -32,14 +32,9 @@ def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse() -> None:
         assert valid[y, x] == all(0 <= value <= 239 for value in place)
         seen.append(bool(valid[y, x]))
     assert len(set(seen)) == 2
-
-
-@pytest.mark.parametrize("factor", [1.0, -3.0])
-def test_a_factor_of_the_matrix_changes_nothing(factor: float) -> None:
-    expected, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
-    found, same = true_map(factor * scene.H, scene.SIZE1, scene.SIZE2)
-    np.testing.assert_allclose(found, expected)
-    assert (same == valid).all() and valid.any()
+    other, same = true_map(-3 * scene.H, scene.SIZE1, scene.SIZE2)
+    np.testing.assert_allclose(other, found)
+    assert (same == valid).all()
 
 
 def test_nothing_beyond_the_horizon_is_valid() -> None:
@@ -100,14 +95,6 @@ def test_a_matrix_that_is_none_is_named(tmp_path, text: str) -> None:
     (tmp_path / "wall_H.txt").write_text(text)
     with pytest.raises(InputError, match=r"wall_H\.txt is not a homography"):
         find_homography_pairs(tmp_path)
-
-
-def test_a_folder_without_pairs_or_no_folder_is_refused(tmp_path) -> None:
-    scene.write_sequence(tmp_path / "i_dome")
-    with pytest.raises(InputError, match="no pairs; expected HPatches"):
-        find_homography_pairs(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
-        find_homography_pairs(tmp_path / "nowhere")
 
 
 def test_a_matrix_for_another_size_is_refused(tmp_path) -> None:

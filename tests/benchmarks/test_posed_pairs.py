@@ -14,11 +14,10 @@ from dgc_pose.benchmarks.methods import Method
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
     RenderedPosedPairs,
-    require_images,
 )
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import Matcher, MatchResult
@@ -64,13 +63,6 @@ def test_a_wrong_pose_has_its_error(pairs):
     assert result.translation_error_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.3)
     folded = min(result.translation_error_deg, 180 - result.translation_error_deg)
     assert result.translation_folded_deg == folded
-
-
-def test_a_missing_image_is_known_before_the_work(pairs):
-    require_images(pairs)
-    pairs[1].path2.unlink()
-    with pytest.raises(ImageError, match=r"two\.png"):
-        require_images(pairs)
 
 
 def test_the_K_of_another_image_is_refused(pairs):

@@ -11,8 +11,7 @@ from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
-from dgc_pose.matching import CorrespondenceMap, MatchingOptions, select_matches
-from dgc_pose.matching.texture import texture, textured
+from dgc_pose.matching import CorrespondenceMap
 
 STORED = (80, 60)  # width, height of both views as stored
 SHOWN = (40, 20)  # and as shown to the methods
@@ -97,34 +96,11 @@ def test_a_format_gives_the_points_of_its_flow(tmp_path, writer) -> None:
     assert unknown > 0
 
 
-def test_a_flow_of_any_size_is_that_of_the_resized_views(tmp_path) -> None:
-    flow = np.zeros((60, 40, 2))
-    flow[..., 0] = 4.0
-    np.save(tmp_path / f"{STEM}.npy", flow)
-    found = _map(tmp_path, STORED)
-    assert found.map.shape == (60, 40, 2)
-    assert np.allclose(found.map - found.grid, (8.0, 0.0), atol=1e-4)  # 4 of 40 is 8 of 80
-    assert np.allclose(found.grid[0, 0], (0.5, 0.0)) and np.allclose(found.grid[-1, -1], (78.5, 59))
-
-
 def test_matchability_and_certainty_are_taken(tmp_path) -> None:
     values = np.random.default_rng(0).random((60, 80)).astype(np.float32)
     for key in ("matchability", "certainty"):
         np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), **{key: values})
         assert np.array_equal(_map(tmp_path, STORED).matchability, values)
-
-
-def test_matches_are_selected_from_a_map(tmp_path) -> None:
-    np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), matchability=np.full((60, 80), 0.6))
-    for least, count in ((0.5, 2000), (0.7, 0)):
-        matcher = _matcher(tmp_path)
-        matcher.options = MatchingOptions(matchability=least)
-        result = matcher.match(*_images(STORED))
-        assert result.correspondence_map is not None
-        expected = select_matches(result.correspondence_map, matcher.options)
-        expected = textured(expected, *map(texture, _images(STORED)))
-        assert np.array_equal(result.matches.points1, expected.points1)
-        assert (len(expected) > 0) == (count > 0) and len(expected) <= count
 
 
 def test_points_are_given_in_pixels_of_the_images_shown(tmp_path) -> None:

@@ -13,7 +13,6 @@ from dtu_layout import (
     write_mvsnet_training,
     write_raw,
 )
-from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
@@ -62,32 +61,6 @@ def test_views_are_those_of_their_images(tmp_path, layout):
         difference = np.abs(there - images[one]).mean(-1)[seen]
         moved = np.abs(images[two] - images[one]).mean(-1)[seen]
         assert np.median(difference) < 0.4 * np.median(moved)
-
-
-def test_the_same_matrices_are_the_same_views_in_every_layout(tmp_path):
-    scan = random_scan()
-    read = []
-    for layout, write in WRITERS.items():
-        write(tmp_path / layout, scan, extension="png")
-        read.append(open_dataset(tmp_path / layout).scenes[0].views)
-    for views in read:
-        for number, written in scan.views.items():
-            for name in ("K", "R", "t"):
-                value = getattr(views[number], name)
-                assert np.array_equal(value, getattr(read[0][number], name))
-                assert np.allclose(value, getattr(written, name), rtol=1e-9, atol=1e-9)
-
-
-def random_scan() -> Scan:
-    """Cameras with nothing simple about their numbers."""
-    rng = np.random.default_rng(3)
-    grey = grey_scan([0] * 6)
-    views = {}
-    for number, view in grey.views.items():
-        K = view.K + np.triu(rng.normal(size=(3, 3))) * [[3, 1e-3, 3], [0, 3, 3], [0, 0, 0]]
-        R = Rotation.random(random_state=number).as_matrix()
-        views[number] = DtuView(K, R, rng.normal(size=3) * 600)
-    return Scan(views, grey.images, {})
 
 
 def full_size_scan(degrees) -> Scan:

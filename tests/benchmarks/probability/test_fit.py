@@ -201,7 +201,7 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
     models = {"network": fit_model(data, "network")}
     fitted = parse_models(json.dumps({"focal_error": FOCAL_ERROR, "models": models}))
     model = fitted.by_kind["network"]
-    fresh = [judged(one, model, fitted.focal_error) for one in _records(1500, 2, "report")]
+    fresh = [judged(one, model) for one in _records(1500, 2, "report")]
     probability = np.array([one.probability for one in fresh])
     right = np.array([one.record.right for one in fresh])
     for low, high in ((0.0, 0.3), (0.3, 0.7), (0.7, 1.01)):

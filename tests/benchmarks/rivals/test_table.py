@@ -52,8 +52,3 @@ def test_transformations_follow_an_image_that_is_moved(cells: int) -> None:
     errors = np.linalg.norm(result.map - back, axis=-1)[inside]
     apart = np.linalg.norm(result.grid - back, axis=-1)[inside]
     assert errors.mean() < 0.4 * apart.mean()
-
-
-def test_a_flat_image_has_no_matches_of_transformations() -> None:
-    flat = Image(np.full((60, 80, 3), 90, np.uint8))
-    assert len(_matcher("rocco").match(flat, flat).matches) == 0
