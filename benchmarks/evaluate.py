@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from typing import Any, Generic
 
@@ -19,8 +19,8 @@ import numpy as np
 
 from dgc_pose.benchmarks.methods import Matchers, Method, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
-from dgc_pose.benchmarks.scores import Score
-from dgc_pose.benchmarks.scoring import MatchedPair, map_errors, pair_seed, score
+from dgc_pose.benchmarks.scores import MapScore, Score
+from dgc_pose.benchmarks.scoring import MatchedPair, epipolar_errors, pair_seed, score
 from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -97,8 +97,8 @@ class Evaluation(Generic[Score]):
                 matcher = self.matchers[method.matcher]
                 searches[method.matcher] = _Search(matcher.search(pair.image1, pair.image2), {})
             search, everywhere_px = searches[method.matcher], (np.nan, np.nan)
-            if "epipolar_all_px" in {of.name for of in fields(self.pairs.kind)}:
-                everywhere_px = map_errors(pair.truth, search.whole_map)
+            if issubclass(self.pairs.kind, MapScore) and (dense := search.whole_map):
+                everywhere_px = epipolar_errors(pair.truth, dense.map, dense.grid)
             cameras, options = method.cameras.cameras(pair), method.estimation
             if pair.truth.seed:
                 options = replace(options, seed=pair_seed(options.seed, *pair.truth.seed))

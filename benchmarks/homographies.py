@@ -14,12 +14,11 @@ import csv
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from dgc_pose.benchmarks.map_run import MapCase, MapSet
+from dgc_pose.benchmarks.map_run import MapCase
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import pixel_grid
@@ -74,11 +73,10 @@ class HomographySet:
         """Names of the sequences of the grouped pairs."""
         return {pair.path1.parent.name for pair in self.pairs if pair.group}
 
-
-def homography_set(pairs: Sequence[HomographyPair], facts: Mapping[str, Any]) -> MapSet:
-    """The pairs as a data set, read one by one."""
-    cases = (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in pairs)
-    return MapSet(cases, len(pairs), facts)
+    @property
+    def cases(self) -> Iterator[MapCase]:
+        """The pairs as cases of a benchmark, read one by one."""
+        return (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in self.pairs)
 
 
 def find_homography_pairs(root: str | Path) -> HomographySet:

@@ -12,7 +12,6 @@ from dgc_pose.benchmarks.scores import Score, make_score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import folded, rotation_error_deg, translation_error_deg
 from dgc_pose.metrics.epipolar import ideal_pixels, median_and_mean, true_fundamental
 
@@ -94,13 +93,6 @@ def sample_text(matches: Matches, inliers: np.ndarray, seed: int) -> str:
     points = np.column_stack([matches.points1, matches.points2])[chosen].round(2).tolist()
     rows = [[*row, int(inlier)] for row, inlier in zip(points, inliers[chosen], strict=True)]
     return json.dumps(rows, separators=(",", ":"))
-
-
-def map_errors(truth: Truth, dense: CorrespondenceMap | None) -> tuple[float, float]:
-    """Median and mean D_e over all pixels of image 2, NaN without a dense map."""
-    if dense is None:
-        return np.nan, np.nan
-    return epipolar_errors(truth, dense.map, dense.grid)
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:

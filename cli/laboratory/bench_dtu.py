@@ -1,6 +1,6 @@
 """`dgc-pose bench-dtu`: the paper's experiment on relative pose, over a user's copy of DTU."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,18 +138,19 @@ def bench_dtu(
     )
 
 
-def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
+def _opening(dataset: Dataset, asked: str, count: int) -> Iterator[str]:
     """What was found, and what was left out."""
     views = sum(len(scene.views) for scene in dataset.scenes)
-    lines = [
+    missing = sum(scene.missing for scene in dataset.scenes)
+    yield (
         f"{dataset.layout} layout: {len(dataset.scenes)} scenes, {views} views, "
-        f"{sum(s.missing for s in dataset.scenes)} left out without an image or a calibration"
-    ]
+        f"{missing} left out without an image or a calibration"
+    )
     if dataset.left_out:
         names = ", ".join(f"scan{number}" for number in dataset.left_out)
-        lines.append(f"left out with fewer than two views: {names}")
+        yield f"left out with fewer than two views: {names}"
     short = asked.isdigit() and count < int(asked)
-    return [*lines, f"{count} pairs" + (f"; {asked} were asked for, there are no more" * short)]
+    yield f"{count} pairs" + f"; {asked} were asked for, there are no more" * short
 
 
 def _folders(matches: Sequence[str]) -> dict[str, Path]:

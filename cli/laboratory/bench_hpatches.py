@@ -38,9 +38,9 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
         HPATCHES_AEPE,
         HPATCHES_JACCARD,
         find_homography_pairs,
-        homography_set,
         read_lists,
     )
+    from dgc_pose.benchmarks.map_run import MapSet
 
     data = find_homography_pairs(root) if lists is None else read_lists(lists, root)
     facts = {
@@ -52,7 +52,7 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
         "published_jaccard": HPATCHES_JACCARD,
     }
 
-    scores = run_map_bench(bench, homography_set(data.pairs, facts))
+    scores = run_map_bench(bench, MapSet(data.cases, len(data.pairs), facts))
     blocks = [HEADING]
     if groups_of(scores):
         viewpoints = f"AEPE by viewpoint, {len(data.sequences)} of HPatches' {SEQUENCES} sequences"
