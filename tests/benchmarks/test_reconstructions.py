@@ -14,8 +14,13 @@ from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.rows import PairRow
-from dgc_pose.benchmarks.posed_views import PosedViews, views_of_dtu, views_of_list
-from dgc_pose.benchmarks.reconstructions import model_figures, pair_figures
+from dgc_pose.benchmarks.reconstructions import (
+    PosedViews,
+    model_figures,
+    pair_figures,
+    views_of_dtu,
+    views_of_list,
+)
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
 from dgc_pose.colmap.reconstruction import ModelCamera, SparseModel

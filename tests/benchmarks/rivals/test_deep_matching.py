@@ -6,7 +6,6 @@ import pytest
 
 from dgc_pose.benchmarks.rivals import deep_matching
 from dgc_pose.benchmarks.rivals.deep_matching import DeepMatcher, deep_matches
-from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 
 SIDE = 64
@@ -48,20 +47,6 @@ def test_patches_lie_where_the_transformation_takes_them(
     distance = np.linalg.norm(matches.points1 - expected, axis=1)[inside]
     assert inside.sum() > share * (SIDE / 4) ** 2 * 0.6
     assert (distance <= error + 1e-9).mean() >= share
-
-
-def test_a_deformation_without_a_matrix_is_followed() -> None:
-    image1 = _noise(SIDE)
-    grid = pixel_grid((SIDE, SIDE)).astype(np.float32)
-    sent = grid + 3 * np.sin(grid[..., ::-1] / 12)
-    image2 = cv2.remap(image1, sent[..., 0], sent[..., 1], cv2.INTER_LINEAR)
-    matches = deep_matches(image1, image2)
-    at = matches.points2
-    expected = at + 3 * np.sin(at[:, ::-1] / 12)
-    inside = ((expected > 4) & (expected < SIDE - 5)).all(1)
-    distance = np.linalg.norm(matches.points1 - expected, axis=1)[inside]
-    assert np.median(distance) < 1.0
-    assert np.median(np.linalg.norm(at - expected, axis=1)) > 2
 
 
 def test_each_match_is_the_best_of_its_patch_and_of_its_place() -> None:

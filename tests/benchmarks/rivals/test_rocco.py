@@ -4,13 +4,10 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from procedural import procedural_textures
 from scipy.interpolate import RBFInterpolator
-from torch import Tensor
 
 from dgc_pose.benchmarks.rivals.rocco import ENCODER, WEIGHTS, GeometricNet, load_rocco
 from dgc_pose.network.config import preset
-from dgc_pose.network.inference import for_inference
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import load_network, network_fingerprint
@@ -24,18 +21,6 @@ _SPLINE = TPS_KNOTS.double().numpy() + 0.1 * np.random.default_rng(4).normal(siz
 def net() -> GeometricNet:
     torch.manual_seed(0)
     return GeometricNet(DGCNet(preset("dgcm-lite0"))).eval().requires_grad_(False)
-
-
-def _constant(net: GeometricNet, affine: np.ndarray, spline: np.ndarray) -> GeometricNet:
-    """A copy whose regressions give these numbers for every pair."""
-    copy = for_inference(net)
-    for regression, change in (
-        (copy.affine, affine - np.eye(3)[:2]),
-        (copy.spline, spline - TPS_KNOTS.numpy()),
-    ):
-        regression.final.weight.zero_()
-        regression.final.bias.copy_(torch.from_numpy(change.ravel()))
-    return copy
 
 
 def _centres(size: int) -> np.ndarray:
@@ -55,25 +40,6 @@ def test_a_map_is_the_affine_transformation_of_the_spline(net: GeometricNet, siz
     ):
         expected = cv2.transform(places[None], _AFFINE)[0]
         np.testing.assert_allclose(found[0].flatten(1).T.numpy(), expected, atol=1e-9)
-
-
-def test_the_source_is_warped_as_opencv_warps_it(
-    net: GeometricNet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    image, seen = procedural_textures(1, 240, seed=2), []
-    moved = _constant(net, _AFFINE, _SPLINE)
-
-    def coarsest(warped: Tensor) -> Tensor:
-        seen.append(warped)
-        return torch.zeros(1, 128, 15, 15)
-
-    monkeypatch.setattr(moved, "coarsest", coarsest)
-    moved.transformations(image, torch.zeros_like(image))
-    maps = (cv2.transform(_centres(240), _AFFINE) + 1) * 120 - 0.5
-    x, y = np.moveaxis(maps.astype(np.float32), -1, 0)
-    expected = cv2.remap(image[0].permute(1, 2, 0).numpy(), x, y, cv2.INTER_LINEAR)
-    # OpenCV interpolates in steps of a 32nd of a pixel.
-    assert np.abs(seen[-1][0].permute(1, 2, 0).numpy() - expected).mean() < 2e-3
 
 
 def test_the_correlation_is_of_unit_length_and_not_negative(net: GeometricNet) -> None:

@@ -108,16 +108,6 @@ def test_matchers_without_a_network_stand_in_the_same_tables(folder, monkeypatch
     assert cv2.imread("run/worst_2_deepmatching.png").std() > 1
 
 
-def test_the_authors_lists(folder):
-    scene.write_lists(folder / "lists", ["v_wall", "v_absent"])
-    result = bench("--root", "data", "--lists", "lists", "--methods", "true", "--json", "s.json")
-    assert result.exit_code == 0, result.output
-    data = json.loads((folder / "s.json").read_text())
-    assert data["sequences"] == 1 and len(data["missing"]) == 5
-    assert data["methods"][0]["all"]["aepe"] < 1e-3
-    assert "5 pairs missing: v_absent 1-2" in result.stderr
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
