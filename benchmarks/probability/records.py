@@ -127,8 +127,9 @@ def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
 
 
 def _cases(pair: StoredPair) -> tuple[CameraCase, ...]:
-    one = pair.matches.key_points or not pair.entry.withheld
-    return ("exact",) if one else ("exact", "auto")
+    if pair.matches.key_points or not pair.entry.withheld:
+        return ("exact",)
+    return ("exact", "auto")
 
 
 def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
