@@ -1,6 +1,5 @@
 """What methods are told of the cameras of a list: its K, a wrong K, or none."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,14 +8,10 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import RelativePose
-from dgc_pose.images.image import Image
 from dgc_pose.system.options import check_options, option
 
 WithheldCameras = Literal["auto", "auto:shared", "auto:two"]
 ToldCameras = Literal["list", WithheldCameras]
-# How a warning or a refusal begins that says that a K may be wrong.
-_DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
 
 
 @dataclass(frozen=True)
@@ -62,22 +57,11 @@ class CameraTrial:
             return truth.camera1, truth.camera2
         if self.withholds:
             return pair_cameras(self.k, self.k, pair.image1, pair.image2)
-        return (
-            self._scaled("K1", truth.camera1, pair.image1),
-            self._scaled("K2", truth.camera2, pair.image2),
+        camera1, camera2 = (
+            checked_camera(camera.with_focal(self.k_scale * camera.focal), image.size, name)
+            for name, camera, image in (
+                ("K1", truth.camera1, pair.image1),
+                ("K2", truth.camera2, pair.image2),
+            )
         )
-
-    def _scaled(self, name: str, camera: Camera, image: Image) -> Camera:
-        return checked_camera(camera.with_focal(self.k_scale * camera.focal), image.size, name)
-
-
-def suggested_focal(pose: RelativePose) -> tuple[float, float]:
-    """The focal length that the matches suggest over that of K, and the deviation of its logarithm;
-    NaN if the pose does not say."""
-    check = None if pose.evidence is None else pose.evidence.focal_check
-    return (math.nan, math.nan) if check is None else (check.factor, check.std)
-
-
-def doubts_camera(pose: RelativePose) -> bool:
-    """Whether a pose says that a K may be wrong."""
-    return any(warning.startswith(_DOUBTS) for warning in pose.warnings)
+        return camera1, camera2

@@ -11,8 +11,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from typing import Any, Generic
 
@@ -20,8 +19,8 @@ import numpy as np
 
 from dgc_pose.benchmarks.methods import Matchers, Method, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
-from dgc_pose.benchmarks.scores import Score
-from dgc_pose.benchmarks.scoring import MatchedPair, map_errors, pair_seed, score
+from dgc_pose.benchmarks.scores import MapScore, Score
+from dgc_pose.benchmarks.scoring import MatchedPair, epipolar_errors, pair_seed, score
 from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -29,7 +28,6 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import CorrespondenceMap, MatchResult, PairSearch, select_matches
 from dgc_pose.pose import pose_of_pair
-from dgc_pose.system.options import check_options, option
 from dgc_pose.system.processes import process_pools
 
 
@@ -48,15 +46,12 @@ def score_pairs(
 
 @dataclass(frozen=True)
 class Evaluation(Generic[Score]):
-    """Methods on a data set. Raises InputError, naming the field, for a number below 1."""
+    """Methods on a data set."""
 
     pairs: PairSet[Score]
     methods: Sequence[Method]
     matchers: Matchers
-    workers: int = option(1, min=1)  # processes that estimate poses; one is this process
-
-    def __post_init__(self) -> None:
-        check_options(self)
+    workers: int = 1  # processes that estimate poses; one is this process
 
     def run(self, first: int = 0) -> Iterator[list[Score]]:
         """For each pair from number `first` on, in order, a record a method.
@@ -65,11 +60,14 @@ class Evaluation(Generic[Score]):
 
         Raises what reading a pair raises, and DgcPoseError if a process ends before its work.
         """
+        matched = (self._match(pair) for pair in self.pairs.read(first))
+        if self.workers == 1:
+            yield from ([score(pair) for pair in methods] for methods in matched)
+            return
         waiting: deque[list[Future[Score]]] = deque()
-        pools = nullcontext(_at_once) if self.workers == 1 else process_pools([self.workers])
-        with pools as submit:
-            for pair in self.pairs.read(first):
-                waiting.append([submit(0, score, matched) for matched in self._match(pair)])
+        with process_pools([self.workers]) as submit:
+            for methods in matched:
+                waiting.append([submit(0, score, pair) for pair in methods])
                 while waiting and (
                     len(waiting) > 2 * self.workers or all(future.done() for future in waiting[0])
                 ):
@@ -82,7 +80,7 @@ class Evaluation(Generic[Score]):
         ids = json.dumps([dict(pair_ids) for pair_ids in self.pairs.ids])
         return {
             "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
-            "methods": [_settings(method) for method in self.methods],
+            "methods": [asdict(method) for method in self.methods],
             "weights": {
                 options.weights: matcher.fingerprint
                 for options, matcher in self.matchers.items()
@@ -99,9 +97,11 @@ class Evaluation(Generic[Score]):
                 matcher = self.matchers[method.matcher]
                 searches[method.matcher] = _Search(matcher.search(pair.image1, pair.image2), {})
             search, everywhere_px = searches[method.matcher], (np.nan, np.nan)
-            if "epipolar_all_px" in {of.name for of in fields(self.pairs.kind)}:
-                everywhere_px = map_errors(pair.truth, search.whole_map)
-            cameras, options = method.cameras.cameras(pair), _seeded(method, pair)
+            if issubclass(self.pairs.kind, MapScore) and (dense := search.whole_map):
+                everywhere_px = epipolar_errors(pair.truth, dense.map, dense.grid)
+            cameras, options = method.cameras.cameras(pair), method.estimation
+            if pair.truth.seed:
+                options = replace(options, seed=pair_seed(options.seed, *pair.truth.seed))
             final, seconds = search.matches(method, cameras, options)
             yield MatchedPair(
                 kind=self.pairs.kind,
@@ -149,23 +149,3 @@ class _Search:
         for step, seconds in steps.items():
             self.seconds[step] = max(seconds, self.seconds.get(step, 0.0))
         return result, sum(self.seconds[step] for step in steps)
-
-
-def _seeded(method: Method, pair: PosedPair) -> EstimationOptions:
-    """The estimation of a method with the seed of the pair, if the pair has one."""
-    words, options = pair.truth.seed, method.estimation
-    return replace(options, seed=pair_seed(options.seed, *words)) if words else options
-
-
-def _settings(method: Method) -> dict[str, Any]:
-    """All that a method's records depend on; the list's own cameras go without saying."""
-    settings = asdict(method)
-    if not method.cameras.reports:
-        del settings["cameras"]
-    return settings
-
-
-def _at_once(pool: int, work: Any, *items: Any) -> Future[Any]:
-    future: Future[Any] = Future()
-    future.set_result(work(*items))
-    return future

@@ -11,17 +11,15 @@ the homography from im1 to im2 at full size.
 """
 
 import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from dgc_pose.benchmarks.map_run import MapCase, MapSet
-from dgc_pose.errors import InputError, reason
+from dgc_pose.benchmarks.map_run import MapCase
+from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import load_image, resize
@@ -33,7 +31,6 @@ _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
 _MATRIX_BYTES = 2**16  # of a file with nine numbers
 # Columns of the DGC-Net authors' lists
 _MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
-_COLUMNS = ["obj", "im1", "im2", "Him", "Wim", *_MATRIX]
 # AEPE at 240x240 on HPatches, viewpoints I to V, pixels, as their authors printed them. "paper" is
 # Melekhov et al., DGC-Net: Dense Geometric Correspondence Network, WACV 2019; GLU-Net is Truong et
 # al., CVPR 2020; RANSAC-Flow is Shen et al., ECCV 2020.
@@ -76,11 +73,10 @@ class HomographySet:
         """Names of the sequences of the grouped pairs."""
         return {pair.path1.parent.name for pair in self.pairs if pair.group}
 
-
-def homography_set(pairs: Sequence[HomographyPair], facts: Mapping[str, Any]) -> MapSet:
-    """The pairs as a data set, read one by one."""
-    cases = (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in pairs)
-    return MapSet(cases, len(pairs), facts)
+    @property
+    def cases(self) -> Iterator[MapCase]:
+        """The pairs as cases of a benchmark, read one by one."""
+        return (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in self.pairs)
 
 
 def find_homography_pairs(root: str | Path) -> HomographySet:
@@ -113,18 +109,14 @@ def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
         path = Path(folder) / f"hpatches_1_{k}.csv"
         if not path.is_file():
             raise InputError(f"{path}: no such list; there are five, hpatches_1_2 to hpatches_1_6")
-        text = io.StringIO(read_text(path, "a list of pairs"), newline="")
-        with read_as("a list of pairs", path):
-            reader = csv.DictReader(text)
-            absent = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-            if absent:
-                raise InputError(f"{path}:1: the columns {', '.join(absent)} are lacking")
-            for row in reader:
-                pair = _list_pair(row, f"{path}:{reader.line_num}", Path(root), viewpoint)
-                if pair.path1.is_file() and pair.path2.is_file():
-                    pairs.append(pair)
-                else:
-                    missing.append(pair.name)
+        rows = csv.DictReader(read_text(path, "a list of pairs").splitlines())
+        for row in rows:
+            with read_as("a pair of HPatches", f"{path}:{rows.line_num}"):
+                pair = _list_pair(row, Path(root), viewpoint)
+            if pair.path1.is_file() and pair.path2.is_file():
+                pairs.append(pair)
+            else:
+                missing.append(pair.name)
     if not pairs:
         raise InputError(f"{root}: holds no image of the {len(missing)} pairs listed in {folder}")
     return HomographySet(tuple(pairs), tuple(missing))
@@ -142,26 +134,25 @@ def load_pair(pair: HomographyPair) -> MapPairs:
             f"{pair.path1}: the image is {image1.size[0]}x{image1.size[1]} and the list was made "
             f"for {pair.size1[0]}x{pair.size1[1]}"
         )
-    truth, valid = true_map(pair.H, image1.size, image2.size)
+    points, valid = true_map(pair.H, image1.size, image2.size)
+    truth = points.astype(np.float32)
     squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
-    source, target = (
-        torch.from_numpy(square).permute(2, 0, 1)[None].float() / 255 for square in squares
-    )
-    truth32 = truth.astype(np.float32)
-    return MapPairs(source, target, torch.from_numpy(truth32)[None], torch.from_numpy(valid)[None])
+    source, target = (torch.from_numpy(s).permute(2, 0, 1)[None].float() / 255 for s in squares)
+    return MapPairs(source, target, *(torch.from_numpy(part)[None] for part in (truth, valid)))
 
 
 def true_map(
-    H: np.ndarray, size1: tuple[int, int], size2: tuple[int, int], cells: int = INPUT_SIZE
+    H: np.ndarray, size1: tuple[int, int], size2: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The map of a homography between images that are squared to `cells` x `cells` pixels.
+    """The map of a homography between images that are squared to 240 x 240 pixels.
 
     H: (3, 3), x2 ~ H x1 in pixels of images of size1 and size2, (width, height). Returns the map
-    (cells, cells, 2) float64, for each pixel of the squared target a point of the squared source,
-    and a mask (cells, cells) of valid pixels: both coordinates within 0 and cells - 1, which is
-    [-1, 1] in the paper's normalised coordinates. Squaring follows the half-pixel rule.
+    (240, 240, 2) float64, for each pixel of the squared target a point of the squared source, and
+    a mask (240, 240) of valid pixels: both coordinates within 0 and 239, which is [-1, 1] in the
+    paper's normalised coordinates. Squaring follows the half-pixel rule.
     """
-    squared = _squaring(size2, cells) @ H @ np.linalg.inv(_squaring(size1, cells))
+    cells = INPUT_SIZE
+    squared = _squaring(size2) @ H @ np.linalg.inv(_squaring(size1))
     # The scale of H decides the sign of the depth alone: positive at the source's centre.
     centre = np.array([(cells - 1) / 2, (cells - 1) / 2, 1.0])
     inverse = np.linalg.inv(squared * np.sign((squared @ centre)[2] or 1.0))
@@ -176,27 +167,21 @@ def true_map(
 
 def read_matrix(path: Path) -> np.ndarray:
     """A homography from a text file. Raises InputError, with the path, if it is malformed."""
-    text = read_text(path, "a homography", _MATRIX_BYTES)
-    try:
-        rows = [line.split() for line in text.splitlines()]
-        H = np.array([[float(field) for field in row] for row in rows if row])
-    except ValueError as error:
-        raise InputError(f"{path}: not a matrix of numbers ({reason(error)})") from None
-    return check_matrix(H, str(path))
+    with read_as("a homography", path):
+        return _checked_matrix(read_text(path, "a homography", _MATRIX_BYTES).split())
 
 
-def check_matrix(H: np.ndarray, where: str) -> np.ndarray:
-    """H itself, if it is a homography; else InputError that begins with `where`."""
-    if H.shape != (3, 3) or not np.isfinite(H).all():
-        raise InputError(f"{where}: a homography has 3 rows of 3 finite numbers")
-    if np.linalg.matrix_rank(H) < 3:
-        raise InputError(f"{where}: the matrix has no inverse, so it is no homography")
+def _checked_matrix(words: Sequence[str]) -> np.ndarray:
+    """A homography (3, 3) of its numbers, row by row. Raises ValueError if they are none."""
+    H = np.array(words, np.float64).reshape(3, 3)
+    if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
+        raise ValueError("a homography has finite numbers and an inverse")
     return H
 
 
-def _squaring(size: tuple[int, int], cells: int) -> np.ndarray:
+def _squaring(size: tuple[int, int]) -> np.ndarray:
     """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
-    sx, sy = np.divide(cells, size)
+    sx, sy = np.divide(INPUT_SIZE, size)
     return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
 
 
@@ -231,14 +216,9 @@ def _image(stem: Path) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _list_pair(row: dict[str, str], where: str, root: Path, viewpoint: str) -> HomographyPair:
-    if any(row[name] is None for name in _COLUMNS):
-        raise InputError(f"{where}: {len(_COLUMNS)} fields are needed")
-    try:
-        H = np.array([float(row[name]) for name in _MATRIX]).reshape(3, 3)
-        size1 = (int(float(row["Wim"])), int(float(row["Him"])))
-    except (ValueError, OverflowError) as error:
-        raise InputError(f"{where}: {error}") from None
+def _list_pair(row: Mapping[str, str], root: Path, viewpoint: str) -> HomographyPair:
     path1, path2 = (root / row["obj"] / f"{row[name]}.ppm" for name in ("im1", "im2"))
+    H = _checked_matrix([row[name] for name in _MATRIX])
+    size1 = (int(float(row["Wim"])), int(float(row["Him"])))
     name = f"{row['obj']} {row['im1']}-{row['im2']}"
-    return HomographyPair(name, viewpoint, path1, path2, check_matrix(H, where), size1)
+    return HomographyPair(name, viewpoint, path1, path2, H, size1)

@@ -107,13 +107,12 @@ def report_data(scores: Scores) -> dict[str, Any]:
     methods = []
     for method, pairs in scores.items():
         total = _summary(pairs, None)
-        reliability = total.reliability
         methods.append(
             {
                 "method": method,
                 "all": _summary_data(total),
                 "groups": [_summary_data(_summary(pairs, group)) for group in groups_of(scores)],
-                "reliability": None if reliability is None else _reliability_data(reliability),
+                "reliability": total.reliability and _reliability_data(total.reliability),
                 "pairs": [_pair_data(pair) for pair in pairs],
             }
         )
@@ -122,11 +121,8 @@ def report_data(scores: Scores) -> dict[str, Any]:
 
 def write_pairs(stream: TextIO, scores: Scores) -> None:
     """A CSV row for each method and pair."""
-    rows = [
-        {"method": method, **finite_data(_pair_data(pair))}
-        for method, pairs in scores.items()
-        for pair in pairs
-    ]
+    pairs = [pair for of_method in scores.values() for pair in of_method]
+    rows = [{"method": pair.method, **finite_data(_pair_data(pair))} for pair in pairs]
     writer = csv.DictWriter(stream, list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
@@ -139,31 +135,29 @@ def _summary(pairs: Sequence[PairScores], group: str | None) -> MapSummary:
 
 
 def _summary_data(summary: MapSummary) -> dict[str, Any]:
+    shares = zip(WITHIN, summary.within, strict=True)
     return {
         "group": summary.group,
         "pairs": summary.pairs,
         **_errors(summary),
-        **{f"pck{limit:g}": v for limit, v in zip(WITHIN, summary.within, strict=True)},
-        "jaccard": summary.jaccard,
-        "jaccard_found": summary.jaccard_found,
+        **{f"pck{limit:g}": share for limit, share in shares},
+        **_overlaps(summary),
         "pck": summary.pck.tolist(),
     }
 
 
 def _pair_data(scores: PairScores) -> dict[str, Any]:
-    return {
-        "group": scores.group,
-        "pair": scores.name,
-        "valid_pixels": scores.valid,
-        **_errors(scores),
-        "jaccard": scores.jaccard,
-        "jaccard_found": scores.jaccard_found,
-    }
+    names = {"group": scores.group, "pair": scores.name, "valid_pixels": scores.valid}
+    return {**names, **_errors(scores), **_overlaps(scores)}
 
 
 def _errors(figures: PairScores | MapSummary) -> dict[str, float]:
     levels = zip(_LEVELS, figures.level_aepe, strict=True)
     return {"aepe": figures.aepe, **{f"aepe{cells}": aepe for cells, aepe in levels}}
+
+
+def _overlaps(figures: PairScores | MapSummary) -> dict[str, float]:
+    return {"jaccard": figures.jaccard, "jaccard_found": figures.jaccard_found}
 
 
 def _reliability_data(reliability: Reliability) -> dict[str, Any]:

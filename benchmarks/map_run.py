@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
 import torch
 
-from dgc_pose.benchmarks.rivals.table import kind_of
+from dgc_pose.benchmarks.methods import kind_of
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.weights import choose_device, load_network
 from dgc_pose.training.evaluation.map_comparison import Comparison, compare, compare_matcher
 from dgc_pose.training.evaluation.map_scores import PairScores, score_map
 from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays
+from dgc_pose.viz.map_figure import MapPicture
 
 MapMethod = Callable[[MapPairs], list[Comparison]]  # of a batch, pair by pair
 
@@ -35,16 +35,6 @@ class MapSet:
     cases: Iterable[MapCase]
     total: int  # pairs
     facts: Mapping[str, Any]  # what the JSON says of the set
-
-
-@dataclass(frozen=True, eq=False)
-class MapOutcome:
-    """One method's result for one pair."""
-
-    scores: PairScores
-    comparison: Comparison
-    image1: np.ndarray  # (240, 240, 3) uint8
-    image2: np.ndarray  # (240, 240, 3) uint8
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
@@ -75,12 +65,17 @@ def _map_method(name: str, device: torch.device) -> MapMethod:
 
 def map_outcomes(
     cases: Iterable[MapCase], methods: Mapping[str, MapMethod], per_axis: bool = False
-) -> Iterator[MapOutcome]:
-    """Yield the outcome of each pair by each method, case by case, as soon as it is known."""
+) -> Iterator[tuple[PairScores, MapPicture]]:
+    """Score each pair by each method, case by case; yields the figures with what a picture shows.
+
+    per_axis: see `score_map`.
+    """
     for case in cases:
-        images1, images2 = map(image_arrays, (case.pairs.image1, case.pairs.image2))
+        images = zip(*map(image_arrays, (case.pairs.image1, case.pairs.image2)), strict=True)
+        pairs = list(zip(case.names, images, strict=True))
         for method, comparisons_of in methods.items():
-            comparisons = comparisons_of(case.pairs)
-            for index, (name, comparison) in enumerate(zip(case.names, comparisons, strict=True)):
+            for (name, shown), comparison in zip(pairs, comparisons_of(case.pairs), strict=True):
                 scores = score_map(method, case.group, name, comparison, per_axis)
-                yield MapOutcome(scores, comparison, images1[index], images2[index])
+                title = f"{name}, AEPE {scores.aepe:.2f}"
+                points, errors = comparison.finest.points, comparison.errors
+                yield scores, MapPicture(title, shown[0], shown[1], points, errors)

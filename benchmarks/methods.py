@@ -11,15 +11,16 @@ set in each of them that has it; `refine` is the source of refinement, or none, 
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.rivals.table import RIVALS, kind_of
+from dgc_pose.benchmarks.rivals.deep_matching import DeepMatcher
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import KINDS, MatcherCaches, MatcherOptions
+from dgc_pose.matchers import KINDS, MatcherCaches, MatcherKind, MatcherOptions
 from dgc_pose.matching import Matcher
 from dgc_pose.network.stored import shipped
 from dgc_pose.refinement import RefinementOptions
@@ -33,11 +34,29 @@ _UNREFINED = RefinementOptions(source="none")
 _KEYS = {"source": "refine", "refine": "refine_pose"} | {
     field.name: field.name.capitalize() for field in fields(CameraTrial)
 }
-# A path may hold colons: the settings are what follows the last part that is none.
-_PARTS = re.compile(r"(.*?)((?::(?:K=auto:[a-z]+|[A-Za-z]\w*=[^:]*))*)", re.DOTALL)
-_SETTING = re.compile(r":(K=auto:[a-z]+|[^:]*)")
+_SETTING = re.compile(r":(?=[A-Za-z]\w*=)")  # begins with; a path and K=auto:two hold colons, too
 
 Options = TypeVar("Options")
+
+
+def _rocco(options: MatcherOptions, _: MatcherCaches | None, engine: Engine | None) -> Matcher:
+    from dgc_pose.benchmarks.rivals.rocco import RoccoMatcher  # needs torch
+
+    return RoccoMatcher(options.matching, options.device)
+
+
+# The paper's rivals, beside the matchers that `KINDS` has
+RIVALS = {
+    "rocco": MatcherKind("rocco", _rocco, dense_map=True),
+    "deepmatching": MatcherKind(
+        "deepmatching", lambda options, *_: DeepMatcher(options.matching), dense_map=True
+    ),
+}
+
+
+def kind_of(options: MatcherOptions) -> MatcherKind:
+    """The kind of a matcher, that of a rival too."""
+    return RIVALS.get(options.weights) or options.kind
 
 
 @dataclass(frozen=True)
@@ -46,9 +65,9 @@ class Method:
 
     name: str  # the specification
     matcher: MatcherOptions
-    estimation: EstimationOptions = field(default_factory=EstimationOptions)
+    estimation: EstimationOptions
+    cameras: CameraTrial
     everywhere: bool = False  # whether every pixel counts, whatever the matchability
-    cameras: CameraTrial = field(default_factory=CameraTrial)
 
 
 Matchers = Mapping[MatcherOptions, Matcher]  # by `Method.matcher`
@@ -81,10 +100,7 @@ def parse_methods(
         if specifications.count(text) > 1:
             raise InputError(f"the method {text!r} is named twice")
     defaults = Method(
-        "",
-        matcher or MatcherOptions(),
-        estimation or EstimationOptions(),
-        cameras=cameras or CameraTrial(),
+        "", matcher or MatcherOptions(), estimation or EstimationOptions(), cameras or CameraTrial()
     )
     methods = [_parse(text, defaults, stored) for text in specifications]
     named = {method.matcher.weights for method in methods}
@@ -118,21 +134,16 @@ def load_matchers(
             matchers[options] = stored[name].selecting(options.matching)
             continue
         kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
-        loaded_options = replace(options, device=device, runtime=runtime)
-        if name in RIVALS:
-            matcher = RIVALS[name].load(loaded_options, kept, None)
-        else:
-            matcher = loaded_options.load(kept, engines.get(name))
-        engines[name] = matcher.engine
-        matchers[options] = matcher
+        used = replace(options, device=device, runtime=runtime)
+        load = partial(RIVALS[name].load, used) if name in RIVALS else used.load
+        matchers[options] = load(kept, engines.get(name))
+        engines[name] = matchers[options].engine
     return matchers
 
 
 def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
-    parts = _PARTS.fullmatch(text)
-    assert parts is not None
-    name = parts[1]
-    settings = dict(setting.split("=", 1) for setting in _SETTING.findall(parts[2]))
+    name, *words = _SETTING.split(text)
+    settings = dict(word.split("=", 1) for word in words)
     weights = name.removesuffix(EVERYWHERE)
     if not weights:
         raise InputError(f"the method {text!r} has no name")
@@ -144,8 +155,7 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     used: set[str] = set()
     try:
         matching = _changed(matcher.matching, settings, used)
-        refinement = matcher.refinement if network else _UNREFINED
-        refinement = _changed(refinement, settings, used)
+        refinement = _changed(matcher.refinement if network else _UNREFINED, settings, used)
         estimation = _changed(defaults.estimation, settings, used)
         cameras = _changed(defaults.cameras, settings, used)
     except InputError as error:
@@ -156,7 +166,7 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     if not network and refinement.source != "none":
         raise InputError(f"{text}: refine={refinement.source} needs the features of a network")
     matcher = replace(matcher, matching=matching, refinement=refinement)
-    return Method(text, matcher, estimation, everywhere, cameras)
+    return Method(text, matcher, estimation, cameras, everywhere)
 
 
 def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:

@@ -14,22 +14,15 @@ from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
-from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import ImageError
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matching.cache import BoundedCache
 
 if TYPE_CHECKING:
-    import torch
-
-    from dgc_pose.training.synthesis.options import SceneOptions
-    from dgc_pose.training.synthesis.render.bank import TextureBank
     from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPairs
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view
-PLANE_SIZE = 640  # the same of a plane
-_PLANE_PHOTO = 480  # pixels a side of a photograph on it, which a view shows a few of
 _IMAGE_BYTES = 2**29
 
 
@@ -72,11 +65,26 @@ class PairSet(ABC, Generic[Score]):
 class FilePairs(PairSet[Score]):
     """Pairs of image files. An image that was read recently is not read again."""
 
-    def __init__(self, kind: type[Score], pairs: Sequence[Pair], ids: Sequence[Ids]) -> None:
+    def __init__(
+        self,
+        kind: type[Score],
+        pairs: Sequence[Pair],
+        ids: Sequence[Ids],
+        *,
+        seeds: Sequence[tuple[int, ...]] | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> None:
+        """
+        Args:
+            seeds: of each pair, see `Truth.seed`; None for one seed for all.
+            size: (width, height) that the images are brought to; None leaves them as stored.
+        """
         super().__init__(kind, ids)
         self.pairs = pairs
-        self._images: BoundedCache[Path, tuple[Image, tuple[int, int]]] = BoundedCache(
-            lambda _, entry: entry[0].pixels.nbytes, _IMAGE_BYTES
+        self._seeds = seeds
+        self._size = size
+        self._images: BoundedCache[Path, Image] = BoundedCache(
+            lambda _, image: image.pixels.nbytes, _IMAGE_BYTES
         )
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
@@ -85,33 +93,25 @@ class FilePairs(PairSet[Score]):
     def pair(self, number: int) -> PosedPair:
         """A pair by its number. Raises as `read` does."""
         pair = self.pairs[number]
-        image1, camera1 = self._prepared(pair.path1, pair.camera1)
-        image2, camera2 = self._prepared(pair.path2, pair.camera2)
-        truth = Truth(self.ids[number], camera1, camera2, pair.R, pair.t, self.seed(number))
+        image1, camera1 = self._shown(pair.path1, pair.camera1)
+        image2, camera2 = self._shown(pair.path2, pair.camera2)
+        seed = () if self._seeds is None else self._seeds[number]
+        truth = Truth(self.ids[number], camera1, camera2, pair.R, pair.t, seed)
         return PosedPair(truth, image1, image2)
 
-    def seed(self, number: int) -> tuple[int, ...]:
-        """See `Truth.seed`."""
-        return ()
-
-    def prepare(self, image: Image) -> Image:
-        """An image as the methods see it."""
-        return image
-
-    def prepare_camera(
-        self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
-    ) -> Camera:
-        """The camera of an image of size (width, height) `shown`, from that of the file."""
-        return camera
-
-    def _prepared(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
-        def read() -> tuple[Image, tuple[int, int]]:
-            image = load_image(path)
-            return self.prepare(image), image.size
-
-        image, stored = self._images.get(path, read)
+    def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
+        image = self._images.get(path, lambda: self._read(path))
+        stored = image.stored_size or image.size
         checked_camera(camera, stored, f"K of {image.name}")
-        return image, self.prepare_camera(camera, stored, image.size)
+        if self._size is not None:
+            camera = replace(camera, size=stored).resized(self._size)
+        return image, camera
+
+    def _read(self, path: Path) -> Image:
+        image = load_image(path)
+        if self._size is None:
+            return image
+        return replace(image, pixels=resize(image.pixels, self._size), stored_size=image.size)
 
 
 class ListedPairs(FilePairs[PairScore]):
@@ -139,6 +139,7 @@ class RenderedPosedPairs(PairSet[MapScore]):
         import torch
 
         from dgc_pose.training.synthesis.options import SceneOptions
+        from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
         generator = torch.Generator().manual_seed(self._seed)
         # Several copies of a photograph side by side would make its blur, not its detail, the scene
@@ -146,42 +147,12 @@ class RenderedPosedPairs(PairSet[MapScore]):
             rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
         )
         for number, ids in enumerate(self.ids):
-            pair = rendered_pair(self._textures, RENDERED_SIZE, generator, scenes, ids)
+            views = render_pairs(self._textures, 1, RENDERED_SIZE, generator, scenes)
             if number >= first:
-                yield pair
+                yield posed_pair(views, ids)
 
 
-class PlanePairs:
-    """Seeded views of planes with a relief, whose homographies have two poses; see
-    `synthesis.render.plane_pairs`. The heights of the reliefs come in turn."""
-
-    def __init__(self, photos: Path, seed: int) -> None:
-        """Raises ImageError if training holds back no photographs of the folder."""
-        from dgc_pose.training.synthesis.photos import load_held_back
-
-        self._textures = load_held_back(photos, _PLANE_PHOTO).textures
-        self._seed = seed
-
-    def pair(self, number: int) -> PosedPair:
-        """A pair by its number, whatever the others are."""
-        from dgc_pose.training.synthesis.draw import seeded
-        from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS, render_plane_pair
-
-        generator = seeded("planes", self._seed, number)
-        relief = RELIEFS[number % len(RELIEFS)]
-        return _posed(render_plane_pair(self._textures, PLANE_SIZE, generator, relief), {})
-
-
-def rendered_pair(
-    textures: TextureBank, side: int, generator: torch.Generator, scenes: SceneOptions, ids: Ids
-) -> PosedPair:
-    """Two views of a rendered scene, `side` pixels square."""
-    from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
-
-    return _posed(render_pairs(textures, 1, side, generator, scenes), ids)
-
-
-def _posed(views: RenderedPairs, ids: Ids) -> PosedPair:
+def posed_pair(views: RenderedPairs, ids: Ids) -> PosedPair:
     """The first pair of a batch."""
     from dgc_pose.training.synthesis.render.rendered_pairs import as_arrays
 
@@ -189,17 +160,6 @@ def _posed(views: RenderedPairs, ids: Ids) -> PosedPair:
     image1, image2 = Image(pair.image1), Image(pair.image2)
     camera1, camera2 = Camera(pair.K1, image1.size), Camera(pair.K2, image2.size)
     return PosedPair(Truth(ids, camera1, camera2, pair.R, pair.t), image1, image2)
-
-
-def unrelated_pair(path1: Path, path2: Path) -> PosedPair:
-    """Photographs of different places, with cameras that count as known: those that the images
-    suggest (see `auto_camera`). Raises ImageError."""
-    image1, image2 = load_image(path1), load_image(path2)
-    camera1, camera2 = (
-        replace(camera, focal_std=0.0, centre_std=0.0, focal_source="given", warnings=())
-        for camera in (auto_camera(image1), auto_camera(image2))
-    )
-    return PosedPair(Truth({}, camera1, camera2, None, None), image1, image2)
 
 
 def require_images(pairs: Sequence[Pair]) -> None:

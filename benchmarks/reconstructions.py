@@ -1,11 +1,15 @@
-"""Reconstructions of one scene by several methods, compared with the true cameras."""
+"""Photographs of a scene with true camera poses, and reconstructions compared with them."""
+
+from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
@@ -14,15 +18,19 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
+from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.benchmarks.metrics import folded, pose_auc
-from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.cameras.calibration import Calibration, read_calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.colmap.database import colmap_camera
 from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.outputs import replaced, require_no_input, writing
+from dgc_pose.images.image import image_size, load_image, resize_by
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
@@ -48,32 +56,58 @@ COLUMNS = {  # of the table
 }
 
 
-@dataclass(frozen=True)
-class PairFigures:
-    """Of the pairs that a model is made from; NaN where nothing is known of them."""
+@dataclass(frozen=True, eq=False)
+class PosedViews:
+    """Images of one folder, with true poses in one frame and unit."""
+
+    root: Path
+    cameras: Mapping[str, Camera]  # by name, with the image's size
+    poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by name
+
+    def centre(self, name: str) -> np.ndarray:
+        """The true position (3,) of a camera."""
+        pose = self.poses[name]
+        return -pose[:, :3].T @ pose[:, 3]
+
+    def resized(self, scale: float, folder: Path) -> PosedViews:
+        """Copies of the images by area means, as PNG in `folder`, with their cameras.
+
+        Raises InputError if a copy would replace an image; OSError if it cannot be written.
+        """
+        copies = {name: str(Path(name).with_suffix(".png")) for name in self.cameras}
+        images = [self.root / name for name in copies]
+        require_no_input([folder / copy for copy in copies.values()], images)
+        cameras = {}
+        for name, copy in copies.items():
+            small = resize_by(load_image(self.root / name).pixels, scale)
+            (folder / copy).parent.mkdir(parents=True, exist_ok=True)
+            with replaced(folder / copy) as stage, writing(stage):
+                stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
+            cameras[copy] = self.cameras[name].resized((small.shape[1], small.shape[0]))
+        return PosedViews(folder, cameras, {copies[name]: self.poses[name] for name in copies})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructionScore:
+    """A model compared with the truth. NaN where nothing is known, as of the model if too few
+    images are registered."""
 
     pairs: int = 0  # matched
     poses: int = 0  # pairs with a pose
     # Percent; of max(rotation, folded translation), infinite without a pose
     pair_auc5: float = np.nan
     pooled_focal_percent: float = np.nan  # mean error of the images' focal lengths
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructionScore(PairFigures):
-    """A model compared with the truth. NaN if too few images are registered."""
-
     method: str
     images: int
-    registered: int
-    rotation_median_deg: float  # of the relative rotations of all registered pairs
-    position_rms: float  # after a similarity, the truth's unit
-    position_median: float
-    position_percent: float  # position_rms over the largest distance of two cameras
-    points: int
-    mean_track_length: float
-    reprojection_error_px: float
-    focal_percent: float  # mean error of the images' focal lengths
+    registered: int = 0
+    rotation_median_deg: float = np.nan  # of the relative rotations of all registered pairs
+    position_rms: float = np.nan  # after a similarity, the truth's unit
+    position_median: float = np.nan
+    position_percent: float = np.nan  # position_rms over the largest distance of two cameras
+    points: int = 0
+    mean_track_length: float = np.nan
+    reprojection_error_px: float = np.nan
+    focal_percent: float = np.nan  # mean error of the images' focal lengths
     seconds: float
 
 
@@ -94,7 +128,7 @@ def run_method(
     """
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    figures = PairFigures()
+    figures: dict[str, Any] = {}
     try:
         if method == COLMAP_SIFT:
             database, mapping = out / DATABASE, reconstruction.mapping
@@ -103,8 +137,7 @@ def run_method(
             refines = mapping.refine_intrinsics or withheld is not None
             mapping = replace(mapping, refine_intrinsics=refines)
             model = sparse_model(map_database(database, views.root, mapping))
-            pairs_of_all = len(views.poses) * (len(views.poses) - 1) // 2
-            figures = PairFigures(pairs_of_all, pairs_of_all)
+            figures["pairs"] = figures["poses"] = len(views.poses) * (len(views.poses) - 1) // 2
         else:
             batch = run_batch(
                 Source(views.root, tuple(sorted(views.cameras)), None, {}),
@@ -119,10 +152,12 @@ def run_method(
             )
             figures = pair_figures(batch, views)
             model, _ = reconstruct(batch, out, reconstruction)
+        figures |= model_figures(model, views)
     except MappingError:
-        model = None
+        pass  # a score without a model
     seconds = time.perf_counter() - start
-    return score(method, model, views, figures, seconds)
+    images = len(views.poses)
+    return ReconstructionScore(method=method, images=images, seconds=seconds, **figures)
 
 
 def sift_database(
@@ -155,8 +190,8 @@ def sift_database(
     pycolmap.match_exhaustive(database, matching_options=matching)
 
 
-def pair_figures(batch: Batch, views: PosedViews) -> PairFigures:
-    """The poses and cameras of a batch compared with the true ones."""
+def pair_figures(batch: Batch, views: PosedViews) -> dict[str, Any]:
+    """The poses and cameras of a batch compared with the true ones, by field of the score."""
     errors = []
     for row in batch.rows:
         error = np.inf
@@ -167,68 +202,53 @@ def pair_figures(batch: Batch, views: PosedViews) -> PairFigures:
             rotation = rotation_error_deg(np.reshape(row.R, (3, 3)), R)
             error = max(rotation, folded(translation_error_deg(np.array(row.t), t)))
         errors.append(error)
-    cameras = batch.plan.final_cameras
-    return PairFigures(
-        batch.summary["pairs"],
-        batch.summary["poses"],
-        pose_auc(np.array(errors), (5,))[0] if errors else np.nan,
-        _focal_percent([(name, camera.focal) for name, camera in cameras.items()], views),
-    )
+    focal_lengths = [(name, camera.focal) for name, camera in batch.plan.final_cameras.items()]
+    return {
+        "pairs": batch.summary["pairs"],
+        "poses": batch.summary["poses"],
+        "pair_auc5": pose_auc(np.array(errors), (5,))[0] if errors else np.nan,
+        "pooled_focal_percent": _focal_percent(focal_lengths, views),
+    }
 
 
-def score(
-    method: str,
-    model: SparseModel | None,
-    views: PosedViews,
-    pairs: PairFigures,
-    seconds: float,
-) -> ReconstructionScore:
-    """A model's cameras compared with the true ones."""
-    names = [] if model is None else sorted(model.poses)
-    rotation = position = np.array([np.nan])
-    if model is not None and len(names) > 2:
-        rotation = rotation_errors(model, views, names)
-        position = position_errors(model, views, names)
-    true = np.stack([views.centre(name) for name in views.poses])
-    extent = np.linalg.norm(true[:, None] - true, axis=-1).max()
-    rms = float(np.sqrt((position**2).mean()))
+def model_figures(model: SparseModel, views: PosedViews) -> dict[str, Any]:
+    """A model's cameras compared with the true ones, by field of the score."""
+    names = sorted(model.poses)
     focal_lengths: list[tuple[str, float]] = []
-    for camera in () if model is None else model.cameras:
+    for camera in model.cameras:
         focal_lengths += [(camera.first_image, camera.focal_px)] * camera.images
-    return ReconstructionScore(
-        **asdict(pairs),
-        method=method,
-        images=len(views.poses),
-        registered=len(names),
-        rotation_median_deg=float(np.median(rotation)),
-        position_rms=rms,
-        position_median=float(np.median(position)),
-        position_percent=100 * rms / float(extent),
-        points=0 if model is None else len(model.points),
-        mean_track_length=np.nan if model is None else model.mean_track_length,
-        reprojection_error_px=np.nan if model is None else model.reprojection_error_px,
-        focal_percent=_focal_percent(focal_lengths, views),
-        seconds=seconds,
-    )
+    figures = {
+        "registered": len(names),
+        "points": len(model.points),
+        "mean_track_length": model.mean_track_length,
+        "reprojection_error_px": model.reprojection_error_px,
+        "focal_percent": _focal_percent(focal_lengths, views),
+    }
+    if len(names) < 3:
+        return figures
+    rotations = [
+        rotation_error_deg(
+            model.poses[b][:, :3] @ model.poses[a][:, :3].T,
+            views.poses[b][:, :3] @ views.poses[a][:, :3].T,
+        )
+        for a, b in combinations(names, 2)
+    ]
+    true = np.stack([views.centre(name) for name in views.poses])
+    extent = float(np.linalg.norm(true[:, None] - true, axis=-1).max())
+    positions = position_errors(model, views, names)
+    rms = float(np.sqrt((positions**2).mean()))
+    return figures | {
+        "rotation_median_deg": float(np.median(rotations)),
+        "position_rms": rms,
+        "position_median": float(np.median(positions)),
+        "position_percent": 100 * rms / extent,
+    }
 
 
 def _focal_percent(focal_lengths: Iterable[tuple[str, float]], views: PosedViews) -> float:
     """Mean error of the focal lengths of images, each with its name; NaN without any."""
     errors = [abs(focal / views.cameras[name].focal - 1) for name, focal in focal_lengths]
     return 100 * float(np.mean(errors)) if errors else np.nan
-
-
-def rotation_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
-    """Errors of the relative rotations of all pairs, degrees."""
-    return np.array(
-        [
-            rotation_error_deg(
-                model.poses[b][:, :3] @ model.poses[a][:, :3].T,
-                views.poses[b][:, :3] @ views.poses[a][:, :3].T,
-            )
-            for a, b in combinations(names, 2)
-        ]
-    )
 
 
 def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
@@ -240,3 +260,57 @@ def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str])
         return np.full(len(names), np.nan)
     matrix = similarity.matrix()
     return np.linalg.norm(centres @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
+
+
+def views_of_list(path: Path, folder: Path) -> PosedViews:
+    """The views of a SuperGlue list whose translations have one unit, chained from pair to pair.
+
+    folder: of the images; names are those of the list relative to it. Raises InputError if the
+    pairs do not connect all images.
+    """
+    cameras: dict[str, Camera] = {}
+    steps: dict[str, list[tuple[str, np.ndarray]]] = {}  # by image, others with their poses in it
+    for pair in read_pairs(path):
+        name1, name2 = _relative(pair.path1, folder), _relative(pair.path2, folder)
+        step = np.vstack([np.column_stack([pair.R, pair.t]), [0, 0, 0, 1]])
+        steps.setdefault(name1, []).append((name2, step))
+        steps.setdefault(name2, []).append((name1, np.linalg.inv(step)))
+        cameras.setdefault(name1, pair.camera1)
+        cameras.setdefault(name2, pair.camera2)
+    reached = [min(steps)]
+    poses = {reached[0]: np.eye(4)}
+    for name in reached:  # grows on the way
+        for other, step in steps[name]:
+            if other not in poses:
+                poses[other] = step @ poses[name]
+                reached.append(other)
+    if len(poses) < len(cameras):
+        raise InputError(f"{path}: its pairs do not connect all images")
+    sized = {
+        name: replace(camera, size=image_size(folder / name))
+        for name, camera in sorted(cameras.items())
+    }
+    return PosedViews(folder, sized, {name: pose[:3] for name, pose in poses.items()})
+
+
+def views_of_dtu(calibration: Path, folder: Path) -> PosedViews:
+    """The images `rect_NNN_...` of a scene of DTU with the matrices `pos_NNN.txt`; millimetres.
+
+    Raises InputError if there is no such image, or a matrix is missing or malformed.
+    """
+    cameras, poses = {}, {}
+    for path in sorted(folder.glob("rect_[0-9][0-9][0-9]*")):
+        position = path.name.split("_")[1]
+        view = read_projection(calibration / f"pos_{position}.txt")
+        cameras[path.name] = Camera(view.K, image_size(path))
+        poses[path.name] = np.column_stack([view.R, view.t])
+    if len(poses) < 2:
+        raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
+    return PosedViews(folder, cameras, poses)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return path.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        raise InputError(f"{path}: not an image of the folder {folder}") from None

@@ -5,7 +5,8 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeVar
 
 RESULTS, TIMINGS, MATCHES = "results.csv", "timings.csv", "matches.csv"
-Key = tuple[Any, ...]  # a method, and what tells the pair apart
+_PAIR = ("method", "image1", "image2")
+_VIEWS = ("method", "scene", "view1", "view2")
 
 
 @dataclass(frozen=True)
@@ -22,20 +23,14 @@ class PoseScore:
     rotation_error_deg: float
     translation_error_deg: float  # 0 to 180
     translation_folded_deg: float  # min(e, 180 - e)
-    # Wall clock; a batch's mean, with the encoder passes that fell to it. Of a pose in doubt also
-    # its first estimation and its search.
+    # Wall clock of the steps to the matches, each when it was done for the first time; of a pose in
+    # doubt also its first estimation and its search.
     match_seconds: float
     estimate_seconds: float  # CPU time, which other processes do not add to
 
-    identity: ClassVar[tuple[str, ...]] = ("method",)  # the fields that `key` consists of
     tables: ClassVar[Mapping[str, Sequence[str]]] = {}  # by file, the fields that are its columns
     headings: ClassVar[Mapping[str, str]] = {}  # of columns that are not called as their field
     decimals: ClassVar[int | None] = None  # that numbers are rounded to
-
-    @property
-    def key(self) -> Key:
-        """The method, and what tells the pair apart within its data set."""
-        return tuple(getattr(self, name) for name in self.identity)
 
 
 Score = TypeVar("Score", bound=PoseScore)
@@ -64,8 +59,7 @@ class PairScore(PoseScore):
     image1: str  # as the list names it
     image2: str
 
-    identity: ClassVar[tuple[str, ...]] = ("method", "image1", "image2")
-    tables = {RESULTS: (*identity, "true_rotation_deg", *POSE_COLUMNS, *SECONDS)}
+    tables = {RESULTS: (*_PAIR, "true_rotation_deg", *POSE_COLUMNS, *SECONDS)}
 
 
 @dataclass(frozen=True)
@@ -117,20 +111,19 @@ class DtuScore(MapScore):
     protocol: str
     true_baseline_mm: float
     overlap: float  # share of space at the object that both views see, 0 to 1
-    sample: str  # of the matches, for the report; see `sample_text`
+    sample: str  # of the matches, for the report; see `scoring.sample_text`
 
-    identity = ("method", "scene", "view1", "view2")
     headings = {"estimate_seconds": "pose_seconds"}
     decimals = 4  # more would be rounding errors of one library or another
     tables = {
         RESULTS: (
-            *identity,
+            *_VIEWS,
             *("image1", "image2", "protocol", "true_rotation_deg", "true_baseline_mm", "overlap"),
             *POSE_COLUMNS,
             *_EPIPOLAR,
         ),
-        TIMINGS: (*identity, *SECONDS),
-        MATCHES: (*identity, "sample"),
+        TIMINGS: (*_VIEWS, *SECONDS),
+        MATCHES: (*_VIEWS, "sample"),
     }
 
 

@@ -1,21 +1,23 @@
 """From the matches of one method on one pair to its record: the work that other processes do."""
 
+import json
 import time
 from dataclasses import dataclass
 from typing import Generic
 
 import numpy as np
 
-from dgc_pose.benchmarks.camera_trial import doubts_camera, suggested_focal
 from dgc_pose.benchmarks.metrics import folded, median_and_mean, true_fundamental
 from dgc_pose.benchmarks.posed_pairs import Truth
-from dgc_pose.benchmarks.samples import draw_sample, sample_text
 from dgc_pose.benchmarks.scores import Score, make_score
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
+
+# How a warning of a K that may be wrong begins
+_DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
+_SAMPLE = 60  # matches of each pair and method, for the pictures of a report
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,13 @@ def score(pair: MatchedPair[Score]) -> Score:
     if pose.success and pose.R is not None and pose.t is not None:  # it counts only as a whole
         rotation = rotation_error_deg(pose.R, truth.R)
         translation = translation_error_deg(pose.t, truth.t)
+    check = None if pose.evidence is None else pose.evidence.focal_check
     confident = epipolar_errors(truth, matches.points1, matches.points2)
+    focal: dict[str, float] = {}  # error of ln f and its expected deviation, NaN without a pose
+    for n, camera, true in ((1, pose.camera1, truth.camera1), (2, pose.camera2, truth.camera2)):
+        error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
+        focal |= {f"focal{n}_error": error}
+        focal |= {f"focal{n}_std": np.nan if camera is None else camera.focal_std}
     values = {
         **truth.ids,
         "method": pair.method,
@@ -61,36 +69,30 @@ def score(pair: MatchedPair[Score]) -> Score:
         "rotation_90_deg": _number(pose.rotation_error_90_deg),
         "translation_90_deg": _number(pose.translation_error_90_deg),
         "probability": _number(pose.probability),
-        **_focal_lengths(pose, truth),
-        **dict(zip(("focal_ratio", "focal_ratio_std"), suggested_focal(pose), strict=True)),
-        "doubts_camera": doubts_camera(pose),
+        **focal,
+        "focal_ratio": np.nan if check is None else check.factor,
+        "focal_ratio_std": np.nan if check is None else check.std,
+        "doubts_camera": any(warning.startswith(_DOUBTS) for warning in pose.warnings),
         "epipolar_all_px": pair.everywhere_px[0],
         "epipolar_confident_px": confident[0],
         "epipolar_all_mean_px": pair.everywhere_px[1],
         "epipolar_confident_mean_px": confident[1],
         "match_seconds": pair.match_seconds,
         "estimate_seconds": seconds,
-        "sample": sample_text(draw_sample(matches, pose.inliers, options.seed)),
+        "sample": sample_text(matches, pose.inliers, options.seed),
     }
     return make_score(pair.kind, values)
 
 
-def _focal_lengths(pose: RelativePose, truth: Truth) -> dict[str, float]:
-    """Of both cameras the error of ln f and its expected deviation, NaN without a pose."""
-    values = {}
-    cameras = (1, pose.camera1, truth.camera1), (2, pose.camera2, truth.camera2)
-    for n, camera, true in cameras:
-        error = np.nan if camera is None else float(np.log(camera.focal / true.focal))
-        values[f"focal{n}_error"] = error
-        values[f"focal{n}_std"] = np.nan if camera is None else camera.focal_std
-    return values
-
-
-def map_errors(truth: Truth, dense: CorrespondenceMap | None) -> tuple[float, float]:
-    """Median and mean D_e over all pixels of image 2, NaN without a dense map."""
-    if dense is None:
-        return np.nan, np.nan
-    return epipolar_errors(truth, dense.map, dense.grid)
+def sample_text(matches: Matches, inliers: np.ndarray, seed: int) -> str:
+    """Some of the finite matches at random as JSON: a row x1, y1, x2, y2, whether it is an inlier,
+    in pixels of the images that the methods saw. inliers: (N,) bool."""
+    finite = np.isfinite(matches.points1).all(1) & np.isfinite(matches.points2).all(1)
+    shuffled = np.random.default_rng(seed).permutation(np.flatnonzero(finite))
+    chosen = np.sort(shuffled[:_SAMPLE])
+    points = np.column_stack([matches.points1, matches.points2])[chosen].round(2).tolist()
+    rows = [[*row, int(inlier)] for row, inlier in zip(points, inliers[chosen], strict=True)]
+    return json.dumps(rows, separators=(",", ":"))
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:

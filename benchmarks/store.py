@@ -14,12 +14,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Generic, TextIO, get_type_hints
 
-from dgc_pose.benchmarks.posed_pairs import PairSet
-from dgc_pose.benchmarks.scores import RESULTS, Key, PoseScore, Score
+from dgc_pose.benchmarks.scores import RESULTS, Score
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as, read_bytes
-from dgc_pose.files.json_files import read_json
-from dgc_pose.files.outputs import only_writer, replaced, write_text, writing
+from dgc_pose.files.json_files import read_json, write_json
+from dgc_pose.files.outputs import only_writer, replaced, writing
 
 SETTINGS = "run.json"
 _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell; words of a Literal are text
@@ -27,7 +26,6 @@ _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell; words of a Liter
     float: float,
     bool: {"True": True, "False": False}.__getitem__,
 }
-_RESUME = ArgumentName("resume")
 
 
 class RunStore(Generic[Score]):
@@ -41,7 +39,7 @@ class RunStore(Generic[Score]):
         self,
         out: Path | None,
         kind: type[Score],
-        keys: Sequence[Sequence[Key]],
+        methods: int,
         settings: Mapping[str, Any],
         *,
         resume: bool = False,
@@ -50,7 +48,7 @@ class RunStore(Generic[Score]):
         """
         Args:
             out: the folder, made if missing; None keeps the records in memory alone.
-            keys: for each pair the keys of its records, one a method.
+            methods: records of each pair.
             settings: all that the records depend on; JSON.
             resume: go on with the run that `out` holds; begin one if it holds none.
             overwrite: drop the run that `out` holds.
@@ -67,9 +65,8 @@ class RunStore(Generic[Score]):
             for name in (*kind.tables, SETTINGS):  # a run without tables begins anew
                 (out / name).unlink(missing_ok=True)
         _begin(out, settings, resume)
-        tables = [_read_rows(out / name, kind, keys) for name in kind.tables]
+        tables = [_read_rows(out / name, kind) for name in kind.tables]
         rows = [kind(**dict(ChainMap(*parts))) for parts in zip(*tables, strict=False)]
-        methods = len(keys[0]) if keys else 1
         self.done = len(rows) // methods
         self.scores = rows[: self.done * methods]
 
@@ -93,12 +90,13 @@ class RunStore(Generic[Score]):
 
     def _open(self, path: Path) -> TextIO:
         """The table with the rows of the finished pairs, ready for more."""
+        columns = [self._kind.headings.get(name, name) for name in self._kind.tables[path.name]]
         with (
             replaced(path) as stage,
             writing(stage),
             stage.open("w", newline="", encoding="utf-8") as stream,
         ):
-            csv.writer(stream).writerow(_columns(self._kind, path.name))
+            csv.writer(stream).writerow(columns)
             self._write(path.name, stream, self.scores)
         stream = path.open("a", newline="", encoding="utf-8")
         self._stack.callback(writing(path)(stream.close))
@@ -111,18 +109,6 @@ class RunStore(Generic[Score]):
             stream.flush()
 
 
-def keys_of(pairs: PairSet[Score], methods: Sequence[str]) -> list[list[Key]]:
-    """The keys of the records of each pair, one a method."""
-    identity = pairs.kind.identity[1:]
-    return [
-        [(method, *(ids[name] for name in identity)) for method in methods] for ids in pairs.ids
-    ]
-
-
-def _columns(kind: type[PoseScore], table: str) -> list[str]:
-    return [kind.headings.get(name, name) for name in kind.tables[table]]
-
-
 def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
     """Begin a run, or see that the one that is there can be gone on with."""
     path = out / SETTINGS
@@ -130,10 +116,12 @@ def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
         if (out / RESULTS).exists():
             raise InputError(f"{out / RESULTS} is there already, and of no run of this command")
         out.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(settings, indent=2) + "\n")
+        write_json(path, settings)
         return
     if not resume:
-        raise InputError(f"{path} is there already:", _RESUME, "goes on with that run")
+        raise InputError(
+            f"{path} is there already:", ArgumentName("resume"), "goes on with that run"
+        )
     before = read_json(path, "the settings of a run")
     if not isinstance(before, dict):
         raise InputError(f"{path}: not the settings of a run")
@@ -145,27 +133,15 @@ def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
             )
 
 
-def _read_rows(
-    path: Path, kind: type[Score], keys: Sequence[Sequence[Key]]
-) -> list[dict[str, Any]]:
+def _read_rows(path: Path, kind: type[Score]) -> list[dict[str, Any]]:
     """The complete rows of a table, by field; a row that a kill cut short is left out."""
-    whole = read_bytes(path).rpartition(b"\n")[0] if path.exists() else b""
-    hints, columns = get_type_hints(kind), _columns(kind, path.name)
-    readers = {name: _READERS.get(hints[name], str) for name in kind.tables[path.name]}
-    expected = [key for of_pair in keys for key in of_pair]
-    rows = []
+    if not path.exists():
+        return []
+    hints, names = get_type_hints(kind), kind.tables[path.name]
+    readers = {name: _READERS.get(hints[name], str) for name in names}
     with read_as("a table of results", path):
-        lines = csv.reader(whole.decode("utf-8", "replace").splitlines())
-        if whole and next(lines) != columns:
-            raise InputError(f"{path}:1: expected the columns {','.join(columns)}")
-        for number, line in enumerate(lines):
-            try:
-                cells = zip(readers.items(), line, strict=True)
-                row = {name: read(text) for (name, read), text in cells}
-                in_order = tuple(row[name] for name in kind.identity) == expected[number]
-            except (KeyError, ValueError, IndexError):
-                in_order = False
-            if not in_order:
-                raise InputError(f"{path}:{number + 2}: not the row that this run has here")
-            rows.append(row)
-    return rows
+        whole = read_bytes(path).rpartition(b"\n")[0].decode()
+        return [
+            {name: readers[name](text) for name, text in zip(names, line, strict=True)}
+            for line in [*csv.reader(whole.splitlines())][1:]
+        ]

@@ -1,6 +1,5 @@
 """DTU's calibrated camera positions, from the matrices that each layout holds."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,15 +24,15 @@ class DtuView:
 def read_projection(path: Path) -> DtuView:
     """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel.
 
-    Raises InputError, with the path, unless the file holds 3 rows of 4 finite numbers that are a
-    camera; OSError if it cannot be read.
+    Raises InputError, with the path, unless the file holds 12 finite numbers that are a camera;
+    OSError if it cannot be read.
     """
-    lines = read_text(path, "a calibration", _BYTES).splitlines()
-    rows = [line.split() for line in lines if line.strip()]
-    if [len(row) for row in rows] != [4, 4, 4]:
-        counts = " + ".join(str(len(row)) for row in rows) or "none"
-        raise InputError(f"{path}: expected 3 rows of 4 numbers, found {counts}")
-    return decompose(_matrix([word for row in rows for word in row], (3, 4), path), str(path))
+    text = read_text(path, "a calibration", _BYTES)
+    try:
+        P = np.array(text.split(), np.float64).reshape(3, 4)
+    except ValueError:
+        raise InputError(f"{path}: expected 3 rows of 4 numbers") from None
+    return decompose(P, str(path))
 
 
 def read_cam(path: Path) -> DtuView:
@@ -44,16 +43,18 @@ def read_cam(path: Path) -> DtuView:
     OSError if it cannot be read.
     """
     words = read_text(path, "a calibration", _BYTES).split()
-    if len(words) < 27 or words[0] != "extrinsic" or words[17] != "intrinsic":
+    try:
+        if words[0] != "extrinsic" or words[17] != "intrinsic":
+            raise ValueError
+        extrinsic = np.array(words[1:17], np.float64).reshape(4, 4)
+        K = np.array(words[18:27], np.float64).reshape(3, 3)
+    except (IndexError, ValueError):
         raise InputError(
             f"{path}: expected the word extrinsic, 4 rows of 4 numbers, "
             "the word intrinsic, 3 rows of 3 numbers"
-        )
-    extrinsic, K = _matrix(words[1:17], (4, 4), path), _matrix(words[18:27], (3, 3), path)
-    if not np.allclose(extrinsic[3], [0, 0, 0, 1], atol=ROTATION_TOLERANCE):
-        raise InputError(f"{path}: the last row of the extrinsic matrix must be 0 0 0 1")
+        ) from None
     # Through P, as in the other layouts: the same matrices give the same view to the bit.
-    with np.errstate(over="ignore", invalid="ignore"):  # not finite: `decompose` says so
+    with np.errstate(over="ignore", invalid="ignore"):  # not finite: `decompose` raises
         P = K @ extrinsic[:3]
     view = decompose(P, str(path))
     if not np.allclose(view.R, extrinsic[:3, :3], atol=ROTATION_TOLERANCE):
@@ -88,10 +89,3 @@ def relative_pose(view1: DtuView, view2: DtuView) -> tuple[np.ndarray, np.ndarra
     """cam2_from_cam1 as R (3, 3) and t (3,) in millimetres: R2 R1^T and t2 - R t1."""
     R = view2.R @ view1.R.T
     return R, view2.t - R @ view1.t
-
-
-def _matrix(words: Sequence[str], shape: tuple[int, int], path: Path) -> np.ndarray:
-    try:
-        return np.array([float(word) for word in words]).reshape(shape)
-    except ValueError:
-        raise InputError(f"{path}: expected numbers, found something else") from None

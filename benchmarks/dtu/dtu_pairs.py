@@ -8,21 +8,17 @@ matches, and the pose refined on its inliers.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import Literal
 
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
 from dgc_pose.benchmarks.posed_pairs import FilePairs
 from dgc_pose.benchmarks.scores import DtuScore
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.images.image import Image, resize
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.refinement import RefinementOptions
 
 Protocol = Literal["paper", "native"]
-ViewKey = tuple[int, int, int]  # scene, view1, view2
 
 PAPER_SIZE = (256, 256)  # width, height
 EVERY_MATCH = 2**31  # more than any map has cells
@@ -40,7 +36,12 @@ class DtuPairs(FilePairs[DtuScore]):
         self, views: Sequence[ViewPair], pairs: Sequence[Pair], protocol: Protocol
     ) -> None:
         self.protocol = protocol
-        self.keys: list[ViewKey] = [(view.scene, view.view1, view.view2) for view in views]
+        keys = [(view.scene, view.view1, view.view2) for view in views]
+        # The names of files of stored matches, by the paths of a pair's images
+        self.stems = {
+            (str(pair.path1), str(pair.path2)): f"scan{scene}_{view1}_{view2}"
+            for pair, (scene, view1, view2) in zip(pairs, keys, strict=True)
+        }
         ids = [
             {
                 "scene": view.scene,
@@ -53,28 +54,8 @@ class DtuPairs(FilePairs[DtuScore]):
             }
             for view, pair in zip(views, pairs, strict=True)
         ]
-        super().__init__(DtuScore, pairs, ids)
-
-    @cached_property
-    def stems(self) -> dict[tuple[str, str], str]:
-        """The names of files of stored matches, by the paths of a pair's images."""
-        return {
-            (str(pair.path1), str(pair.path2)): f"scan{scene}_{view1}_{view2}"
-            for pair, (scene, view1, view2) in zip(self.pairs, self.keys, strict=True)
-        }
-
-    def seed(self, number: int) -> tuple[int, ...]:
-        return self.keys[number]
-
-    def prepare(self, image: Image) -> Image:
-        if self.protocol == "native":
-            return image
-        return replace(image, pixels=resize(image.pixels, PAPER_SIZE), stored_size=image.size)
-
-    def prepare_camera(
-        self, camera: Camera, stored: tuple[int, int], shown: tuple[int, int]
-    ) -> Camera:
-        return replace(camera, size=stored).resized(shown)
+        size = PAPER_SIZE if protocol == "paper" else None
+        super().__init__(DtuScore, pairs, ids, seeds=keys, size=size)
 
 
 def protocol_options(

@@ -9,7 +9,7 @@ The truth comes from the calibration, so that a list serves every layout and lig
 
 import csv
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path, PurePosixPath
 
@@ -21,16 +21,17 @@ from dgc_pose.benchmarks.dtu.view_pairs import (
     find_view_pairs,
     view_pair,
 )
-from dgc_pose.cameras.pair_list import FIELDS
+from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_text
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.outputs import replaced, writing
 
 PAIRS = 3000  # of the paper
-COLUMNS = ("scene", "view1", "view2")
-_SCENE = r"(?:dtu_)?scan(\d+)(?:_train)?"
-_FROM_ONE = r"(?:rect|clean)_(\d{3})_\w+\.\w+"
-_FROM_ZERO = r"(?:\d{2})?(\d{6})\.\w+"
+_COLUMNS = ("scene", "view1", "view2")
+_SCENE = re.compile(r"(?:dtu_)?scan(\d+)(?:_train)?")
+# Files called rect or clean are numbered from 1, files with a number alone from 0.
+_FROM_ONE = re.compile(r"(?:rect|clean)_(\d{3})_\w+\.\w+")
+_FROM_ZERO = re.compile(r"(?:\d{2})?(\d{6})\.\w+")
 
 Ids = tuple[int, int, int]  # scene, view1, view2
 
@@ -67,24 +68,18 @@ def read_pair_file(
 ) -> list[ViewPair]:
     """Read a list in one of the formats at the top of this file; with `scenes`, of these alone.
 
-    Raises InputError, with the path and the line number, for a line that is no pair, names a view
-    that the data set lacks or repeats another line, and for a list without any pair; OSError if the
-    file cannot be read.
+    Raises InputError, with the path, for a line that is no pair or names a view that the data set
+    lacks, and for a list without any pair; OSError if the file cannot be read.
     """
-    path = Path(path)
-    first: dict[Ids, int] = {}  # the line of each pair
+    text = read_text(path, "a pair list")
+    is_table = "," in text.partition("\n")[0]
     pairs = []
-    for number, ids in _parse(path):
-        if scenes is not None and ids[0] not in scenes:
-            continue
-        if ids in first:
-            raise InputError(f"{path}:{number}: the pair of line {first[ids]} once more")
-        first[ids] = number
-        try:
-            scene, view1, view2 = ids
-            pairs.append(view_pair(dataset.scene(scene), view1, view2))
-        except InputError as error:
-            raise InputError(f"{path}:{number}: {error}") from None
+    for where, (scene, view1, view2) in _table(path, text) if is_table else _names(path):
+        if scenes is None or scene in scenes:
+            try:
+                pairs.append(view_pair(dataset.scene(scene), view1, view2))
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from None
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     return pairs
@@ -105,62 +100,38 @@ def write_pair_csv(path: str | Path, pairs: Sequence[ViewPair]) -> None:
             writer.writerow({k: f"{v:.4f}" if isinstance(v, float) else v for k, v in row.items()})
 
 
-def _parse(path: Path) -> Iterator[tuple[int, Ids]]:
-    """The pairs by the numbers of their lines."""
-    text = read_text(path, "a pair list")
-    lines = [
-        (number, line.strip())
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    header = [name.strip() for name in lines[0][1].split(",")] if lines else []
-    if len(header) > 1:
-        yield from _parse_csv(path, header, lines)
-        return
-    for number, line in lines:
-        words, where = line.split(), f"{path}:{number}"
-        if len(words) == FIELDS:
-            yield number, _from_names(words[0], words[1], where)
-        else:
-            raise InputError(
-                f"{where}: expected a CSV with {','.join(COLUMNS)}, or {FIELDS} fields as in "
-                f"SuperGlue's lists, found {len(words)}"
-            )
+def _table(path: str | Path, text: str) -> list[tuple[str, Ids]]:
+    """The pairs of a CSV, each with its path and line."""
+    rows = csv.DictReader(text.splitlines())
+    pairs: list[tuple[str, Ids]] = []
+    with read_as("a table with columns scene, view1 and view2", path):
+        names = {name.strip(): name for name in rows.fieldnames or ()}
+        columns = [names[name] for name in _COLUMNS]
+        for row in rows:
+            where = f"{path}:{rows.line_num}"
+            with read_as("a row of whole numbers", where):
+                scene, view1, view2 = (int(row[column]) for column in columns)
+            pairs.append((where, (scene, view1, view2)))
+    return pairs
 
 
-def _parse_csv(
-    path: Path, header: Sequence[str], lines: Sequence[tuple[int, str]]
-) -> Iterator[tuple[int, Ids]]:
-    absent = [name for name in COLUMNS if name not in header]
-    if absent:
-        raise InputError(f"{path}:{lines[0][0]}: expected a column {absent[0]} in this CSV")
-    columns = [header.index(name) for name in COLUMNS]
-    for number, line in lines[1:]:
-        words, where = [word.strip() for word in line.split(",")], f"{path}:{number}"
-        if len(words) != len(header):
-            raise InputError(f"{where}: expected {len(header)} columns, found {len(words)}")
-        try:
-            scene, view1, view2 = (int(words[column]) for column in columns)
-        except ValueError:
-            raise InputError(
-                f"{where}: expected whole numbers of scene and views, found {line}"
-            ) from None
-        yield number, (scene, view1, view2)
+def _names(path: str | Path) -> list[tuple[str, Ids]]:
+    """The pairs of a list in SuperGlue's format, each with its path and images."""
+    pairs: list[tuple[str, Ids]] = []
+    for pair in read_pairs(path):
+        where = f"{path}: {pair.name1} {pair.name2}"
+        (scene, view1), (other, view2) = (_view(name, where) for name in (pair.name1, pair.name2))
+        if scene != other:
+            raise InputError(f"{where}: expected two views of one scene")
+        pairs.append((where, (scene, view1, view2)))
+    return pairs
 
 
-def _from_names(name1: str, name2: str, where: str) -> Ids:
-    (scene1, view1), (scene2, view2) = _from_name(name1, where), _from_name(name2, where)
-    if scene1 != scene2:
-        raise InputError(f"{where}: expected two views of one scene, found {name1} and {name2}")
-    return scene1, view1, view2
-
-
-def _from_name(name: str, where: str) -> tuple[int, int]:
-    """Scene and view of an image by its name: files called rect or clean are numbered from 1, files
-    with a number alone from 0."""
+def _view(name: str, where: str) -> tuple[int, int]:
+    """Scene and view of an image by its name."""
     *folders, file = PurePosixPath(name).parts or ("",)
-    scenes = [match[1] for folder in folders if (match := re.fullmatch(_SCENE, folder))]
+    scenes = [match[1] for folder in folders if (match := _SCENE.fullmatch(folder))]
     for pattern, start in ((_FROM_ONE, 0), (_FROM_ZERO, 1)):
-        if scenes and (match := re.fullmatch(pattern, file)):
+        if scenes and (match := pattern.fullmatch(file)):
             return int(scenes[-1]), int(match[1]) + start
-    raise InputError(f"{where}: expected the name of a DTU image, found {name}")
+    raise InputError(f"{where}: expected the names of DTU images")

@@ -1,6 +1,7 @@
 """The report of a finished DTU run: its figures, and report.html with its pairs."""
 
 import base64
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,9 +11,9 @@ import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs
 from dgc_pose.benchmarks.posed_pairs import PosedPair
-from dgc_pose.benchmarks.samples import MatchSample, read_sample
 from dgc_pose.benchmarks.scores import MATCHES, DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
+from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.motion import plot_against_motion, plot_histograms
@@ -55,12 +56,12 @@ def write_report(
     *,
     facts: Mapping[str, str],
     table: str,
-) -> list[Path]:
+) -> None:
     """Write the figures of a finished run and its page into `out`; each appears whole.
 
     rows: records of all methods, those of a method in the order of the pairs. facts: what was run,
-    by name. table: the summary, as text. Returns the files written. Raises InputError without rows
-    or for a malformed sample, ImageError for an image that cannot be read.
+    by name. table: the summary, as text. Raises InputError without rows or for a malformed sample,
+    ImageError for an image that cannot be read.
     """
     methods, errors = by_method(rows), columns(rows)
     histograms = plot_histograms(errors, pairs.protocol)
@@ -91,18 +92,19 @@ def write_report(
             methods=shown,
         )
         save_text(files[PAGE], page)
-    return [*paths.values()]
 
 
 def _worst(out: Path, pairs: DtuPairs, rows: Sequence[DtuScore]) -> list[dict[str, str]]:
     """Pictures of the pairs of a method with the largest errors, infinite without a pose."""
     numbered = sorted(
         enumerate(rows),
-        key=lambda one: -max(one[1].rotation_error_deg, one[1].translation_folded_deg),
+        key=lambda item: -max(item[1].rotation_error_deg, item[1].translation_folded_deg),
     )
     pictures = []
     for number, row in numbered[:WORST]:
-        picture = draw_pair(pairs.pair(number), read_sample(row.sample, out / MATCHES))
+        with read_as("a table with samples of matches", out / MATCHES):
+            sample = np.array(json.loads(row.sample), np.float64).reshape(-1, 5)
+        picture = draw_pair(pairs.pair(number), sample)
         quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
         encoded = cv2.imencode(".jpg", picture[..., ::-1], quality)[1]
         caption = f"{HEADINGS['pair']}, {_CAPTION}".format(row)
@@ -110,18 +112,21 @@ def _worst(out: Path, pairs: DtuPairs, rows: Sequence[DtuScore]) -> list[dict[st
     return pictures
 
 
-def draw_pair(pair: PosedPair, sample: MatchSample) -> np.ndarray:
-    """Both images (H, W, 3) side by side at one height, and a line for each match."""
+def draw_pair(pair: PosedPair, sample: np.ndarray) -> np.ndarray:
+    """Both images (H, W, 3) side by side at one height, and a line for each match.
+
+    sample: (N, 5), of each match x1, y1, x2, y2, pixels, and whether it is an inlier.
+    """
     halves, ends = [], []
     left = 0
-    for image, points in ((pair.image1, sample.points1), (pair.image2, sample.points2)):
+    for image, points in ((pair.image1, sample[:, :2]), (pair.image2, sample[:, 2:4])):
         scale = _HEIGHT / image.size[1]
         size = (max(1, round(scale * image.size[0])), _HEIGHT)
         halves.append(cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA))
         ends.append(np.rint((points + 0.5) * scale - 0.5).astype(int) + (left, 0))
         left += size[0]
     picture = np.hstack(halves)
-    for end1, end2, inlier in zip(*ends, sample.inliers, strict=True):
+    for end1, end2, inlier in zip(*ends, sample[:, 4], strict=True):
         colour = _GREEN if inlier else _RED
         cv2.line(picture, end1.tolist(), end2.tolist(), colour, 1, cv2.LINE_AA)
     return picture

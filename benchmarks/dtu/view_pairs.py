@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations, groupby
 
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
-from dgc_pose.benchmarks.dtu.dataset import Dataset
-from dgc_pose.benchmarks.dtu.scene import DtuScene
+from dgc_pose.benchmarks.dtu.dataset import Dataset, DtuScene
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
@@ -56,15 +56,11 @@ class ViewPair:
 
 def find_view_pairs(dataset: Dataset, options: ViewPairOptions) -> list[ViewPair]:
     """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
-    # In some layouts all scenes share their views.
-    known: dict[tuple[DtuView, DtuView, tuple[int, int]], tuple[float, float, float]] = {}
     pairs = []
     for scene in dataset.scenes:
         for view1, view2 in combinations(sorted(scene.views), 2):
-            key = (scene.views[view1], scene.views[view2], scene.size)
-            if key not in known:
-                known[key] = _motion(*key)
-            pair = ViewPair(scene.number, view1, view2, *known[key])
+            motion = _motion(scene.views[view1], scene.views[view2], scene.size)
+            pair = ViewPair(scene.number, view1, view2, *motion)
             if (
                 options.min_rotation <= pair.rotation_deg <= options.max_rotation
                 and pair.overlap >= options.min_overlap
@@ -93,7 +89,8 @@ def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewP
 def view_pair(scene: DtuScene, view1: int, view2: int) -> ViewPair:
     """Two views by their numbers. Raises InputError if one is missing, or both have one centre."""
     for number in (view1, view2):
-        scene.require(number)
+        if number not in scene.views:
+            raise InputError(f"{scene.name} has no view {number} with an image and a calibration")
     motion = _motion(scene.views[view1], scene.views[view2], scene.size)
     pair = ViewPair(scene.number, view1, view2, *motion)
     if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:
@@ -125,6 +122,7 @@ def overlap(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
     return (_share_seen(view1, view2, size) + _share_seen(view2, view1, size)) / 2
 
 
+@cache  # in some layouts all scenes share their views
 def _motion(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> tuple[float, float, float]:
     """Rotation, overlap and baseline of a ViewPair."""
     R, t = relative_pose(view1, view2)

@@ -9,11 +9,12 @@ a collection with other weights is refused.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
-from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
+from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -23,7 +24,7 @@ from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchResult
+from dgc_pose.matching import Matcher
 from dgc_pose.pose import pose_of_pair
 
 _ENGINE = "engine.json"
@@ -34,12 +35,9 @@ _FIELDS = ("points1", "points2", "confidence", "error_px", "key_points")  # of M
 class StoredPair:
     """What a method matched in a pair, and the truth."""
 
+    entry: PlanEntry
     name: str  # unique within a method
-    entry: str  # of the plan, its name
     scene: str
-    part: Part
-    exact: bool  # the true pose is: see `PlanEntry.rough`
-    withheld: bool  # see `PlanEntry`
     truth: Truth
     matches: Matches
     # With those searched again; None if the pose by the true K is not in doubt.
@@ -66,34 +64,26 @@ def require_engine(out: Path, method: str, matcher: Matcher) -> None:
         raise InputError(f"{path}: collected with other weights than those of {matcher.name}")
 
 
-def read_engine(out: Path, method: str) -> dict[str, str | None]:
+def read_engine(out: Path, method: str) -> Any:
     """Name and fingerprint of what a collection was matched with. Raises InputError without."""
     path = out / "matches" / method / _ENGINE
     if not path.is_file():
         raise InputError(f"{path}: nothing is collected for {method}")
-    engine = read_json(path, "what a collection was matched with")
-    if not isinstance(engine, dict):
-        raise InputError(f"{path}: not what a collection was matched with")
-    return engine
+    return read_json(path, "what a collection was matched with")
 
 
-def collect(
-    pairs: Sequence[PlannedPair], matchers: Mapping[str, Matcher], out: Path
-) -> Iterator[PlannedPair]:
-    """Match the pairs that are not stored yet; yields each pair that is done.
+def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> None:
+    """Match a pair by the methods of which it is not stored yet.
 
     Raises what reading a pair raises.
     """
-    for pair in pairs:
-        paths = {name: store_path(out, name, pair.entry, pair.number) for name in matchers}
-        missing = {name: path for name, path in paths.items() if not path.is_file()}
-        if missing:
-            posed = pair.make()
-            for name, path in missing.items():
-                result, pooled = match_and_pool(matchers[name], posed)
-                path.parent.mkdir(parents=True, exist_ok=True)
-                _write(path, pair.scene, posed, result, pooled)
-        yield pair
+    paths = {name: store_path(out, name, pair.entry, pair.number) for name in matchers}
+    missing = {name: path for name, path in paths.items() if not path.is_file()}
+    posed = pair.make() if missing else None
+    for name, path in missing.items():
+        assert posed is not None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _match(path, pair.scene, posed, matchers[name])
 
 
 def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Iterator[StoredPair]:
@@ -106,20 +96,13 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
             yield stored
 
 
-def match_and_pool(matcher: Matcher, posed: PosedPair) -> tuple[MatchResult, Matches | None]:
-    """The matches of a pair, and with those searched again if its pose is in doubt. The matcher is
-    to have no quick pass."""
-    images, truth = (posed.image1, posed.image2), posed.truth
-    search = matcher.search(*images)
+def _match(path: Path, scene: str, posed: PosedPair, matcher: Matcher) -> None:
+    """Write the matches of a pair, and those with others searched again if its pose is in doubt.
+    The matcher is to have no quick pass."""
+    truth = posed.truth
+    search = matcher.search(posed.image1, posed.image2)
     result = search.whole()
     pose_of_pair(search, truth.camera1, truth.camera2, EstimationOptions(effort="thorough"))
-    return result, None if search.last is result else search.last.matches
-
-
-def _write(
-    path: Path, scene: str, posed: PosedPair, result: MatchResult, pooled: Matches | None
-) -> None:
-    truth = posed.truth
     arrays: dict[str, object] = {
         "scene": scene,
         **{"K1": truth.camera1.K, "size1": posed.image1.size},
@@ -127,8 +110,8 @@ def _write(
         **_arrays("", result.matches),
     }
     arrays |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
-    if pooled is not None:
-        arrays |= _arrays("pooled_", pooled)
+    if search.last is not result:
+        arrays |= _arrays("pooled_", search.last.matches)
     if result.map_matches is not None:
         arrays |= _arrays("map_", result.map_matches)
     with replaced(path) as stage, writing(stage), stage.open("wb") as stream:
@@ -136,17 +119,15 @@ def _write(
 
 
 def _stored(name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray]) -> StoredPair:
-    sizes = [(int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])) for n in (1, 2)]
-    camera1, camera2 = (Camera(arrays[f"K{n}"], size) for n, size in enumerate(sizes, start=1))
-    scene = str(arrays["scene"])
+    camera1, camera2 = (
+        Camera(arrays[f"K{n}"], (int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])))
+        for n in (1, 2)
+    )
     return StoredPair(
+        entry,
         name,
-        entry.name,
-        scene,
-        entry.part,
-        scene not in entry.rough,
-        entry.withheld,
-        Truth({"name": name}, camera1, camera2, arrays.get("R"), arrays.get("t")),
+        str(arrays["scene"]),
+        Truth({}, camera1, camera2, arrays.get("R"), arrays.get("t")),
         _matches("", arrays),
         _matches("pooled_", arrays) if "pooled_points1" in arrays else None,
         _matches("map_", arrays) if "map_points1" in arrays else None,

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ _ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
 _OVERLAPS = (0.0, 0.1, 0.25, 0.5, 1.01)
 _COMMON = (0, 5, 25, 80, 10**9)
 _HOPELESS = 0.15  # share of the pairs drawn that are
-_LEAST_BASELINE = 0.08  # of the depth; the direction of a shorter one is the poses' noise
+_LEAST_BASELINE = 0.08  # of the depth
 _PROBE = 24  # depths along the longer side by which overlap is counted
 _FRAMES = 60  # of a sequence, evenly chosen; all pairs of them are looked at
 _AGREES = 0.05  # of the depth
@@ -40,20 +41,18 @@ def drawn_rgbd(folder: Path, count: int, seed: int) -> list[Pair]:
     """Pairs of a folder of posed RGB-D frames. Raises as `read_rgbd` does."""
     frames = read_rgbd(folder)
     frames = frames[:: math.ceil(len(frames) / _FRAMES)]
-    cameras = [Camera(frame.K) for frame in frames]
     depths = [frame.read_depth() for frame in frames]
     pairs, overlaps = [], []
-    for j, frame2 in enumerate(frames):
-        points = _probes(frame2, depths[j])
-        for i, frame1 in enumerate(frames if len(points) else ()):
+    for frame2, depth2 in zip(frames, depths, strict=True):
+        points = _probes(frame2, depth2)
+        for frame1, depth1 in zip(frames, depths, strict=True):
             T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
-            names = (f"images/{frame.image.name}" for frame in (frame1, frame2))
-            pair = _pair(folder, tuple(names), (cameras[i], cameras[j]), T)
-            if i == j or np.linalg.norm(pair.t) < _LEAST_BASELINE * np.median(points[:, 2]):
+            if frame1 is frame2 or not len(points) or _is_still(T, np.median(points[:, 2])):
                 continue
-            pairs.append(pair)
+            names = (f"images/{frame.image.name}" for frame in (frame1, frame2))
+            pairs.append(_pair(folder, [*names], [Camera(frame1.K), Camera(frame2.K)], T))
             back = points @ T[:3, :3] - T[:3, 3] @ T[:3, :3]
-            overlaps.append(_overlap(frame1, depths[i], back))
+            overlaps.append(_overlap(frame1, depth1, back))
     return _chosen(pairs, np.array(overlaps), _OVERLAPS, count, seed)
 
 
@@ -71,15 +70,15 @@ def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
     cameras = [_pinhole(model.cameras[image.camera_id], folder) for image in images]
     world = [np.vstack([image.cam_from_world().matrix(), (0, 0, 0, 1)]) for image in images]
     pairs, common = [], []
-    for i, j in np.ndindex(len(images), len(images)):
+    for i, j in permutations(range(len(images)), 2):
         shared = seen[i] & seen[j]
+        points = np.array([model.points3D[k].xyz for k in shared or seen[j]]).reshape(-1, 3)
+        depth = np.median(points @ world[j][2, :3] + world[j][2, 3]) if len(points) else 0.0
         T = world[j] @ np.linalg.inv(world[i])
-        depth = _depth(model, shared or seen[j], world[j])
-        if i == j or np.linalg.norm(T[:3, 3]) < _LEAST_BASELINE * depth:
-            continue
-        names = (f"images/{images[k].name}" for k in (i, j))
-        pairs.append(_pair(folder, tuple(names), (cameras[i], cameras[j]), T))
-        common.append(len(shared))
+        if not _is_still(T, depth):
+            names = [f"images/{images[k].name}" for k in (i, j)]
+            pairs.append(_pair(folder, names, [cameras[i], cameras[j]], T))
+            common.append(len(shared))
     return _chosen(pairs, np.array(common), _COMMON, count, seed)
 
 
@@ -90,17 +89,12 @@ def drawn_dtu(folder: Path, count: int, seed: int) -> list[Pair]:
     options = ViewPairOptions(
         pairs=count, max_rotation=_DTU_ROTATION, min_overlap=_DTU_OVERLAP, seed=seed
     )
-    drawn = draw(find_view_pairs(dataset, options), options)
-    prefix = dataset.root.relative_to(folder)
-    return [
-        replace(
-            pair,
-            name1=(prefix / pair.name1).as_posix(),
-            name2=(prefix / pair.name2).as_posix(),
-            root=folder,
-        )
-        for pair in (listed_pair(dataset, views) for views in drawn)
-    ]
+    pairs = []
+    for views in draw(find_view_pairs(dataset, options), options):
+        pair = listed_pair(dataset, views)
+        name1, name2 = (path.relative_to(folder).as_posix() for path in (pair.path1, pair.path2))
+        pairs.append(replace(pair, name1=name1, name2=name2, root=folder))
+    return pairs
 
 
 def _chosen(
@@ -110,15 +104,12 @@ def _chosen(
     the last rotation only among the hopeless."""
     rng = np.random.default_rng(seed)
     rotations = np.array([rotation_error_deg(pair.R, np.eye(3)) for pair in pairs])
-    rotation = np.digitize(rotations, _ROTATIONS) - 1
-    overlap = np.digitize(overlaps, edges) - 1
-    hopeless = overlap == 0
-    far = rotation == len(_ROTATIONS) - 1
-    apart = rng.permutation(np.flatnonzero(hopeless))[: round(_HOPELESS * count)]
+    rotation, overlap = np.digitize(rotations, _ROTATIONS), np.digitize(overlaps, edges)
+    apart = rng.permutation(np.flatnonzero(overlap == 1))[: round(_HOPELESS * count)]
     bins = [
-        list(rng.permutation(np.flatnonzero((rotation == r) & (overlap == o) & ~far)))
-        for r in range(len(_ROTATIONS) - 1)
-        for o in range(1, len(edges) - 1)
+        list(rng.permutation(np.flatnonzero((rotation == r) & (overlap == o))))
+        for r in range(1, len(_ROTATIONS))
+        for o in range(2, len(edges))
     ]
     chosen: list[int] = []
     while any(bins) and len(chosen) < count - len(apart):
@@ -127,11 +118,14 @@ def _chosen(
     return [pairs[k] for k in sorted(chosen)]
 
 
-def _pair(
-    folder: Path, names: tuple[str, ...], cameras: tuple[Camera, Camera], T: np.ndarray
-) -> Pair:
+def _is_still(T: np.ndarray, depth: float) -> bool:
+    """Whether the baseline is too short: the direction of t is then the poses' noise."""
+    return bool(np.linalg.norm(T[:3, 3]) < _LEAST_BASELINE * depth)
+
+
+def _pair(folder: Path, names: Sequence[str], cameras: Sequence[Camera], T: np.ndarray) -> Pair:
     U, _, Vt = np.linalg.svd(T[:3, :3])  # the nearest rotation: stored poses are rounded
-    return Pair(names[0], names[1], folder, *cameras, U @ Vt, T[:3, 3])
+    return Pair(names[0], names[1], folder, cameras[0], cameras[1], U @ Vt, T[:3, 3])
 
 
 def _probes(frame: PosedFrame, depth: np.ndarray) -> np.ndarray:
@@ -164,11 +158,3 @@ def _pinhole(camera: pycolmap.Camera, folder: Path) -> Camera:
         raise InputError(f"{folder}: {camera.model_name} has distortion; undistort the model")
     K, _ = intrinsics(camera.model_name, camera.params.tolist())
     return Camera(K, (camera.width, camera.height))
-
-
-def _depth(model: pycolmap.Reconstruction, points: set[int], cam_from_world: np.ndarray) -> float:
-    """Median depth of points in a camera; 0 for none."""
-    if not points:
-        return 0.0
-    world = np.array([model.points3D[k].xyz for k in points])
-    return float(np.median(world @ cam_from_world[2, :3] + cam_from_world[2, 3]))

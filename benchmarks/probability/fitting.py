@@ -6,21 +6,20 @@ each scene gets from weights fitted on the other scenes. The expected error is a
 on right poses of scenes whose reference is exact.
 """
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy import optimize
 from sklearn.linear_model import LogisticRegression, QuantileRegressor
 
+from dgc_pose.benchmarks.metrics import folded
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.competition import CHOICE_FEATURES, choice_shares
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FEATURES,
-    FORMAT,
     OF_AUTO,
     OF_MAPS,
     MatchKind,
@@ -43,11 +42,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
-    samples = [
-        (row, row.evidence)
-        for row in rows
-        if row.part == "fit" and row.evidence and row.cameras != "wrong"
-    ]
+    samples = [(row, row.evidence) for row in rows if row.entry.part == "fit" and row.evidence]
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
@@ -114,26 +109,17 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     samples = [
         (row, row.evidence)
         for row in rows
-        if row.part == "fit"
+        if row.entry.part == "fit"
         and row.exact
         and row.evidence
         and row.evidence.jackknife_focal_90_percent is not None
         and row.exact_cameras
-        and row.pair_error_deg < _ALTOGETHER_WRONG_DEG
+        and row.rotation_error_deg < _ALTOGETHER_WRONG_DEG
+        and folded(row.translation_error_deg) < _ALTOGETHER_WRONG_DEG
     ]
     if len(samples) < _LEAST:
         return {"slope": 0.0, "intercept": 0.0}
     return _error_model(samples, "focal")
-
-
-def models_text(
-    models: Mapping[MatchKind, Mapping[str, Any]],
-    focal_error: Mapping[str, float],
-    engine: Mapping[str, Any],
-) -> str:
-    """The file that the package reads."""
-    data = {"format": FORMAT, "engine": engine, "focal_error": focal_error, "models": models}
-    return json.dumps(data, indent=1) + "\n"
 
 
 def _logistic(

@@ -1,7 +1,6 @@
 """The pairs of a plan's entries, each made when it is matched."""
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,26 +11,27 @@ import numpy as np
 
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
-    PlanePairs,
     PosedPair,
     Truth,
-    rendered_pair,
+    posed_pair,
     require_images,
-    unrelated_pair,
 )
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
-from dgc_pose.errors import InputError
+from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.files.outputs import replaced
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image, load_image
 
 BlankKind = Literal["even", "gradient", "vignette", "noise", "lens cap", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
-_RENDERED_SIZE = 640  # pixels a side
+PLANE_SIZE = 640  # pixels a side of a view
+_RENDERED_SIZE = 640
+_PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
 _BLANK_SIZE = (640, 480)
+Maker = Callable[[int], PosedPair]  # of a pair by its number
 _DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
 
 
@@ -45,23 +45,12 @@ class PlannedPair:
     make: Callable[[], PosedPair]
 
 
-def require_data(entries: Sequence[PlanEntry], data: Path) -> None:
-    """Raise InputError, with the path, if something that the entries name is not there."""
-    for entry in entries:
-        for path in entry.path:
-            if not os.path.exists(data / path):  # False for a name with a zero byte, too
-                raise InputError(
-                    f"{data / path}: no such data; the plan's source {entry.name} needs it"
-                )
-
-
 def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     """The pairs of an entry. Pairs that are drawn are written as a list to the folder `lists`, and
     read from there the next time.
 
     Raises InputError or ImageError if the data are not as the plan says.
     """
-    require_data([entry], data)
     folders = [data / path for path in entry.path]
     makers = {
         "rendered": _rendered,
@@ -70,20 +59,13 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         "textureless": _textureless,
     }
     if entry.kind in makers:
-        made = makers[entry.kind](folders, entry)
-        return [PlannedPair(entry, k, entry.name, make) for k, make in enumerate(made)]
+        make = makers[entry.kind](folders, entry)
+        return [PlannedPair(entry, k, entry.name, partial(make, k)) for k in range(entry.pairs)]
     pairs = _listed(entry, folders[0], lists)
     require_images(pairs)
     listed = ListedPairs(pairs)
-    return [
-        PlannedPair(
-            entry,
-            k,
-            Path(pair.name1).parts[0] if entry.scene_by_folder else entry.name,
-            partial(listed.pair, k),
-        )
-        for k, pair in enumerate(pairs)
-    ]
+    scenes = (Path(p.name1).parts[0] if entry.scene_by_folder else entry.name for p in pairs)
+    return [PlannedPair(entry, k, scene, partial(listed.pair, k)) for k, scene in enumerate(scenes)]
 
 
 def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
@@ -98,9 +80,10 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
     return read_pairs(known, path)
 
 
-def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _rendered(folders: list[Path], entry: PlanEntry) -> Maker:
     from dgc_pose.training.synthesis.options import SceneOptions
     from dgc_pose.training.synthesis.photos import load_held_back
+    from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
 
     textures = load_held_back(folders[0]).textures
     scenes = SceneOptions(
@@ -111,31 +94,50 @@ def _rendered(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedP
         import torch
 
         generator = torch.Generator().manual_seed(1000 * entry.seed + number)
-        return rendered_pair(textures, _RENDERED_SIZE, generator, scenes, {})
+        return posed_pair(render_pairs(textures, 1, _RENDERED_SIZE, generator, scenes), {})
 
-    return [partial(make, k) for k in range(entry.pairs)]
-
-
-def _planes(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
-    pairs = PlanePairs(folders[0], entry.seed)
-    return [partial(pairs.pair, k) for k in range(entry.pairs)]
+    return make
 
 
-def _unrelated(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _planes(folders: list[Path], entry: PlanEntry) -> Maker:
+    """Planes with a relief, whose homographies have two poses; see `synthesis.render.plane_pairs`.
+    The heights of the reliefs come in turn."""
+    from dgc_pose.training.synthesis.draw import seeded
+    from dgc_pose.training.synthesis.photos import load_held_back
+    from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS, render_plane_pair
+
+    textures = load_held_back(folders[0], _PLANE_PHOTO).textures
+
+    def make(number: int) -> PosedPair:
+        generator = seeded("planes", entry.seed, number)
+        relief = RELIEFS[number % len(RELIEFS)]
+        return posed_pair(render_plane_pair(textures, PLANE_SIZE, generator, relief), {})
+
+    return make
+
+
+def _unrelated(folders: list[Path], entry: PlanEntry) -> Maker:
     """Photographs of different places: of different folders, or of different prefixes in one."""
     paths = _photographs_in(folders)
     places = {path: f"{path.parent} {path.stem.split('_')[0]}" for path in paths}
     one_each = {path for path in paths if "photos" in path.parts and "more" not in path.parts}
     rng = np.random.default_rng(entry.seed)
-    makers: list[Callable[[], PosedPair]] = []
-    while len(makers) < entry.pairs:
+    chosen: list[tuple[Path, Path]] = []
+    while len(chosen) < entry.pairs:
         path1, path2 = (paths[k] for k in rng.integers(0, len(paths), 2))
         if places[path1] != places[path2] or (path1 in one_each and path1 != path2):
-            makers.append(partial(unrelated_pair, path1, path2))
-    return makers
+            chosen.append((path1, path2))
+
+    def make(number: int) -> PosedPair:
+        """The cameras that the images suggest (see `auto_camera`) are taken as known."""
+        images = [load_image(path) for path in chosen[number]]
+        camera1, camera2 = (Camera(auto_camera(image).K, image.size) for image in images)
+        return PosedPair(Truth({}, camera1, camera2, None, None), *images)
+
+    return make
 
 
-def _textureless(folders: list[Path], entry: PlanEntry) -> list[Callable[[], PosedPair]]:
+def _textureless(folders: list[Path], entry: PlanEntry) -> Maker:
     """Each kind of blank image with itself, with another and with a photograph, in turn."""
     paths = _photographs_in(folders)
 
@@ -155,7 +157,7 @@ def _textureless(folders: list[Path], entry: PlanEntry) -> list[Callable[[], Pos
         camera = Camera(K.astype(np.float64), _BLANK_SIZE)
         return PosedPair(Truth({}, camera, camera, None, None), Image(first), Image(second))
 
-    return [partial(make, k) for k in range(entry.pairs)]
+    return make
 
 
 def blank(kind: BlankKind, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

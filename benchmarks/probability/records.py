@@ -1,6 +1,6 @@
 """From stored matches to evidence and errors: records of each pair, whatever the verdict.
 
-A pair is estimated with its K, with K withheld, and now and then with a wrong one.
+A pair is estimated with its K, and with K withheld.
 """
 
 import math
@@ -12,10 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from dgc_pose.benchmarks.metrics import folded
 from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
-from dgc_pose.benchmarks.probability.plan import Part
+from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.estimation import EstimationOptions, Hypothesis
@@ -29,9 +28,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
 
 _CHUNK = 16
-CameraCase = Literal["exact", "auto", "wrong"]
-_WRONG_FACTORS = (0.5, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 2.0)  # of the focal lengths
-_WRONG_SHARE = 3  # a pair of so many has a record of a wrong K as well
+CameraCase = Literal["exact", "auto"]
 _SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken both images
 # Principal points farther from the middle, over the longer side, are of no photograph: of drawn
 # cameras. They say nothing of what the deviation of a focal length is worth.
@@ -58,10 +55,8 @@ class PoseRecord:
 class Record:
     """What a pair's evidence is, and how wrong its pose."""
 
-    entry: str  # of the plan, its name
+    entry: PlanEntry
     scene: str
-    part: Part
-    exact: bool  # the true pose is: see `PlanEntry.rough`
     evidence: Evidence | None  # None without a model
     rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
     translation_error_deg: float
@@ -79,14 +74,14 @@ class Record:
         return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
 
     @property
+    def exact(self) -> bool:
+        """Whether the true pose is: see `PlanEntry.rough`."""
+        return self.scene not in self.entry.rough
+
+    @property
     def any_right(self) -> bool:
         """Whether the pose or another that explains the matches about as well is right."""
         return self.right or any(pose.right for pose in self.poses)
-
-    @property
-    def pair_error_deg(self) -> float:
-        """As the matching literature counts: t without its sign."""
-        return max(self.rotation_error_deg, folded(self.translation_error_deg))
 
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
@@ -109,16 +104,12 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
         assessed = assess(problem, matches, stated, options, pair.map_matches)
     choices = () if assessed is None else assessed.hypotheses
     poses = tuple(_pose_record(choice, truth) for choice in choices if choice.likely)
-    rotation = poses[0].rotation_error_deg if poses else math.inf
-    translation = poses[0].translation_error_deg if poses else math.inf
     return Record(
         pair.entry,
         pair.scene,
-        pair.part,
-        pair.exact,
         None if assessed is None else assessed.evidence,
-        rotation,
-        translation,
+        poses[0].rotation_error_deg if poses else math.inf,
+        poses[0].translation_error_deg if poses else math.inf,
         poses,
         cameras,
         _focal_error(assessed, truth),
@@ -134,37 +125,27 @@ def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
     return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
 
 
-def _cases(pair: StoredPair) -> list[CameraCase]:
-    if pair.matches.key_points or not pair.withheld:
-        return ["exact"]
-    reported = pair.part == "report" and pair.truth.R is not None
-    wrong = reported and _draw(pair.name, _WRONG_SHARE) == 0
-    return ["exact", "auto", "wrong"] if wrong else ["exact", "auto"]
+def _cases(pair: StoredPair) -> tuple[CameraCase, ...]:
+    if pair.matches.key_points or not pair.entry.withheld:
+        return ("exact",)
+    return ("exact", "auto")
 
 
 def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
-    """What the estimation is told. Withheld, the cameras of half of the pairs that one camera may
-    have taken are said to be one."""
+    """The cameras that the estimation gets. Withheld, those of half of the pairs that one camera
+    may have taken are stated to be one."""
     camera1, camera2 = pair.truth.camera1, pair.truth.camera2
     if case == "exact":
         return camera1, camera2
-    if case == "wrong":
-        factor = _WRONG_FACTORS[_draw(pair.name, len(_WRONG_FACTORS))]
-        first, second = (c.with_focal(factor * c.focal) for c in (camera1, camera2))
-        return first, second
     assert camera1.size is not None and camera2.size is not None
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
-    identity = "both" if alike and _draw(pair.name, 2) == 0 else None
+    # The same half whatever else is estimated
+    identity = "both" if alike and zlib.crc32(f"2 {pair.name}".encode()) % 2 == 0 else None
     first, second = (
         replace(auto_camera(Header("", size)), identity=identity)
         for size in (camera1.size, camera2.size)
     )
     return first, second
-
-
-def _draw(name: str, count: int) -> int:
-    """A number below `count`, the same whatever else is estimated."""
-    return zlib.crc32(f"{count} {name}".encode()) % count
 
 
 def _focal_error(assessed: Assessment | None, truth: Truth) -> float:

@@ -1,27 +1,43 @@
-"""What a probability is worth on scenes that nothing was fitted on."""
+"""The fit from stored matches, and what it is worth on scenes that have no part in it."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.metrics import pose_auc
-from dgc_pose.benchmarks.probability.records import Record
+from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
+from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.records import Record, records
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.competition import choice_shares, utility
-from dgc_pose.estimation.covariance import NORMAL_90
-from dgc_pose.estimation.probability import ErrorModel, ProbabilityModel
+from dgc_pose.estimation.evidence import Evidence
+from dgc_pose.estimation.probability import (
+    FORMAT,
+    ErrorModel,
+    MatchKind,
+    ProbabilityModel,
+    match_kind,
+    parse_models,
+)
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
 from dgc_pose.training.evaluation.reliability import Reliability, draw_reliability
 
-_ROTATIONS = (0, 15, 30, 45, 180)  # degrees, edges of bins
-_INLIERS = (0, 60, 200, 600, math.inf)
-_DEVIATIONS = (0, 1, 2, 5, 15, math.inf)  # per cent of a focal length
-_LEVELS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
+_DEFAULTS = EstimationOptions()
+_KINDS: dict[MatchKind, str] = {
+    "network": "matches of a network, with its dense map",
+    "matches": "the same matches without the map",
+    "key_points": "key points",
+    "network_auto": "matches of a network, K withheld",
+    "matches_auto": "the same without the map, K withheld",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +49,6 @@ class Judged:
     probability: float  # 0 if the evidence says that the translation is not determined
     rotation_90_deg: float
     translation_90_deg: float
-    focal_90_percent: float = math.nan  # of a focal length that was fitted
     ambiguous: bool = False
 
     @property
@@ -41,7 +56,7 @@ class Judged:
         return self.record.right
 
 
-def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> Judged:
+def judged(record: Record, model: ProbabilityModel) -> Judged:
     """The verdict on a record, by the probability."""
     evidence = record.evidence
     if evidence is None:
@@ -66,39 +81,23 @@ def judged(record: Record, model: ProbabilityModel, focal_error: ErrorModel) -> 
         0.0 if verdict.status == "rotation_only" else share * any_right,
         min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
         min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
-        _expected(evidence.jackknife_focal_90_percent, focal_error),
         verdict.status == "ambiguous",
     )
 
 
 def report_text(poses: Sequence[Judged]) -> str:
-    """All tables. Of poses with a wrong K the first alone."""
-    wrong = [pose for pose in poses if pose.record.cameras == "wrong"]
-    poses = [pose for pose in poses if pose.record.cameras != "wrong"]
-    parts = [
-        "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.",
-        claims_table(poses),
-        "AUC@5/10/20 with the verdict, and with every pair answered (true pairs alone)",
-        auc_table(poses),
-        f"calibration error of the probability {100 * reliability(poses).calibration_error:.1f} %",
-        reliability_table(poses),
-        "precision and recall of right poses by the least probability",
-        levels_table(poses),
-        "share of right claimed poses whose error is within the expected one, 90 % of them meant; "
-        "scenes of a rough reference left out",
-        coverage_table(poses),
-    ]
-    if any(math.isfinite(pose.focal_90_percent) for pose in poses):
-        parts += ["focal lengths that were fitted", focal_table(poses)]
-    if wrong:
-        bins = reliability(wrong)
-        parts += [
-            "The same pairs, a third of them, with focal lengths that are wrong by a factor of 0.5 "
-            "to 2",
-            claims_table(wrong),
-            f"calibration error of the probability {100 * bins.calibration_error:.1f} %",
-        ]
-    return "\n\n".join(parts)
+    """The claims on scenes that have no part in the fit, and what they are worth."""
+    error = 100 * reliability(poses).calibration_error
+    exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
+    R = [p.record.rotation_error_deg <= p.rotation_90_deg for p in exact]
+    t = [p.record.translation_error_deg <= p.translation_90_deg for p in exact]
+    within = f"{100 * np.mean(R):.0f} and {100 * np.mean(t):.0f} %" if exact else "none"
+    return (
+        "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.\n\n"
+        f"{claims_table(poses)}\n\ncalibration error of the probability {error:.1f} %\n"
+        "right claimed poses whose R and t are within the expected error, 90 % of them meant, "
+        f"scenes of a rough reference left out: {within} of {len(exact)}"
+    )
 
 
 def claims_table(poses: Sequence[Judged]) -> str:
@@ -118,108 +117,21 @@ def claims_table(poses: Sequence[Judged]) -> str:
     return aligned(rows)
 
 
-def auc_table(poses: Sequence[Judged]) -> str:
-    """With the verdict, and without one."""
-    rows: list[tuple[str, ...]] = [("pairs", "probability", "all answered")]
-    for name, members in _groups(poses).items():
-        errors = np.array([pose.record.pair_error_deg for pose in members])
-        if not np.isfinite(errors).any():
-            continue
-        claims = (_values(members, "by_probability"), np.ones(len(members), bool))
-        cells = (pose_auc(np.where(claim, errors, np.inf)) for claim in claims)
-        rows.append((name, *("/".join(f"{a:.1f}" for a in auc) for auc in cells)))
-    return aligned(rows)
-
-
 def reliability(poses: Sequence[Judged]) -> Reliability:
     """Of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
     return Reliability.of(_values(known, "probability"), _values(known, "right"))
 
 
-def reliability_table(poses: Sequence[Judged]) -> str:
-    """Of each tenth of probability the mean, and the share that is right."""
-    bins = reliability(poses)
-    rows = [("probability", "poses", "mean", "right")]
-    columns = (bins.edges, bins.counts, bins.mean_confidence, bins.share_correct)
-    for low, count, mean, right in zip(*columns, strict=False):
-        if count:
-            name = f"{low:.1f} to {low + 0.1:.1f}"
-            rows.append((name, str(count), f"{100 * mean:.0f} %", f"{100 * right:.0f} %"))
-    return aligned(rows)
-
-
-def levels_table(poses: Sequence[Judged]) -> str:
-    """Precision and recall at several least probabilities."""
-    rows = [("least probability", "claimed", "precision", "recall")]
-    right, probability = _values(poses, "right"), _values(poses, "probability")
-    for level in _LEVELS:
-        claimed = probability >= level
-        true = int((claimed & right).sum())
-        precision = f"{100 * true / claimed.sum():.1f} %" if claimed.any() else "-"
-        rows.append(
-            (f"{level:g}", str(claimed.sum()), precision, f"{100 * true / right.sum():.1f} %")
-        )
-    return aligned(rows)
-
-
-def coverage_table(poses: Sequence[Judged]) -> str:
-    """By bins of rotation and of inliers."""
-    claimed = [p for p in poses if p.by_probability and p.right and p.record.exact]
-    evidence = [pose.record.evidence for pose in claimed]
-    angles = np.array([e.rotation_angle_deg for e in evidence if e is not None])
-    inliers = np.array([e.num_inliers for e in evidence if e is not None])
-    bins = {"all": np.ones(len(claimed), bool)}
-    for low, high in zip(_ROTATIONS, _ROTATIONS[1:], strict=False):
-        bins[f"rotation {low} to {high} deg"] = (low <= angles) & (angles < high)
-    for less, more in zip(_INLIERS, _INLIERS[1:], strict=False):
-        bins[f"inliers {less:.0f} to {more:.0f}"] = (less <= inliers) & (inliers < more)
-    R = np.array([p.record.rotation_error_deg <= p.rotation_90_deg for p in claimed])
-    t = np.array([p.record.translation_error_deg <= p.translation_90_deg for p in claimed])
-    rows: list[tuple[str, ...]] = [("poses", "number", "R within", "t within")]
-    for name, chosen in bins.items():
-        if chosen.any():
-            shares = (f"{100 * np.mean(within[chosen]):.0f} %" for within in (R, t))
-            rows.append((name, str(chosen.sum()), *shares))
-    return aligned(rows)
-
-
-def focal_table(poses: Sequence[Judged]) -> str:
-    """By what the fit says of them: errors of ln f, and how many are within two deviations."""
-    rows = [("deviation of f", "poses", "median error", "within two deviations")]
-    members = [p for p in poses if p.by_probability and math.isfinite(p.record.focal_error_percent)]
-    error = np.array([pose.record.focal_error_percent for pose in members])
-    std = np.array([pose.focal_90_percent for pose in members]) / NORMAL_90
-    for low, high in zip(_DEVIATIONS, _DEVIATIONS[1:], strict=False):
-        chosen = (low <= std) & (std < high)
-        if chosen.any():
-            within = 100 * np.mean(error[chosen] <= 2 * std[chosen])
-            median = f"{np.median(error[chosen]):.2f} %"
-            name = f"{low:g} to {high:g} %"
-            rows.append((name, str(chosen.sum()), median, f"{within:.0f} %"))
-    return aligned(rows)
-
-
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
-    """The reliability diagram and precision against recall, a curve a kind of matches."""
+    """The reliability diagram, a curve a kind of matches."""
     from dgc_pose.viz.figure import new_figure
 
-    figure = new_figure(11, 5)
-    left, other = figure.subplots(1, 2)
+    figure = new_figure(5.5, 5)
+    axes = figure.subplots()
     curves = {name: reliability(poses) for name, poses in kinds.items()}
-    draw_reliability(left, curves, right="within 10 degrees")
-    left.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    for number, (name, poses) in enumerate(kinds.items()):
-        right = _values(poses, "right")
-        order = np.argsort(-_values(poses, "probability"), kind="stable")
-        true = np.cumsum(right[order])
-        total = max(int(right.sum()), 1)
-        other.plot(
-            true / total, true / np.arange(1, len(poses) + 1), color=f"C{number}", label=name
-        )
-    other.set(xlabel="recall of right poses", ylabel="precision", xlim=(0, 1.02), ylim=(0.5, 1.01))
-    other.grid(alpha=0.3)
-    other.legend(loc="lower left", fontsize=9)
+    draw_reliability(axes, curves, right="within 10 degrees")
+    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     return figure
 
 
@@ -235,5 +147,63 @@ def _expected(error: float | None, model: ErrorModel) -> float:
 def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:
     groups: dict[str, list[Judged]] = {}
     for pose in poses:
-        groups.setdefault(pose.record.entry, []).append(pose)
+        groups.setdefault(pose.record.entry.name, []).append(pose)
     return {**groups, "all": list(poses)}
+
+
+def fit_all(
+    out: Path,
+    methods: Sequence[str],
+    entries: Sequence[PlanEntry],
+    options: EstimationOptions = _DEFAULTS,
+) -> tuple[str, str, Figure]:
+    """Fit a model for each kind of matches that the methods make.
+
+    options: of the estimation, as users have them. Returns `probability.json`, the report, and its
+    figure. Raises InputError if nothing is stored, or too little.
+    """
+    engines = {method: read_engine(out, method) for method in methods}
+    by_kind: dict[MatchKind, list[Record]] = {}
+    for method in methods:
+        of_method = list(records(read_collection(out, method, entries), options))
+        for kind, rows in _by_kind(of_method).items():
+            by_kind.setdefault(kind, rows)  # of several networks the first
+    if not by_kind:
+        raise InputError(f"{out}: no pose was found in any stored pair")
+    focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
+    fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
+    data = {"format": FORMAT, "engine": engines, "focal_error": focal_error, "models": fitted}
+    text = json.dumps(data, indent=1) + "\n"
+    models = parse_models(text).by_kind
+    reported = {
+        kind: [judged(row, models[kind]) for row in rows if row.entry.part == "report"]
+        for kind, rows in by_kind.items()
+    }
+    parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
+    figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
+    return text, "\n\n\n".join(parts), figure
+
+
+def _kind(evidence: Evidence) -> MatchKind:
+    return match_kind(
+        key_points=evidence.key_points,
+        with_map=evidence.map_agreement is not None,
+        fitted=evidence.jackknife_focal_90_percent is not None,
+    )
+
+
+def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
+    """A method's records by their kind of matches and cameras, and a network's as those of no map
+    too. Those without evidence are of every kind of their cameras."""
+    blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
+    kinds: dict[MatchKind, list[Record]] = {}
+    for auto in (False, True):
+        members = [row for row in rows if (row.cameras == "auto") == auto]
+        kind = {_kind(row.evidence) for row in members if row.evidence is not None}
+        for name in kind:
+            kinds[name] = members
+        if "network" in kind or "network_auto" in kind:
+            evidence = [row.evidence and replace(row.evidence, **blank) for row in members]  # type: ignore[arg-type]
+            without = [replace(row, evidence=e) for row, e in zip(members, evidence, strict=True)]
+            kinds["matches_auto" if auto else "matches"] = without
+    return kinds

@@ -7,8 +7,6 @@ down. All arrays are indexed by row and column.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +15,7 @@ from matplotlib.tri import LinearTriInterpolator, Triangulation
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image, resize
+from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
@@ -29,16 +28,10 @@ _SMOOTHING = 1.0  # deviation of each of the three Gaussians of section 3.1, pix
 _SLOPE = 0.2  # of the sigmoid, per grey level
 _CONSTANT = 0.3  # the ninth value of a descriptor, which makes flat places alike
 _POWER = 1.4  # of the rectification (equation 6)
-_QUADRANTS = tuple((y, x) for y in (-1, 1) for x in (-1, 1))
-
-
-@dataclass(frozen=True)
-class AtomMatches:
-    """Matches of the 4x4 patches of image 2, each the best of its patch and of its place."""
-
-    points2: np.ndarray  # (N, 2) centres of the patches, pixels x, y of image 2
-    points1: np.ndarray  # (N, 2) where they lie in image 1
-    scores: np.ndarray  # (N,) sums of the responses from the largest patch to the smallest
+_SIDES = tuple(np.ndindex(2, 2))  # of the quadrants: 0 above or left, 1 below or right
+# Ways down from large patches. at (M, 4): row and column of the patch where each has arrived, row
+# and column of its place; scores (M,) float32: the sum of its responses.
+Paths = tuple[np.ndarray, np.ndarray]
 
 
 class DeepMatcher(Matcher):
@@ -87,8 +80,9 @@ def _interpolated(points: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.
     return result
 
 
-def deep_matches(grey1: np.ndarray, grey2: np.ndarray) -> AtomMatches:
-    """Match the 4x4 patches of image 2 to image 1.
+def deep_matches(grey1: np.ndarray, grey2: np.ndarray) -> Matches:
+    """Match the 4x4 patches of image 2 to image 1, centre to centre: each match is the best of its
+    patch and of its place.
 
     grey1, grey2: (H, W) uint8 or float, grey levels of 0 to 255, of one shape whose sides are
     multiples of 4. Memory is about H^2 W^2 / 8 bytes.
@@ -97,19 +91,17 @@ def deep_matches(grey1: np.ndarray, grey2: np.ndarray) -> AtomMatches:
     pooled = np.stack([_pooled(row) for row in _atom_responses(patches2, descriptors1)])
     levels: list[np.ndarray] = []
     while min(grey2.shape) >= ATOM * 2 ** (len(levels) + 1) and min(pooled.shape[2:]) >= 2:
-        levels.append(_aggregated(pooled, step=_child_step(len(levels) + 1)))
+        levels.append(_aggregated(pooled, len(levels) + 1))
         pooled = np.stack([_pooled(row) for row in levels[-1]])
-    paths = _followed_down(levels, patches2, descriptors1)
-    rows, columns, ys, xs = paths.at.T
+    at, scores = _followed_down(levels, patches2, descriptors1)
+    rows, columns, ys, xs = at.T
     best = _reciprocal(
-        rows * patches2.shape[1] + columns, ys // ATOM * grey1.shape[1] + xs // ATOM, paths.scores
+        rows * patches2.shape[1] + columns, ys // ATOM * grey1.shape[1] + xs // ATOM, scores
     )
     centre = (ATOM - 1) / 2
-    return AtomMatches(
-        points2=np.column_stack([columns, rows])[best] * float(ATOM) + centre,
-        points1=np.column_stack([xs, ys])[best] + centre,
-        scores=paths.scores[best],
-    )
+    points2 = np.column_stack([columns, rows])[best] * ATOM + centre
+    points1 = np.column_stack([xs, ys])[best] + centre
+    return Matches(points1, points2, np.ones(len(best)), float(ATOM))
 
 
 def _patch_descriptors(grey: np.ndarray) -> np.ndarray:
@@ -152,99 +144,68 @@ def _pooled(maps: np.ndarray) -> np.ndarray:
     return maps
 
 
-def _aggregated(pooled: np.ndarray, step: int) -> np.ndarray:
-    """The responses of patches of twice the side (section 3.2): (h, w, H, W), rectified.
+def _aggregated(pooled: np.ndarray, level: int) -> np.ndarray:
+    """The responses of the patches of a level (section 3.2): (h, w, H, W), rectified.
 
-    pooled: (h', w', H, W) of their quadrants. step: see `_child_step`. The quadrants lie one place
-    away in each direction; those outside of the grid of patches or of the image respond with 0,
-    and a patch counts those of its quadrants that the grid has.
+    pooled: (h', w', H, W) of their quadrants, which lie one place away in each direction; those
+    outside of the grid of patches or of the image respond with 0, and a patch counts those of its
+    quadrants that the grid has.
     """
-    height, width = pooled.shape[:2]
-    shape = (height - 1, width - 1) if step == 0 else (height, width)
-    total = np.zeros((*shape, *pooled.shape[2:]), np.float32)
-    count = np.zeros((*shape, 1, 1), np.float32)
-    for y, x in _QUADRANTS:
-        to_rows, from_rows = _overlap(shape[0], height, _child(0, y, step))
-        to_columns, from_columns = _overlap(shape[1], width, _child(0, x, step))
-        to_ys, from_ys = _overlap(pooled.shape[2], pooled.shape[2], y)
-        to_xs, from_xs = _overlap(pooled.shape[3], pooled.shape[3], x)
-        total[to_rows, to_columns, to_ys, to_xs] += pooled[
-            from_rows, from_columns, from_ys, from_xs
-        ]
-        count[to_rows, to_columns] += 1
+    step, apart = _quadrants(level)
+    (rows, columns), (ys, xs) = pooled.shape[:2], pooled.shape[2:]
+    height, width = rows + 2 * step - apart, columns + 2 * step - apart
+    padded = np.pad(pooled, [(step, step)] * 2 + [(1, 1)] * 2)
+    known = np.pad(np.ones((rows, columns, 1, 1), np.float32), [(step, step)] * 2 + [(0, 0)] * 2)
+    total = np.zeros((height, width, ys, xs), np.float32)
+    count = np.zeros((height, width, 1, 1), np.float32)
+    for y, x in _SIDES:
+        window = slice(y * apart, y * apart + height), slice(x * apart, x * apart + width)
+        total += padded[(*window, slice(2 * y, 2 * y + ys), slice(2 * x, 2 * x + xs))]
+        count += known[window]
     total /= count
     return np.power(total, _POWER, out=total)
 
 
-def _child_step(level: int) -> int:
-    """How far the quadrants of a patch of a level lie from it in the grid of patches.
+def _quadrants(level: int) -> tuple[int, int]:
+    """How far before a patch of a level its first quadrant lies in the grid of patches, and how far
+    apart its quadrants lie.
 
-    The grid has a patch every 4 pixels. A patch of level 1 lies between four atoms, which 0 stands
-    for: its quadrants are the atoms of the same and of the next row and column.
+    The grid has a patch every 4 pixels. A patch of level 1 lies between four atoms, its quadrants.
     """
-    return 2 ** (level - 2) if level > 1 else 0
+    step = 2 ** (level - 2) if level > 1 else 0
+    return step, max(2 * step, 1)
 
 
-def _child(index: Any, side: int, step: int) -> Any:
-    """The row or column of a quadrant; side: -1 or 1."""
-    return index + (side * step if step else (side + 1) // 2)
+def _best(at: np.ndarray, scores: np.ndarray, shape: tuple[int, ...]) -> Paths:
+    """Of the paths at one patch and place, that of the largest sum."""
+    places = np.ravel_multi_index(tuple(at.T), shape)
+    order = np.lexsort((-scores, places))
+    first = np.diff(places[order], prepend=-1) > 0
+    return at[order[first]], scores[order[first]]
 
 
-def _overlap(size: int, other: int, shift: int) -> tuple[slice, slice]:
-    """Of two axes, the places i of the first and i + shift of the second that both have."""
-    start, stop = max(0, -shift), min(size, other - shift)
-    return slice(start, max(start, stop)), slice(start + shift, max(start, stop) + shift)
+def _to_quadrants(at: np.ndarray, scores: np.ndarray, level: int, shape: tuple[int, ...]) -> Paths:
+    """Each path to the quadrants of its patch, as far as `shape` (h, w, H, W) has them."""
+    step, apart = _quadrants(level)
+    sides: np.ndarray = np.array(_SIDES)[:, None]
+    rows_columns = at[:, :2] - step + apart * sides
+    ends = np.concatenate([rows_columns, 2 * (at[:, 2:] - 1 + 2 * sides)], -1).reshape(-1, 4)
+    inside = ((ends >= 0) & (ends < shape)).all(1)
+    return _best(ends[inside], np.tile(scores, len(_SIDES))[inside], shape)
 
 
-@dataclass(frozen=True)
-class _Paths:
-    """Ways down from large patches: where each has arrived, and the sum of its responses."""
-
-    at: np.ndarray  # (M, 4): row and column of the patch, row and column of its place
-    scores: np.ndarray  # (M,) float32
-
-    def best(self, shape: tuple[int, ...]) -> "_Paths":
-        """Of those at one patch and place, that of the largest sum."""
-        places = np.ravel_multi_index(tuple(self.at.T), shape)
-        order = np.lexsort((-self.scores, places))
-        first = np.diff(places[order], prepend=-1) > 0
-        return _Paths(self.at[order[first]], self.scores[order[first]])
-
-    def to_quadrants(self, level: int, shape: tuple[int, ...]) -> "_Paths":
-        """Each path to the quadrants of its patch, as far as `shape` (h, w, H, W) has them."""
-        step = _child_step(level)
-        at = np.concatenate(
-            [
-                np.column_stack(
-                    [
-                        _child(self.at[:, 0], y, step),
-                        _child(self.at[:, 1], x, step),
-                        2 * (self.at[:, 2:] + (y, x)),
-                    ]
-                )
-                for y, x in _QUADRANTS
-            ]
-        )
-        inside = ((at >= 0) & (at < shape)).all(1)
-        return _Paths(at[inside], np.tile(self.scores, len(_QUADRANTS))[inside]).best(shape)
-
-    def climbed(self, responses: np.ndarray) -> "_Paths":
-        """Each path to the largest response within one place, which is added to its score."""
-        height, width = responses.shape[2:]
-        values, places = [], []
-        for y in (-1, 0, 1):
-            for x in (-1, 0, 1):
-                ys = np.clip(self.at[:, 2] + y, 0, height - 1)
-                xs = np.clip(self.at[:, 3] + x, 0, width - 1)
-                values.append(responses[self.at[:, 0], self.at[:, 1], ys, xs])
-                places.append(np.column_stack([ys, xs]))
-        largest = np.argmax(values, axis=0)
-        each = np.arange(len(largest))
-        at = np.column_stack([self.at[:, :2], np.stack(places)[largest, each]])
-        return _Paths(at, self.scores + np.stack(values)[largest, each])
+def _climbed(at: np.ndarray, scores: np.ndarray, responses: np.ndarray) -> Paths:
+    """Each path to the largest response within one place, which is added to its score."""
+    most = np.array(responses.shape[2:]) - 1
+    near = np.array([*np.ndindex(3, 3)]) - 1
+    places = np.clip(at[:, 2:] + near[:, None], 0, most)
+    values = responses[at[:, 0], at[:, 1], places[..., 0], places[..., 1]]
+    each = np.arange(len(at))
+    largest = np.argmax(values, axis=0)
+    return np.column_stack([at[:, :2], places[largest, each]]), scores + values[largest, each]
 
 
-def _maxima(responses: np.ndarray) -> _Paths:
+def _maxima(responses: np.ndarray) -> Paths:
     """The places of each map (h, w, H, W) that no neighbour exceeds."""
     high = responses > 0
     for axis in (2, 3):
@@ -252,26 +213,22 @@ def _maxima(responses: np.ndarray) -> _Paths:
         result[1:] &= values[1:] >= values[:-1]
         result[:-1] &= values[:-1] >= values[1:]
     at = np.argwhere(high)
-    return _Paths(at, responses[tuple(at.T)])
+    return at, responses[tuple(at.T)]
 
 
-def _followed_down(
-    levels: list[np.ndarray], patches: np.ndarray, descriptors: np.ndarray
-) -> _Paths:
+def _followed_down(levels: list[np.ndarray], patches: np.ndarray, descriptors: np.ndarray) -> Paths:
     """The paths from the maxima of the largest patches to the atoms (section 3.3)."""
     paths = _maxima(levels[-1])
     for level in range(len(levels) - 1, 0, -1):
-        paths = paths.to_quadrants(level + 1, levels[level - 1].shape).climbed(levels[level - 1])
-    paths = paths.to_quadrants(1, (*patches.shape[:2], *descriptors.shape[:2]))
+        paths = _to_quadrants(*paths, level + 1, levels[level - 1].shape)
+        paths = _climbed(*paths, levels[level - 1])
+    at, scores = _to_quadrants(*paths, 1, (*patches.shape[:2], *descriptors.shape[:2]))
     ends = []
     for row, responses in enumerate(_atom_responses(patches, descriptors)):
-        here = paths.at[:, 0] == row
-        at = paths.at[here] * (0, 1, 1, 1)
-        end = _Paths(at, paths.scores[here]).climbed(responses[None])
-        ends.append(_Paths(end.at + (row, 0, 0, 0), end.scores))
-    return _Paths(
-        np.concatenate([end.at for end in ends]), np.concatenate([end.scores for end in ends])
-    )
+        here = at[:, 0] == row
+        end, total = _climbed(at[here] * (0, 1, 1, 1), scores[here], responses[None])
+        ends.append((end + (row, 0, 0, 0), total))
+    return np.concatenate([end for end, _ in ends]), np.concatenate([total for _, total in ends])
 
 
 def _reciprocal(first: np.ndarray, second: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """`dgc-pose bench-dtu`: the paper's experiment on relative pose, over a user's copy of DTU."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,18 +11,19 @@ from dgc_pose.benchmarks.dtu.dtu_pairs import DESCRIPTIONS, DtuPairs, Protocol, 
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_csv
 from dgc_pose.benchmarks.dtu.report_page import write_report
 from dgc_pose.benchmarks.dtu.view_pairs import listed_pair
+from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
-from dgc_pose.benchmarks.stored_matches import FileMatcher
+from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
 from dgc_pose.benchmarks.summary import (
     by_method,
     heading,
-    summarise_epipolar,
+    summarise,
     summary_data,
     summary_table,
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
+from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, work
 from dgc_pose.cli.laboratory.dtu_pairs import FolderChoice
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
@@ -34,10 +35,10 @@ from dgc_pose.system.options import option
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    names = split_names(text)
-    if not names or not all(name.isdecimal() and len(name) < 10 for name in names):
-        raise InputError(f"--scenes takes numbers separated by commas, not {text!r}")
-    return tuple(int(name) for name in names)
+    try:
+        return tuple(int(name) for name in split_names(text))
+    except ValueError:
+        raise InputError(f"--scenes takes numbers separated by commas, not {text!r}") from None
 
 
 @dataclass(frozen=True)
@@ -97,30 +98,25 @@ def bench_dtu(
     written. A pair without a pose counts as an infinite error. `--seed` draws the pairs and the
     samples of RANSAC; `--refine` and `--max-matches` apply to the native protocol.
     """
-    stored = _folders(matches)
     protocol, out = experiment.protocol, Path(experiment.out)
     matcher, estimation = protocol_options(protocol, matcher, estimation)
+    stored = _folders(matches)
     chosen = parse_methods(split_names(methods), matcher, estimation, [*stored])
     dataset = folder.open(experiment.root, experiment.scenes)
     views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
     pairs = DtuPairs(views, [listed_pair(dataset, view) for view in views], protocol)
     require_images(pairs.pairs)
-    stems = pairs.stems
     files = {
-        name: FileMatcher(path, lambda *paths: stems[paths], name) for name, path in stored.items()
+        name: FileMatcher(name, pair_files(path, pairs.stems)) for name, path in stored.items()
     }
-    for stored_matches in files.values():
-        stored_matches.require(stems)
     matchers = load_matchers(
         chosen, device=run.device, runtime=run.runtime, stored=files, keep_features=True
     )
-    evaluation = run.evaluation(pairs, chosen, matchers)
     click.echo("\n".join(_opening(dataset, experiment.pairs, len(views))))
     settings = {"protocol": protocol, "layout": dataset.layout, "light": folder.light}
-    store = open_store(evaluation, experiment.out, run, settings)
+    scores = work(Evaluation(pairs, chosen, matchers, run.workers), experiment.out, run, settings)
     write_pair_csv(out / "pairs.csv", views)
-    scores = work(evaluation, store)
-    summaries = [summarise_epipolar(rows) for rows in by_method(scores).values()]
+    summaries = [summarise(rows) for rows in by_method(scores).values()]
     facts = {
         "protocol": f"{protocol}: {DESCRIPTIONS[protocol]}",
         "data": f"DTU in the {dataset.layout} layout, light {folder.light}",
@@ -142,31 +138,30 @@ def bench_dtu(
     )
 
 
-def _opening(dataset: Dataset, asked: str, count: int) -> list[str]:
+def _opening(dataset: Dataset, asked: str, count: int) -> Iterator[str]:
     """What was found, and what was left out."""
-    absent = sum(len(scene.missing) for scene in dataset.scenes)
     views = sum(len(scene.views) for scene in dataset.scenes)
-    lines = [
+    missing = sum(scene.missing for scene in dataset.scenes)
+    yield (
         f"{dataset.layout} layout: {len(dataset.scenes)} scenes, {views} views, "
-        f"{absent} left out without an image or a calibration"
-    ]
+        f"{missing} left out without an image or a calibration"
+    )
     if dataset.left_out:
         names = ", ".join(f"scan{number}" for number in dataset.left_out)
-        lines.append(f"left out with fewer than two views: {names}")
+        yield f"left out with fewer than two views: {names}"
     short = asked.isdigit() and count < int(asked)
-    return [*lines, f"{count} pairs" + (f"; {asked} were asked for, there are no more" * short)]
+    yield f"{count} pairs" + f"; {asked} were asked for, there are no more" * short
 
 
 def _folders(matches: Sequence[str]) -> dict[str, Path]:
     """NAME=DIR, by name."""
     folders: dict[str, Path] = {}
     for text in matches:
-        name, equals, folder = text.partition("=")
-        if not name or not equals or not folder:
-            raise InputError(f"--matches takes NAME=DIR, not {text!r}")
-        if name.endswith(EVERYWHERE) or set(name) & set(",:"):
+        name, _, folder = text.partition("=")
+        if not name or not folder or name.endswith(EVERYWHERE) or set(name) & set(",:"):
             raise InputError(
-                f"--matches: a name holds no comma, no colon and no {EVERYWHERE}, as {name!r}"
+                f"--matches takes NAME=DIR, the name without comma, colon and {EVERYWHERE}, "
+                f"not {text!r}"
             )
         if name in folders:
             raise InputError(f"--matches: {name} is given twice")

@@ -1,12 +1,9 @@
 """`dgc-pose bench-hpatches`: dense maps scored on pairs with known homographies."""
 
-from collections.abc import Iterator
-
 import click
 
 from dgc_pose.benchmarks.map_report import (
     HEADING,
-    Scores,
     figures_table,
     groups_of,
     groups_table,
@@ -41,9 +38,9 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
         HPATCHES_AEPE,
         HPATCHES_JACCARD,
         find_homography_pairs,
-        homography_set,
         read_lists,
     )
+    from dgc_pose.benchmarks.map_run import MapSet
 
     data = find_homography_pairs(root) if lists is None else read_lists(lists, root)
     facts = {
@@ -55,19 +52,17 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
         "published_jaccard": HPATCHES_JACCARD,
     }
 
-    def report(scores: Scores) -> Iterator[str]:
-        yield HEADING
-        if groups_of(scores):
-            yield (
-                f"AEPE by viewpoint, {len(data.sequences)} of HPatches' {SEQUENCES} sequences\n"
-                + groups_table(scores, "aepe", 2, HPATCHES_AEPE)
-            )
-            yield "Jaccard by viewpoint\n" + groups_table(scores, "jaccard", 3, HPATCHES_JACCARD)
-        if not all(pair.group for pair in data.pairs):
-            yield "AEPE of each pair\n" + pairs_table(scores)
-        yield figures_table(summaries(scores))
-        yield from reliability_lines(scores)
-
-    run_map_bench(bench, homography_set(data.pairs, facts), report)
+    scores = run_map_bench(bench, MapSet(data.cases, len(data.pairs), facts))
+    blocks = [HEADING]
+    if groups_of(scores):
+        viewpoints = f"AEPE by viewpoint, {len(data.sequences)} of HPatches' {SEQUENCES} sequences"
+        blocks += [
+            f"{viewpoints}\n{groups_table(scores, 'aepe', 2, HPATCHES_AEPE)}",
+            f"Jaccard by viewpoint\n{groups_table(scores, 'jaccard', 3, HPATCHES_JACCARD)}",
+        ]
+    if not all(pair.group for pair in data.pairs):
+        blocks.append(f"AEPE of each pair\n{pairs_table(scores)}")
+    blocks += [figures_table(summaries(scores)), *reliability_lines(scores)]
+    click.echo("\n\n".join(blocks))
     if data.missing:
         say(f"{len(data.missing)} pairs missing: {', '.join(data.missing)}")

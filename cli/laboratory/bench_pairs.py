@@ -1,6 +1,5 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -8,8 +7,8 @@ from typing import Any
 
 import click
 
-from dgc_pose.benchmarks.camera_summary import camera_table, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
@@ -17,20 +16,20 @@ from dgc_pose.benchmarks.posed_pairs import (
     RenderedPosedPairs,
     require_images,
 )
-from dgc_pose.benchmarks.scores import CameraScore, MapScore, PairScore
+from dgc_pose.benchmarks.scores import CameraScore, PairScore
 from dgc_pose.benchmarks.summary import (
     by_method,
+    camera_table,
     columns,
     heading,
     summarise,
-    summarise_epipolar,
     summary_data,
     summary_table,
 )
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
-from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
+from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, work
 from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
@@ -133,12 +132,9 @@ def bench_pairs(
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
     with staged(options.json_path, inputs=images) as stage:
         matchers = load_matchers(chosen, device=run.device, runtime=run.runtime)
-        evaluation = run.evaluation(pairs, chosen, matchers)
-        results = by_method(work(evaluation, open_store(evaluation, options.out, run)))
-        summarised: Callable[..., Any] = summarise_cameras if trial else summarise
-        if issubclass(pairs.kind, MapScore):
-            summarised = summarise_epipolar
-        summaries = [summarised(rows) for rows in results.values()]
+        evaluation = Evaluation(pairs, chosen, matchers, run.workers)
+        results = by_method(work(evaluation, options.out, run))
+        summaries = [summarise(rows) for rows in results.values()]
         data = json_text(summary_data(summaries))
         if options.json_path is not None:
             save_text(stage(options.json_path), data)

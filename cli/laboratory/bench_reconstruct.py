@@ -8,8 +8,13 @@ import click
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.posed_views import views_of_dtu, views_of_list
-from dgc_pose.benchmarks.reconstructions import COLMAP_SIFT, COLUMNS, run_method
+from dgc_pose.benchmarks.reconstructions import (
+    COLMAP_SIFT,
+    COLUMNS,
+    run_method,
+    views_of_dtu,
+    views_of_list,
+)
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import split_names

@@ -1,6 +1,6 @@
 """What the pose benchmarks share: --workers and --resume, and the run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,10 +9,8 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import Matchers, Method
-from dgc_pose.benchmarks.posed_pairs import PairSet
 from dgc_pose.benchmarks.scores import RESULTS, Score
-from dgc_pose.benchmarks.store import SETTINGS, RunStore, keys_of
+from dgc_pose.benchmarks.store import SETTINGS, RunStore
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.errors import InputError
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
@@ -37,35 +35,27 @@ class RunChoice:
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
 
-    def evaluation(
-        self, pairs: PairSet[Score], methods: Sequence[Method], matchers: Matchers
-    ) -> Evaluation[Score]:
-        """The evaluation of methods on a data set."""
-        return Evaluation(pairs, methods, matchers, self.workers)
 
-
-def open_store(
+def work(
     evaluation: Evaluation[Score],
     out: str | None,
     run: RunChoice,
     settings: Mapping[str, Any] | None = None,
-) -> RunStore[Score]:
-    """The store of an evaluation; its records depend on `settings` besides."""
+) -> list[Score]:
+    """Work through the pairs that `out` does not hold yet, with a progress bar on a terminal.
+
+    settings: what the records depend on besides. Returns all records.
+    """
     if out is None and run.resume:
         raise InputError("--resume needs the --out of the run to continue")
-    return RunStore(
+    store = RunStore(
         None if out is None else Path(out),
         evaluation.pairs.kind,
-        keys_of(evaluation.pairs, [method.name for method in evaluation.methods]),
+        len(evaluation.methods),
         {**(settings or {}), **evaluation.settings(device_type(run.device))},
         resume=run.resume,
         overwrite=overwrites(),
     )
-
-
-def work(evaluation: Evaluation[Score], store: RunStore[Score]) -> list[Score]:
-    """Work through the pairs that are not done yet, with a progress bar on a terminal; returns all
-    records."""
     first, total = store.done, len(evaluation.pairs.ids)
     if first:
         click.echo(f"{first} of {total} pairs are done already")

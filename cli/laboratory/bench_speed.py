@@ -1,7 +1,7 @@
 """`dgc-pose bench-speed`: where the time of a pair goes."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -41,20 +41,7 @@ def bench_speed(image1: Path, image2: Path, speed: SpeedOptions, matcher: Matche
 
     Prints medians in milliseconds; "load" is the reading of the images.
     """
-    rows = [("effort", "step", "ms")]
-    for effort, steps in medians(image1, image2, speed, matcher):
-        rows += [(effort, name, f"{1000 * seconds:.1f}") for name, seconds in steps.items()]
-    click.echo(aligned(rows))
-
-
-def medians(
-    path1: Path, path2: Path, speed: SpeedOptions, matcher: MatcherOptions
-) -> Iterator[tuple[str, dict[str, float]]]:
-    """Seconds by step and in all, of each effort and of SIFT.
-
-    Raises ImageError, InputError or WeightsError for what cannot be used.
-    """
-    images = load_image(path1), load_image(path2)
+    images = load_image(image1), load_image(image2)
     pair_cameras(speed.k, speed.k, *images, ("--K", "--K"))  # refused before a matcher is loaded
     from dgc_pose.pose import estimate_relative_pose  # heavy
 
@@ -65,12 +52,15 @@ def medians(
     for repetition in range(1 + speed.repeat):
         for name, (used, options) in ways.items():
             start = time.perf_counter()
-            image1, image2 = load_image(path1), load_image(path2)
-            cameras = pair_cameras(speed.k, speed.k, image1, image2, ("--K", "--K"))
+            images = load_image(image1), load_image(image2)
+            cameras = pair_cameras(speed.k, speed.k, *images, ("--K", "--K"))
             seconds = time.perf_counter() - start
-            pose = estimate_relative_pose(image1, image2, *cameras, matcher=used, options=options)
+            pose = estimate_relative_pose(*images, *cameras, matcher=used, options=options)
             if repetition:  # the first pass pays for what is set up once
                 timed[name].append({**pose.seconds, "load": seconds})
+    rows = [("effort", "step", "ms")]
     for name, measured in timed.items():
         steps = {step: median(row[step] for row in measured) for step in measured[0]}
-        yield name, steps | {TOTAL: median(sum(row.values()) for row in measured)}
+        steps[TOTAL] = median(sum(row.values()) for row in measured)
+        rows += [(name, step, f"{1000 * seconds:.1f}") for step, seconds in steps.items()]
+    click.echo(aligned(rows))

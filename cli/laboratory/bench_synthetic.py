@@ -1,13 +1,11 @@
 """`dgc-pose bench-synthetic`: dense maps scored on fixed sets of synthetic pairs."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import click
 
 from dgc_pose.benchmarks.map_report import (
     HEADING,
-    Scores,
     figures_table,
     groups_of,
     reliability_lines,
@@ -56,11 +54,7 @@ def bench_synthetic(made: SyntheticOptions, bench: MapBenchOptions) -> None:
     photographs = data.facts["photographs"]
     about = f"{photographs} photographs that training holds back, seed {made.seed}, {light}"
 
-    def report(scores: Scores) -> Iterator[str]:
-        yield f"{about}\n{HEADING}"
-        for group in groups_of(scores):
-            yield figures_table(summaries(scores, group), first=group)
-        yield SYNTHETIC
-        yield from reliability_lines(scores)
-
-    run_map_bench(bench, data, report)
+    scores = run_map_bench(bench, data)
+    tables = [figures_table(summaries(scores, group), first=group) for group in groups_of(scores)]
+    blocks = [f"{about}\n{HEADING}", *tables, SYNTHETIC, *reliability_lines(scores)]
+    click.echo("\n\n".join(blocks))

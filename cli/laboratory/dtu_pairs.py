@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import click
 
-from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, open_dataset
-from dgc_pose.benchmarks.dtu.scene import Light
+from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, Light, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
 from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -54,7 +53,7 @@ def dtu_pairs(
     click.echo(
         f"{out}: {len(drawn)} pairs of {len(candidates)} candidates, "
         f"rotations {rotations[0]:.1f} to {rotations[-1]:.1f} deg, {len(scene.views)} views, "
-        f"{len(scene.missing)} left out without an image or a calibration"
+        f"{scene.missing} left out without an image or a calibration"
     )
     if len(drawn) < options.pairs:
         click.echo(f"warning: {options.pairs} pairs were asked for; there are no more", err=True)

@@ -57,7 +57,7 @@ def fit_probability(choice: FitChoice) -> None:
     """
     entries = read_plan(choice.plan)
     drawn = {"rendered", "planes"} & {entry.kind for entry in entries}
-    needs = {"fit-probability": "fit"}  # told before the work
+    needs = {"fit-probability": "fit"}  # asked for before the work
     if drawn and not choice.collected:
         needs[f"the plan's {min(drawn)}"] = "torch"
     require(needs)
@@ -67,37 +67,37 @@ def fit_probability(choice: FitChoice) -> None:
     if not choice.collected and not _collected(choice, methods, entries):
         click.echo("stopped; the same command continues")
         return
-    from dgc_pose.benchmarks.probability.run import fit_all
+    from dgc_pose.benchmarks.probability.report import fit_all
     from dgc_pose.viz import save_figure
 
-    fitted = fit_all(choice.out, methods, entries, say=click.echo)
-    model, text, figure = (
+    models, report, figure = fit_all(choice.out, methods, entries)
+    paths = [
         str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
-    )
-    with staged(model, text, figure) as stage:
-        save_text(stage(model), fitted.models)
-        save_text(stage(text), fitted.report + "\n")
-        save_figure(fitted.figure, stage(figure))
-    click.echo(fitted.report)
+    ]
+    with staged(*paths) as stage:
+        model_file, report_file, figure_file = map(stage, paths)
+        save_text(model_file, models)
+        save_text(report_file, report + "\n")
+        save_figure(figure, figure_file)
+    click.echo(report)
 
 
 def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> bool:
     """Match what is not stored yet; whether nothing is left."""
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
-    from dgc_pose.benchmarks.probability.planned import planned, require_data
+    from dgc_pose.benchmarks.probability.planned import planned
     from dgc_pose.matchers import load_matcher
 
     start = time.monotonic()
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
-    require_data(entries, choice.data)
-    for name, matcher in matchers.items():
-        require_engine(choice.out, name, matcher)
     lists = choice.out / "lists"
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
+    for name, matcher in matchers.items():
+        require_engine(choice.out, name, matcher)
     # One pair of each scene in turn: a collection that is cut short has some of each.
     pairs.sort(key=lambda pair: pair.number)
-    done = collect(pairs, matchers, choice.out)
-    for _ in tqdm(done, total=len(pairs), unit="pair", disable=None):
+    for pair in tqdm(pairs, unit="pair", disable=None):
+        collect(pair, matchers, choice.out)
         minutes = (time.monotonic() - start) / 60
         if choice.stop_after is not None and minutes >= choice.stop_after:
             return False

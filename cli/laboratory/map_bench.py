@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
 import numpy as np
 from tqdm import tqdm
 
@@ -33,7 +32,7 @@ from dgc_pose.viz.curves import plot_pck
 from dgc_pose.viz.map_figure import MapPicture, plot_maps
 
 if TYPE_CHECKING:
-    from dgc_pose.benchmarks.map_run import MapOutcome, MapSet
+    from dgc_pose.benchmarks.map_run import MapSet
 
 _TABLES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
 
@@ -66,10 +65,8 @@ class MapBenchOptions:
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
 
 
-def run_map_bench(
-    bench: MapBenchOptions, data: MapSet, report: Callable[[Scores], Iterable[str]]
-) -> None:
-    """Score the methods on the data set, write the files, and print the blocks of `report`.
+def run_map_bench(bench: MapBenchOptions, data: MapSet) -> Scores:
+    """Score the methods on the data set, and write the files.
 
     Every output file is opened first: one that cannot be written stops the run before it begins.
     """
@@ -84,13 +81,15 @@ def run_map_bench(
         paths = {name: str(Path(bench.out, name)) for name in (*_TABLES, *pictures.values())}
     with staged(bench.json_path, *paths.values()) as stage:
         scores: dict[str, list[PairScores]] = {name: [] for name in methods}
-        worst: dict[str, list[MapOutcome]] = {name: [] for name in methods}
+        worst: dict[str, list[tuple[float, MapPicture]]] = {name: [] for name in methods}
         outcomes = map_outcomes(data.cases, methods, bench.per_axis)
-        for outcome in tqdm(outcomes, total=data.total * len(methods), unit="pair", disable=None):
-            method = outcome.scores.method
-            scores[method].append(outcome.scores)
-            if bench.out is not None and outcome.scores.valid:  # pixels of known truth
-                worst[method] = sorted([*worst[method], outcome], key=_goodness)[: bench.worst]
+        total = data.total * len(methods)
+        for pair, picture in tqdm(outcomes, total=total, unit="pair", disable=None):
+            scores[pair.method].append(pair)
+            if bench.out is not None and pair.valid:  # pixels of known truth
+                drawn = [*worst[pair.method], (float(pair.aepe), picture)]
+                drawn.sort(key=lambda item: -np.nan_to_num(item[0], nan=np.inf))
+                worst[pair.method] = drawn[: bench.worst]
         distance = "max of |dx|, |dy|" if bench.per_axis else "Euclidean"
         text = json_text({**data.facts, "pck_distance": distance, **report_data(scores)})
         if bench.json_path is not None:
@@ -101,8 +100,8 @@ def run_map_bench(
             _write_figures(files, scores, distance)
             for method, drawn in worst.items():
                 if drawn:
-                    save_figure(plot_maps([*map(_picture, drawn)]), files[pictures[method]])
-    click.echo("\n\n".join(report(scores)))
+                    save_figure(plot_maps([p for _, p in drawn]), files[pictures[method]])
+    return scores
 
 
 def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> None:
@@ -123,18 +122,3 @@ def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> 
     }
     diagram = plot_reliability(masked, right=f"within {RIGHT_PX:g} px")
     save_figure(diagram, files["reliability.png"])
-
-
-def _goodness(outcome: MapOutcome) -> float:
-    return -float(np.nan_to_num(outcome.scores.aepe, nan=np.inf))
-
-
-def _picture(outcome: MapOutcome) -> MapPicture:
-    scores, comparison = outcome.scores, outcome.comparison
-    return MapPicture(
-        title=f"{scores.name}, AEPE {scores.aepe:.2f}",
-        image1=outcome.image1,
-        image2=outcome.image2,
-        map=comparison.finest.points,
-        errors=comparison.errors,
-    )

@@ -32,14 +32,9 @@ def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse() -> None:
         assert valid[y, x] == all(0 <= value <= 239 for value in place)
         seen.append(bool(valid[y, x]))
     assert len(set(seen)) == 2
-
-
-@pytest.mark.parametrize("factor", [1.0, -3.0])
-def test_a_factor_of_the_matrix_changes_nothing(factor: float) -> None:
-    expected, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
-    found, same = true_map(factor * scene.H, scene.SIZE1, scene.SIZE2)
-    np.testing.assert_allclose(found, expected)
-    assert (same == valid).all() and valid.any()
+    other, same = true_map(-3 * scene.H, scene.SIZE1, scene.SIZE2)
+    np.testing.assert_allclose(other, found)
+    assert (same == valid).all()
 
 
 def test_nothing_beyond_the_horizon_is_valid() -> None:
@@ -73,62 +68,33 @@ def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
     assert (pairs.image1[0] - expected).abs().mean() < 0.01
 
 
-def test_hpatches_gives_five_viewpoints_a_sequence(tmp_path) -> None:
+def test_pairs_of_every_layout_are_found_and_those_without_files_named(tmp_path) -> None:
     for name in ("v_wall", "v_adam", "i_dome"):
         scene.write_sequence(tmp_path / name)
-    found = find_homography_pairs(tmp_path)
-    assert [pair.name for pair in found.pairs[:2]] == ["v_adam 1-2", "v_adam 1-3"]
-    assert [pair.group for pair in found.pairs] == 2 * list(VIEWPOINTS)
-    assert found.missing == ()
-    np.testing.assert_array_equal(found.pairs[0].H, scene.H)
-
-
-def test_other_layouts_have_no_viewpoint(tmp_path) -> None:
+    (tmp_path / "v_wall" / "3.ppm").unlink()
+    (tmp_path / "v_wall" / "H_1_5").unlink()
     scene.write_vgg(tmp_path / "graf")
-    scene.write_annotated(tmp_path / "graf" / "homogr", "tower", "city")
-    found = find_homography_pairs(tmp_path / "graf")
-    names = ["graf 1-2", "graf 1-3", "homogr/city", "homogr/tower"]
-    assert [pair.name for pair in found.pairs] == names
-    assert {pair.group for pair in found.pairs} == {""}
-    assert found.missing == ("graf 1-4", "graf 1-5", "graf 1-6")
-    below = find_homography_pairs(tmp_path / "graf" / "homogr")
-    assert [pair.name for pair in below.pairs] == names[2:]
-
-
-def test_pairs_without_files_are_missing(tmp_path) -> None:
-    folder = scene.write_sequence(tmp_path / "v_wall")
-    (folder / "3.ppm").unlink()
-    (folder / "H_1_5").unlink()
+    scene.write_annotated(tmp_path / "homogr", "tower", "city")
     found = find_homography_pairs(tmp_path)
-    assert [pair.group for pair in found.pairs] == ["I", "III", "V"]
-    assert found.missing == ("v_wall 1-3", "v_wall 1-5")
+    groups = ["", "", "", "", *VIEWPOINTS, "I", "III", "V"]
+    assert [pair.group for pair in found.pairs] == groups
+    names = ["graf 1-2", "graf 1-3", "homogr/city", "homogr/tower", "v_adam 1-2", "v_adam 1-3"]
+    assert [pair.name for pair in found.pairs[:6]] == names
+    graf = [f"graf 1-{k}" for k in (4, 5, 6)]
+    assert found.missing == (*graf, "v_wall 1-3", "v_wall 1-5")
+    np.testing.assert_array_equal(found.pairs[0].H, scene.H)
+    assert len(find_homography_pairs(tmp_path / "homogr").pairs) == 2
 
 
 @pytest.mark.parametrize(
-    "text, words",
-    [
-        ("1 0 0\n0 1 0\n", "3 rows"),
-        ("1 0 0\n0 1\n0 0 1\n", "matrix"),
-        ("1 0 0\n0 x 0\n0 0 1\n", "not a matrix"),
-        ("1 0 0\n0 1 0\n0 0 nan\n", "finite"),
-        ("1 2 3\n2 4 6\n0 0 1\n", "inverse"),
-        ("", "3 rows"),
-    ],
+    "text",
+    ["1 0 0\n0 1 0\n", "1 0 0\n0 x 0\n0 0 1\n", "1 0 0\n0 1 0\n0 0 nan\n", "1 2 3\n" * 3, ""],
 )
-def test_a_matrix_that_is_none_is_named(tmp_path, text: str, words: str) -> None:
+def test_a_matrix_that_is_none_is_named(tmp_path, text: str) -> None:
     scene.write_annotated(tmp_path, "wall")
     (tmp_path / "wall_H.txt").write_text(text)
-    with pytest.raises(InputError, match=words) as error:
+    with pytest.raises(InputError, match=r"wall_H\.txt is not a homography"):
         find_homography_pairs(tmp_path)
-    assert str(tmp_path / "wall_H.txt") in str(error.value)
-
-
-def test_a_folder_without_pairs_or_no_folder_is_refused(tmp_path) -> None:
-    scene.write_sequence(tmp_path / "i_dome")
-    with pytest.raises(InputError, match="no pairs; expected HPatches"):
-        find_homography_pairs(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
-        find_homography_pairs(tmp_path / "nowhere")
 
 
 def test_a_matrix_for_another_size_is_refused(tmp_path) -> None:
@@ -161,20 +127,18 @@ def test_the_pairs_of_all_lists_by_viewpoint(folder) -> None:
 
 
 @pytest.mark.parametrize(
-    "change, words",
+    "change, line",
     [
-        (lambda text: text.replace("H33", "H34", 1), r"1_4.csv:1: the columns H33 are lacking"),
-        (lambda text: text.replace("0.95", "nought", 1), r"1_4.csv:2: .*nought"),
-        (lambda text: text.replace("0.95", "nan", 1), r"1_4.csv:2: .*finite"),
-        (lambda text: text.replace(",240,320,", ",,320,", 1), r"1_4.csv:2: "),
-        (lambda text: text + "v_last,1,4\n", r"1_4.csv:4: 14 fields"),
-        (lambda text: "", r"1_4.csv:1: the columns obj"),
+        (lambda text: text.replace("H33", "H34", 1), 2),
+        (lambda text: text.replace("0.95", "nan", 1), 2),
+        (lambda text: text.replace(",240,320,", ",,320,", 1), 2),
+        (lambda text: text + "v_last,1,4\n", 4),
     ],
 )
-def test_a_bad_line_is_named(folder, change, words) -> None:
+def test_a_bad_line_is_named(folder, change, line) -> None:
     path = folder / "lists" / "hpatches_1_4.csv"
     path.write_text(change(path.read_text()))
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=f"1_4.csv:{line} is not a pair of HPatches"):
         read_lists(folder / "lists", folder)
 
 

@@ -1,5 +1,3 @@
-import csv
-import io
 import json
 import math
 from dataclasses import replace
@@ -14,7 +12,6 @@ from dgc_pose.benchmarks.map_report import (
     reliability_lines,
     report_data,
     summaries,
-    write_pairs,
 )
 from dgc_pose.training.evaluation.map_scores import PairScores
 from dgc_pose.training.evaluation.reliability import Reliability
@@ -88,15 +85,6 @@ def test_the_data_are_strict_json_with_every_figure(scores) -> None:
     assert a["reliability"]["share_correct"][:2] == [0, None]
     assert b["reliability"] is None and b["all"]["jaccard"] is None
     assert [one["pair"] for one in b["pairs"]] == ["v_x 1-2", "v_y 1-2", "v_x 1-3", "wall"]
-
-
-def test_a_csv_row_a_method_and_pair(scores) -> None:
-    stream = io.StringIO(newline="")
-    write_pairs(stream, scores)
-    rows = list(csv.DictReader(io.StringIO(stream.getvalue())))
-    assert len(rows) == 8
-    assert rows[4]["method"] == "b" and rows[4]["aepe"] == "2.0" and rows[4]["aepe15"] == "10.0"
-    assert rows[0]["jaccard"] == "0.75" and rows[4]["jaccard"] == ""
 
 
 def test_the_reliability_on_a_line_for_each_method_with_a_mask(scores) -> None:

@@ -8,19 +8,16 @@ from command_line import run as run_command
 from photos import write_photos
 
 from dgc_pose.benchmarks import posed_pairs
+from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.evaluate import Evaluation
 from dgc_pose.benchmarks.methods import Method
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
-    PlanePairs,
     RenderedPosedPairs,
-    require_images,
 )
-from dgc_pose.benchmarks.probability.plan import PlanEntry
-from dgc_pose.benchmarks.probability.planned import planned
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import Matcher, MatchResult
@@ -44,7 +41,8 @@ def run(pairs, matchers, options):
     """The records of matchers by name, one by one."""
     unrefined = RefinementOptions(source="none")
     methods = [
-        Method(name, MatcherOptions(name, refinement=unrefined), options) for name in matchers
+        Method(name, MatcherOptions(name, refinement=unrefined), options, CameraTrial())
+        for name in matchers
     ]
     loaded = {method.matcher: matchers[method.name] for method in methods}
     for scores in Evaluation(ListedPairs(pairs), methods, loaded).run():
@@ -67,13 +65,6 @@ def test_a_wrong_pose_has_its_error(pairs):
     assert result.translation_folded_deg == folded
 
 
-def test_a_missing_image_is_known_before_the_work(pairs):
-    require_images(pairs)
-    pairs[1].path2.unlink()
-    with pytest.raises(ImageError, match=r"two\.png"):
-        require_images(pairs)
-
-
 def test_the_K_of_another_image_is_refused(pairs):
     far = Camera(np.array([[900.0, 0, 800], [0, 900, 600], [0, 0, 1]]))
     with pytest.raises(InputError, match=r"K of .*two\.png"):
@@ -83,7 +74,6 @@ def test_the_K_of_another_image_is_refused(pairs):
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     monkeypatch.setattr(posed_pairs, "RENDERED_SIZE", 160)
-    monkeypatch.setattr(posed_pairs, "PLANE_SIZE", 160)
     write_photos(tmp_path / "photos", 60)
     return tmp_path / "photos"
 
@@ -100,18 +90,6 @@ def test_rendered_pairs_are_the_same_from_any_of_them_on(photos):
         assert one.image1.size == one.truth.camera1.size == (160, 160)
         assert 5 <= rotation_error_deg(one.truth.R, np.eye(3)) <= 45
         assert np.linalg.norm(one.truth.t) > 0
-
-
-def test_planes_of_a_plan_come_from_their_seed_with_reliefs_in_turn(photos, tmp_path):
-    entry = PlanEntry("planes", "fit", "planes", (photos,), pairs=9, seed=5)
-    of_plan = planned(entry, tmp_path, tmp_path)
-    pairs = PlanePairs(photos, 5)
-    assert len({one.make().image1.pixels.tobytes() for one in of_plan}) == 9
-    for number, again in ((7, of_plan[7].make()), (8, of_plan[8].make())):
-        pair = pairs.pair(number)
-        assert pair.image1.size == pair.truth.camera1.size == (160, 160)
-        assert np.array_equal(pair.image2.pixels, again.image2.pixels)
-        assert np.array_equal(pair.truth.t, again.truth.t)
 
 
 def test_rendered_pairs_have_their_distances_from_the_epipolar_lines(photos, tmp_path):

@@ -28,7 +28,6 @@ from dgc_pose.benchmarks.homographies import find_homography_pairs, read_lists
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
-from dgc_pose.benchmarks.samples import MatchSample, read_sample, sample_text
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.benchmarks.stored_matches import FileMatcher
@@ -39,7 +38,6 @@ from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
-from dgc_pose.files.inputs import read_text
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
@@ -227,25 +225,17 @@ def _make_matches(folder: Path) -> None:
 
 
 def _read_matches(folder: Path, path: Path) -> None:
-    images = [Image(_pixels(), name) for name in ("one", "two")]
-    FileMatcher(path.parent, lambda *_: "pair").match(*images)
-
-
-_KEYS = [[("sift", "a", "b")], [("sift", "a", "c")]]
+    FileMatcher("files", {("one", "two"): path}).match(
+        *(Image(_pixels(), name) for name in ("one", "two"))
+    )
 
 
 def _make_run(folder: Path) -> None:
-    RunStore(folder, PairScore, _KEYS, {"batch": 1})
+    RunStore(folder, PairScore, 1, {"batch": 1})
     values = dict.fromkeys(PairScore.tables["results.csv"], "1")
     values |= {"method": "sift", "image1": "a", "image2": "b", "success": "True", "status": "ok"}
     rows = [",".join(PairScore.headings.get(n, n) for n in values), ",".join(values.values())]
     (folder / "results.csv").write_text("\n".join(rows) + "\n")
-
-
-def _make_sample(folder: Path) -> None:
-    points = np.random.default_rng(0).uniform(0, 30, (20, 2))
-    text = sample_text(MatchSample(points, points, np.ones(20, bool)))
-    (folder / "sample.txt").write_text(text)
 
 
 def _make_rgbd(folder: Path) -> None:
@@ -367,9 +357,8 @@ READERS: dict[str, tuple[Make, Read]] = {
     "matches": (_make_matches, _read_matches),
     "results": (
         _make_run,
-        lambda folder, _: RunStore(folder, PairScore, _KEYS, {"batch": 1}, resume=True),
+        lambda folder, _: RunStore(folder, PairScore, 1, {"batch": 1}, resume=True),
     ),
-    "samples": (_make_sample, lambda _, path: read_sample(read_text(path), path)),
     "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
     "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),

@@ -10,7 +10,7 @@ from fuzz.readers import make_batch, make_unfinished_batch
 from photos import write_photos
 
 from dgc_pose.batch.store import MATCHED, PairStore
-from dgc_pose.benchmarks.posed_views import PosedViews
+from dgc_pose.benchmarks.reconstructions import PosedViews
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import only_writer, replaced_folder

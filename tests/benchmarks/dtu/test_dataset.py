@@ -9,12 +9,10 @@ from dtu_layout import (
     Scan,
     grey_scan,
     rendered_scan,
-    write_image,
     write_mvsnet,
     write_mvsnet_training,
     write_raw,
 )
-from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
@@ -41,7 +39,7 @@ def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
         assert {path.suffix for path in scene.images.values()} == {f".{extension}"}
         assert len(set(scene.images.values())) == 3
         assert scene.size == SIZE
-        assert len(scene.missing) == views - 3
+        assert scene.missing == views - 3
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -63,32 +61,6 @@ def test_views_are_those_of_their_images(tmp_path, layout):
         difference = np.abs(there - images[one]).mean(-1)[seen]
         moved = np.abs(images[two] - images[one]).mean(-1)[seen]
         assert np.median(difference) < 0.4 * np.median(moved)
-
-
-def test_the_same_matrices_are_the_same_views_in_every_layout(tmp_path):
-    scan = random_scan()
-    read = []
-    for layout, write in WRITERS.items():
-        write(tmp_path / layout, scan, extension="png")
-        read.append(open_dataset(tmp_path / layout).scenes[0].views)
-    for views in read:
-        for number, written in scan.views.items():
-            for name in ("K", "R", "t"):
-                value = getattr(views[number], name)
-                assert np.array_equal(value, getattr(read[0][number], name))
-                assert np.allclose(value, getattr(written, name), rtol=1e-9, atol=1e-9)
-
-
-def random_scan() -> Scan:
-    """Cameras with nothing simple about their numbers."""
-    rng = np.random.default_rng(3)
-    grey = grey_scan([0] * 6)
-    views = {}
-    for number, view in grey.views.items():
-        K = view.K + np.triu(rng.normal(size=(3, 3))) * [[3, 1e-3, 3], [0, 3, 3], [0, 0, 0]]
-        R = Rotation.random(random_state=number).as_matrix()
-        views[number] = DtuView(K, R, rng.normal(size=3) * 600)
-    return Scan(views, grey.images, {})
 
 
 def full_size_scan(degrees) -> Scan:
@@ -131,24 +103,24 @@ def test_half_size_crops_come_with_their_own_camera(tmp_path):
 
 def test_full_size_images_are_taken_where_both_are_there(tmp_path):
     write_mvsnet_training(tmp_path, grey_scan([0, 10]), suffix="_train")
+    with pytest.raises(InputError, match="expected 640 x 512 pixels, found 160 x 120"):
+        open_dataset(tmp_path)
     write_mvsnet_training(tmp_path, grey_scan([0, 10]))
     (scene,) = open_dataset(tmp_path).scenes
-    assert scene.images[1].parent.name == "scan65"
-    assert scene.size == SIZE
+    assert (scene.images[1].parent.name, scene.size) == ("scan65", SIZE)
 
 
 def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
     write_raw(tmp_path / "MVS Data", grey_scan([0, 10]))
     dataset = open_dataset(tmp_path)
-    assert dataset.root == tmp_path / "MVS Data"
-    assert len(dataset.scenes[0].views) == 2
+    assert (dataset.root, len(dataset.scenes[0].views)) == (tmp_path / "MVS Data", 2)
 
 
 @pytest.mark.parametrize("light", ["5", "max"])
 def test_another_light_is_another_image(tmp_path, light):
     write_raw(tmp_path, grey_scan([0, 10]), light=light)
     assert len(open_dataset(tmp_path, light=light).scenes) == 1
-    with pytest.raises(InputError, match=r"no views of scan65 .* expected .*rect_001_3_r5000"):
+    with pytest.raises(InputError, match=r"scan65 has 0 views .*light 3"):
         open_dataset(tmp_path)
 
 
@@ -161,12 +133,6 @@ def test_cleaned_images_serve_where_there_are_no_rectified_ones(tmp_path):
         tmp_path / "Cleaned/scan1/clean_002_max.png",
         tmp_path / "Rectified/scan2/rect_002_max.png",
     ]
-
-
-def test_of_two_files_of_a_view_the_png_is_taken(tmp_path):
-    write_raw(tmp_path, grey_scan([0, 10]))
-    (tmp_path / "Rectified/scan65/rect_001_3_r5000.jpg").write_bytes(b"")
-    assert open_dataset(tmp_path).scenes[0].images[1].suffix == ".png"
 
 
 IMAGE_2 = {
@@ -184,20 +150,10 @@ def test_views_that_are_not_there_are_left_out_and_named(tmp_path, layout):
     scan = grey_scan([0, 10, 20, 30, 40])
     WRITERS[layout](tmp_path, scan, extension="png")
     (tmp_path / IMAGE_2[layout]).unlink()
-    calibration = tmp_path / CALIBRATION_4[layout]
-    calibration.unlink()
+    (tmp_path / CALIBRATION_4[layout]).unlink()
     (scene,) = open_dataset(tmp_path).scenes
     assert sorted(scene.views) == sorted(scene.images) == [1, 3, 5]
-    assert len(scene.missing) == 46
-    stem = str(tmp_path / IMAGE_2[layout]).removesuffix(".png")
-    assert scene.missing[2] == f"{stem}.png or .jpg"
-    assert scene.missing[4] == str(calibration)
-    scene.require(3)
-    with pytest.raises(InputError, match="view 4 of scan65 is not there: expected ") as caught:
-        scene.require(4)
-    assert str(calibration) in str(caught.value)
-    with pytest.raises(InputError, match="scan65 has views 1 to 49, not 50"):
-        scene.require(50)
+    assert scene.missing == 46
 
 
 def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_path):
@@ -206,17 +162,13 @@ def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_
     dataset = open_dataset(tmp_path)
     assert [scene.number for scene in dataset.scenes] == [7]
     assert dataset.left_out == (8,)
-    with pytest.raises(InputError, match="scan8 is not there: found scan7"):
-        dataset.scene(8)
-    with pytest.raises(InputError, match="1 view of scan8 .* expected .*rect_002_3_r5000"):
+    with pytest.raises(InputError, match="scan8 has 1 views .*two are needed"):
         open_dataset(tmp_path, scenes=[7, 8])
-    with pytest.raises(InputError, match="no views of scan9 .* expected .*scan9/rect_001_3_r5000"):
-        open_dataset(tmp_path, scenes=[9])
     assert len(open_dataset(tmp_path, scenes=[7, 7]).scenes) == 1
 
 
 def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
-    with pytest.raises(InputError, match="no known layout, .*cal18.*_cam.txt"):
+    with pytest.raises(InputError, match="none of the layouts .*cal18.*_cam.txt"):
         open_dataset(tmp_path)
     with pytest.raises(InputError, match="nowhere: no such folder"):
         open_dataset(tmp_path / "nowhere")
@@ -224,10 +176,8 @@ def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
     with pytest.raises(InputError, match="no scene, expected .*Rectified/scan1"):
         open_dataset(tmp_path)
     write_raw(tmp_path, grey_scan([0, 10]))
-    with pytest.raises(InputError, match="not in the mvsnet layout, expected .*_cam.txt"):
+    with pytest.raises(InputError, match="expected mvsnet: Cameras/00000000_cam.txt"):
         open_dataset(tmp_path, layout="mvsnet")
-    with pytest.raises(InputError, match="light must be one of 0, 1"):
-        open_dataset(tmp_path, light=7)
 
 
 def test_of_several_layouts_one_must_be_named(tmp_path):
@@ -245,12 +195,4 @@ def test_a_calibration_of_another_image_size_is_refused(tmp_path, layout):
     small = dict.fromkeys(scan.views, np.zeros((60, 80, 3), np.uint8))
     WRITERS[layout](tmp_path, Scan(scan.views, small, {}), extension="png")
     with pytest.raises(InputError, match=r"\.png has its principal point .* the image has 80x60"):
-        open_dataset(tmp_path)
-
-
-def test_images_of_several_sizes_are_refused(tmp_path):
-    write_raw(tmp_path, grey_scan([0, 10]))
-    path = tmp_path / "Rectified/scan65/rect_002_3_r5000.png"
-    write_image(path, np.zeros((130, 160, 3), np.uint8))
-    with pytest.raises(InputError, match=f"{path}: expected 160 x 120 pixels, found 160 x 130"):
         open_dataset(tmp_path)

@@ -37,15 +37,6 @@ def test_paper_squares_the_images_and_the_cameras(tmp_path) -> None:
     assert np.array_equal(shown.image2.pixels, original)
 
 
-def test_an_image_is_read_once(tmp_path) -> None:
-    pairs = posed_pairs(tmp_path, 2, "paper")
-    first = pairs.pair(0)
-    (tmp_path / "one.png").unlink()
-    (tmp_path / "two_2.png").unlink()
-    second, again = pairs.pair(1), pairs.pair(0)
-    assert second.image1 is first.image1 and again.image2 is first.image2
-
-
 def test_paper_takes_every_match_and_does_not_refine() -> None:
     options = MatcherOptions(matching=MatchingOptions(matchability=0.4)), EstimationOptions(seed=3)
     assert protocol_options("native", *options) == options

@@ -7,8 +7,7 @@ from dtu_layout import SIZE, WRITERS, arc, grey_scan
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
-from dgc_pose.benchmarks.dtu.dataset import Dataset, open_dataset
-from dgc_pose.benchmarks.dtu.scene import DtuScene
+from dgc_pose.benchmarks.dtu.dataset import Dataset, DtuScene, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import (
     ViewPairOptions,
     draw,
@@ -26,7 +25,7 @@ def dataset(*degrees):
     for number, angles in enumerate(degrees, start=1):
         views = arc(angles)
         images = {n: Path(f"/dtu/scan{number}/{n}.png") for n in views}
-        scenes.append(DtuScene(number, views, images, SIZE, {}))
+        scenes.append(DtuScene(number, views, images, SIZE))
     return Dataset(Path("/dtu"), "raw", tuple(scenes), ())
 
 
@@ -67,11 +66,6 @@ def test_overlap_is_the_share_that_both_views_see():
     assert shares == sorted(shares, reverse=True) and shares[2] > shares[3] == 0
 
 
-def test_the_least_overlap_is_asked_for():
-    pairs = find_view_pairs(dataset([0, 10, 20, 30]), ViewPairOptions(min_overlap=0.88))
-    assert 0 < len(pairs) < 6 and all(pair.overlap >= 0.88 for pair in pairs)
-
-
 def test_the_draw_is_seeded_balanced_over_scenes_and_spread_over_the_rotations_of_each():
     angles = np.arange(0, 60, 2.3)
     data = dataset(angles, angles, [0, 6, 12], angles)
@@ -94,14 +88,6 @@ def test_the_draw_is_seeded_balanced_over_scenes_and_spread_over_the_rotations_o
     assert chosen[1] != chosen[2] != chosen[4] != chosen[1]
 
 
-def test_no_more_pairs_are_drawn_than_there_are():
-    options = ViewPairOptions(pairs=50, min_overlap=0)
-    candidates = find_view_pairs(dataset([0, 6, 12], [0, 7]), options)
-    assert len(candidates) == 4
-    assert set(draw(candidates, options)) == set(candidates)
-    assert draw([], options) == []
-
-
 def test_pairs_carry_the_calibration(tmp_path):
     scan = grey_scan([0, 12])
     WRITERS["raw"](tmp_path, scan, extension="jpg")
@@ -121,12 +107,12 @@ def test_views_of_one_centre_make_no_pair():
     data = dataset([0, 10, 10])
     views = dict(data.scenes[0].views)
     views[4] = DtuView(views[1].K, views[2].R, views[2].R @ views[1].R.T @ views[1].t)  # 1, turned
-    scene = DtuScene(1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE, {})
+    scene = DtuScene(1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE)
     data = Dataset(Path("/dtu"), "raw", (scene,), ())
     found = find_view_pairs(data, ViewPairOptions(min_rotation=0, min_overlap=0))
     assert [(p.view1, p.view2) for p in found] == [(1, 2), (1, 3), (2, 4), (3, 4)]
     for one, two in ((1, 4), (2, 3), (1, 1)):
         with pytest.raises(InputError, match=f"views {one} and {two} of scan1 have one and the"):
             view_pair(scene, one, two)
-    with pytest.raises(InputError, match="scan1 has views 1 to 49, not 77"):
+    with pytest.raises(InputError, match="scan1 has no view 77"):
         view_pair(scene, 1, 77)

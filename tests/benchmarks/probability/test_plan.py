@@ -37,10 +37,7 @@ def test_a_plan_names_its_sources(tmp_path) -> None:
         ENTRIES[:2],  # nothing to report on
         [*ENTRIES, ENTRIES[0]],  # a scene twice
         [*ENTRIES, {"name": "d", "part": "fit", "kind": "film", "path": "d"}],
-        [*ENTRIES, {"name": "d", "part": "fit", "kind": "rgbd", "colour": 1}],
         [*ENTRIES, {"name": "d", "part": "fit", "kind": "rgbd", "pairs": 0}],
-        [*ENTRIES, {"name": "d", "part": "fit", "kind": "rgbd", "rough": 1}],
-        [*ENTRIES, 3],
     ],
 )
 def test_what_is_no_plan_is_refused_by_its_path(entries, tmp_path) -> None:

@@ -3,11 +3,9 @@
 import cv2
 import numpy as np
 import pytest
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from dgc_pose.benchmarks.rivals import deep_matching
 from dgc_pose.benchmarks.rivals.deep_matching import DeepMatcher, deep_matches
-from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 
 SIDE = 64
@@ -51,67 +49,11 @@ def test_patches_lie_where_the_transformation_takes_them(
     assert (distance <= error + 1e-9).mean() >= share
 
 
-def test_a_deformation_without_a_matrix_is_followed() -> None:
-    image1 = _noise(SIDE)
-    grid = pixel_grid((SIDE, SIDE)).astype(np.float32)
-    sent = grid + 3 * np.sin(grid[..., ::-1] / 12)
-    image2 = cv2.remap(image1, sent[..., 0], sent[..., 1], cv2.INTER_LINEAR)
-    matches = deep_matches(image1, image2)
-    at = matches.points2
-    expected = at + 3 * np.sin(at[:, ::-1] / 12)
-    inside = ((expected > 4) & (expected < SIDE - 5)).all(1)
-    distance = np.linalg.norm(matches.points1 - expected, axis=1)[inside]
-    assert np.median(distance) < 1.0
-    assert np.median(np.linalg.norm(at - expected, axis=1)) > 2
-
-
 def test_each_match_is_the_best_of_its_patch_and_of_its_place() -> None:
     matches = deep_matches(_noise(SIDE), np.roll(_noise(SIDE), (3, 5), axis=(0, 1)))
     for points in (matches.points2, matches.points1):
         cells = (points - 1.5).astype(int) // 4  # of the patch's first pixel
         assert len(np.unique(cells, axis=0)) == len(cells)
-
-
-def test_the_responses_of_large_patches_are_those_of_their_quadrants() -> None:
-    """Section 3.2 by loops over all patches, places and quadrants, in float64."""
-    rng = np.random.default_rng(2)
-    maps = rng.uniform(0, 1, (5, 4, 8, 6)).astype(np.float32)
-    pooled = np.stack([deep_matching._pooled(row) for row in maps])
-    assert pooled.shape == (5, 4, 4, 3)
-    for level, shape in ((1, (4, 3)), (2, (5, 4)), (3, (5, 4))):
-        found = deep_matching._aggregated(pooled, deep_matching._child_step(level))
-        assert found.shape == (*shape, 4, 3)
-        offsets = {1: (0, 1), 2: (-1, 1), 3: (-2, 2)}[level]
-        for row, column, y, x in np.ndindex(*found.shape):
-            responses = []
-            for i, dy in zip(offsets, (-1, 1), strict=True):
-                for j, dx in zip(offsets, (-1, 1), strict=True):
-                    if not (0 <= row + i < 5 and 0 <= column + j < 4):
-                        continue
-                    here = [
-                        float(maps[row + i, column + j, v, u])
-                        for v in range(2 * (y + dy) - 1, 2 * (y + dy) + 2)
-                        for u in range(2 * (x + dx) - 1, 2 * (x + dx) + 2)
-                        if 0 <= v < 8 and 0 <= u < 6
-                    ]
-                    outside = not (0 <= y + dy < 4 and 0 <= x + dx < 3)
-                    responses.append(0.0 if outside else max(here))
-            expected = np.mean(responses) ** 1.4
-            assert found[row, column, y, x] == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize("count", [1, 2, 8, 60])
-def test_the_map_is_linear_between_matches_and_the_nearest_outside(count: int) -> None:
-    """As by SciPy."""
-    rng = np.random.default_rng(count)
-    points, values = rng.uniform(0, 60, (count, 2)), rng.normal(size=(count, 2))
-    at = pixel_grid((40, 70))
-    expected = NearestNDInterpolator(points, values)(at)
-    if count > 2:
-        inside = LinearNDInterpolator(points, values)(at)
-        expected = np.where(np.isfinite(inside), inside, expected)
-        assert 0.05 < np.isfinite(inside).mean() < 0.95
-    assert deep_matching._interpolated(points, values, at) == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_map_is_in_pixels_of_both_images(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dgc_pose import load_matcher
+from dgc_pose.benchmarks.methods import RIVALS
 from dgc_pose.benchmarks.rivals import deep_matching
-from dgc_pose.benchmarks.rivals.table import RIVALS
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
@@ -52,8 +52,3 @@ def test_transformations_follow_an_image_that_is_moved(cells: int) -> None:
     errors = np.linalg.norm(result.map - back, axis=-1)[inside]
     apart = np.linalg.norm(result.grid - back, axis=-1)[inside]
     assert errors.mean() < 0.4 * apart.mean()
-
-
-def test_a_flat_image_has_no_matches_of_transformations() -> None:
-    flat = Image(np.full((60, 80, 3), 90, np.uint8))
-    assert len(_matcher("rocco").match(flat, flat).matches) == 0

@@ -108,46 +108,11 @@ def test_matchers_without_a_network_stand_in_the_same_tables(folder, monkeypatch
     assert cv2.imread("run/worst_2_deepmatching.png").std() > 1
 
 
-def test_pck_counts_per_axis_on_demand(folder):
-    shares = []
-    for extra in ((), ("--per-axis",)):
-        result = bench(
-            "--root", "data", "--methods", "still", "--json", "s.json", "--overwrite", *extra
-        )
-        assert result.exit_code == 0, result.output
-        data = json.loads((folder / "s.json").read_text())
-        shares.append(np.array(data["methods"][0]["all"]["pck"]))
-    assert (shares[1] >= shares[0]).all() and (shares[1] > shares[0]).any()
-    assert data["pck_distance"] == "max of |dx|, |dy|"
-
-
-def test_pairs_of_other_layouts_are_listed(folder):
-    scene.write_annotated(folder / "other" / "homogr", "tower")
-    scene.write_vgg(folder / "other" / "graf")
-    result = bench("--root", "other", "--methods", "still")
-    assert result.exit_code == 0, result.output
-    for name in ("graf 1-2", "graf 1-3", "homogr/tower"):
-        assert line(result, name)[-1] == f"{still_aepe():.2f}"
-    assert "viewpoint" not in result.stdout
-    assert result.stderr == "3 pairs missing: graf 1-4, graf 1-5, graf 1-6\n"
-
-
-def test_the_authors_lists(folder):
-    scene.write_lists(folder / "lists", ["v_wall", "v_absent"])
-    result = bench("--root", "data", "--lists", "lists", "--methods", "true", "--json", "s.json")
-    assert result.exit_code == 0, result.output
-    data = json.loads((folder / "s.json").read_text())
-    assert data["sequences"] == 1 and len(data["missing"]) == 5
-    assert data["methods"][0]["all"]["aepe"] < 1e-3
-    assert "5 pairs missing: v_absent 1-2" in result.stderr
-
-
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (("--root", "data", "--methods", "true,nosuch"), "nosuch"),
         (("--root", "data", "--methods", "true,true"), "twice"),
-        (("--root", "data", "--methods", ","), "no methods"),
         (("--root", "data", "--methods", "true,sift"), "sift: has key points alone"),
     ],
 )

@@ -4,16 +4,13 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from procedural import procedural_textures
 from scipy.interpolate import RBFInterpolator
-from torch import Tensor
 
-from dgc_pose.benchmarks.rivals.geometric_net import ENCODER, WEIGHTS, GeometricNet, load_rocco
+from dgc_pose.benchmarks.rivals.rocco import ENCODER, WEIGHTS, GeometricNet, load_rocco
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import load_network, network_fingerprint
-from dgc_pose.runtime.torch_engine import for_inference
 from dgc_pose.training.synthesis.spline import TPS_KNOTS
 
 _AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])
@@ -26,25 +23,10 @@ def net() -> GeometricNet:
     return GeometricNet(DGCNet(preset("dgcm-lite0"))).eval().requires_grad_(False)
 
 
-def _constant(net: GeometricNet, affine: np.ndarray, spline: np.ndarray) -> GeometricNet:
-    """A copy whose regressions give these numbers for every pair."""
-    copy = for_inference(net)
-    for regression, change in (
-        (copy.affine, affine - np.eye(3)[:2]),
-        (copy.spline, spline - TPS_KNOTS.numpy()),
-    ):
-        regression.final.bias.copy_(torch.from_numpy(change.ravel()))
-    return copy
-
-
 def _centres(size: int) -> np.ndarray:
     """Cells' centres (size, size, 2), -1 and +1 being the edges of the image."""
     axis = (2 * np.arange(size) + 1) / size - 1
     return np.stack(np.meshgrid(axis, axis), -1)
-
-
-def _pictures(count: int) -> Tensor:
-    return procedural_textures(count, 240, seed=2)
 
 
 @pytest.mark.parametrize("size", [15, 60])
@@ -58,43 +40,6 @@ def test_a_map_is_the_affine_transformation_of_the_spline(net: GeometricNet, siz
     ):
         expected = cv2.transform(places[None], _AFFINE)[0]
         np.testing.assert_allclose(found[0].flatten(1).T.numpy(), expected, atol=1e-9)
-
-
-def test_the_source_is_warped_as_opencv_warps_it(
-    net: GeometricNet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    image, seen = _pictures(1), []
-    moved = _constant(net, _AFFINE, _SPLINE)
-
-    def coarsest(warped: Tensor) -> Tensor:
-        seen.append(warped)
-        return torch.zeros(1, 128, 15, 15)
-
-    monkeypatch.setattr(moved, "coarsest", coarsest)
-    moved.transformations(image, torch.zeros_like(image))
-    maps = (cv2.transform(_centres(240), _AFFINE) + 1) * 120 - 0.5
-    x, y = np.moveaxis(maps.astype(np.float32), -1, 0)
-    expected = cv2.remap(image[0].permute(1, 2, 0).numpy(), x, y, cv2.INTER_LINEAR)
-    # OpenCV interpolates in steps of a 32nd of a pixel.
-    assert np.abs(seen[-1][0].permute(1, 2, 0).numpy() - expected).mean() < 2e-3
-
-
-def test_a_prediction_has_the_numbers_of_both_regressions(net: GeometricNet) -> None:
-    source, target = _pictures(2).chunk(2)
-    prediction = _constant(net, _AFFINE, _SPLINE)(source, target)
-    assert [m.shape for m in prediction.maps] == [(1, 2, s, s) for s in (15, 30, 60, 120, 240)]
-    assert prediction.logits == ()
-    affine, spline = (torch.from_numpy(values).float()[None] for values in (_AFFINE, _SPLINE))
-    torch.testing.assert_close(
-        prediction.maps[-1], net.dense_map(affine, spline, 240), atol=1e-4, rtol=0
-    )
-
-
-def test_before_training_it_is_the_identity(net: GeometricNet) -> None:
-    source, target = _pictures(2).chunk(2)
-    for level in net(source, target).maps:
-        expected = torch.from_numpy(_centres(level.shape[-1])).float().permute(2, 0, 1)[None]
-        torch.testing.assert_close(level, expected, atol=1e-5, rtol=0)
 
 
 def test_the_correlation_is_of_unit_length_and_not_negative(net: GeometricNet) -> None:
@@ -113,15 +58,6 @@ def test_the_correlation_is_of_unit_length_and_not_negative(net: GeometricNet) -
         np.testing.assert_allclose(
             found[:, y, x], scores.ravel() / np.linalg.norm(scores), atol=1e-5
         )
-
-
-def test_the_shipped_regressions_are_what_their_paper_describes(net: GeometricNet) -> None:
-    for regression, outputs in ((net.affine, 6), (net.spline, 18)):
-        assert [block[0].kernel_size for block in (regression.conv0, regression.conv1)] == [
-            (7, 7),
-            (5, 5),
-        ]
-        assert (regression.final.in_features, regression.final.out_features) == (64 * 25, outputs)
 
 
 def test_the_weights_are_those_of_the_encoder_that_they_were_trained_on() -> None:
