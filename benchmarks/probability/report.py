@@ -199,7 +199,7 @@ def focal_table(poses: Sequence[Judged]) -> str:
 
 def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
     """The reliability diagram and precision against recall, a curve a kind of matches."""
-    from dgc_pose.viz.curves import draw_reliability
+    from dgc_pose.benchmarks.curves import draw_reliability
     from dgc_pose.viz.figure import new_figure
 
     figure = new_figure(11, 5)

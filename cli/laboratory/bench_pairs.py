@@ -143,7 +143,8 @@ def bench_pairs(
         if options.json_path is not None:
             save_text(stage(options.json_path), data)
     if options.out is not None:
-        from dgc_pose.viz import plot_errors, save_figure
+        from dgc_pose.benchmarks.curves import plot_errors
+        from dgc_pose.viz import save_figure
 
         numbers = columns(row for rows in results.values() for row in rows)
         rotation, translation = (

@@ -11,6 +11,8 @@ import click
 import numpy as np
 from tqdm import tqdm
 
+from dgc_pose.benchmarks.curves import plot_pck, plot_reliability
+from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
 from dgc_pose.benchmarks.map_report import (
     ALL,
     Scores,
@@ -28,8 +30,6 @@ from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
 from dgc_pose.training.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.viz import save_figure
-from dgc_pose.viz.curves import plot_pck, plot_reliability
-from dgc_pose.viz.map_figure import MapPicture, plot_maps
 
 if TYPE_CHECKING:
     from dgc_pose.benchmarks.map_run import MapOutcome, MapSet

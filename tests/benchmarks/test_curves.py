@@ -1,14 +1,14 @@
 import numpy as np
 import pytest
 
-from dgc_pose.errors import InputError
-from dgc_pose.metrics import Reliability
-from dgc_pose.viz.curves import (
+from dgc_pose.benchmarks.curves import (
     draw_cumulative,
     plot_errors,
     plot_pck,
     plot_reliability,
 )
+from dgc_pose.errors import InputError
+from dgc_pose.metrics import Reliability
 from dgc_pose.viz.figure import new_figure
 
 

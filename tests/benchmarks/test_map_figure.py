@@ -1,6 +1,6 @@
 import numpy as np
 
-from dgc_pose.viz.map_figure import MapPicture, plot_maps
+from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
 
 
 def picture(title: str) -> MapPicture:

@@ -4,9 +4,9 @@ import dtu_report
 import numpy as np
 import pytest
 
+from dgc_pose.benchmarks.dtu import motion
+from dgc_pose.benchmarks.dtu.motion import WORST, binned_medians, method_styles
 from dgc_pose.benchmarks.summary import columns
-from dgc_pose.viz import motion
-from dgc_pose.viz.motion import WORST, binned_medians, method_styles
 
 
 @pytest.fixture(scope="module")
