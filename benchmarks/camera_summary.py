@@ -5,10 +5,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from dgc_pose.benchmarks.files import decimals
 from dgc_pose.benchmarks.scores import CameraScore
 from dgc_pose.benchmarks.summary import MethodSummary, columns, summarise
 from dgc_pose.estimation.probability import RIGHT_DEG
-from dgc_pose.files.tables import aligned, decimals
+from dgc_pose.files.tables import aligned
 from dgc_pose.metrics import Reliability
 
 TOLD_STD = 0.05  # of ln f: the matches tell a focal length whose deviation is below

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.benchmarks.arrays import read_arrays
+from dgc_pose.benchmarks.files import read_arrays
 from dgc_pose.errors import ImageError, InputError, reason
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array
 from dgc_pose.files.inputs import read_bytes

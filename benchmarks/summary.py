@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from dgc_pose.benchmarks.files import decimals, finite_data, table
 from dgc_pose.benchmarks.scores import MapScore, PoseScore, Score
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
-from dgc_pose.files.json_files import finite_data
-from dgc_pose.files.tables import decimals, table
 from dgc_pose.metrics import pose_auc
 
 _COLUMNS = {

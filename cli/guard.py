@@ -51,12 +51,9 @@ class OutputFile(click.Path):
             if not self.stdout:
                 raise InputError("only --json goes to stdout; a file called - is ./-")
             return
-        target = output_target(path)
         require_no_input([path], _inputs(context))
-        if target.exists() and not overwrites():
+        if output_target(path).exists() and not overwrites():
             raise InputError(f"{path} is there already: --overwrite replaces it")
-        if not target.parent.is_dir():
-            raise InputError(f"{path}: no such folder to write it into")
 
 
 class OutputFolder(NamedPath):

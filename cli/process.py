@@ -1,8 +1,4 @@
-"""The process that a command runs in: its signals, standard streams and warnings.
-
-SIGTERM and SIGHUP become exceptions, so that a command that is stopped removes its partial files.
-No standard stream is closed, and errors of stdout name it. Our warnings are a line each.
-"""
+"""The process that a command runs in: its signals, standard streams and warnings."""
 
 import logging
 import os
@@ -30,25 +26,59 @@ class Stopped(BaseException):
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup).
+def command_process(*, debug: bool) -> Iterator[None]:
+    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup), so that
+    a command that is stopped removes its partial files; no standard stream is closed, and an
+    OSError of stdout names it; our warnings are lines on stderr.
 
-    SIGINT is a KeyboardInterrupt anyway.
+    debug: print the libraries' warnings as well. Raises InputError if stdout is closed.
     """
     stopping = (signal.SIGTERM, signal.SIGHUP)
     handled = [number for number in stopping if signal.getsignal(number) is signal.SIG_DFL]
-    for number in handled:
-        signal.signal(number, _stop)
-    try:
-        yield
-    finally:
+    _open_streams()
+    ours, handler = logging.getLogger("dgc_pose"), _Lines()
+    matplotlib = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
+    with warnings.catch_warnings(), redirect_stdout(_Stdout(sys.stdout)):
         for number in handled:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, _stop)
+        ours.addHandler(handler)
+        ours.propagate = False
+        if not debug:
+            warnings.simplefilter("ignore")
+            matplotlib.setLevel(logging.ERROR)
+        try:
+            yield
+        finally:
+            matplotlib.setLevel(logging.NOTSET)
+            ours.propagate = True
+            ours.removeHandler(handler)
+            for number in handled:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def say(text: str) -> None:
+    """Print a line on stderr, whatever the names in it hold."""
+    click.echo(printable(text), err=True)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the removal
     raise Stopped(number)
+
+
+def _open_streams() -> None:
+    """Open what the process was started without. Raises InputError if that is stdout."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:  # the next file would get this number, and with it what libraries print
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")
+    if sys.stdout is None:
+        raise InputError("stdout is closed")
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
 
 
 class _Stdout:
@@ -69,56 +99,8 @@ class _Stdout:
             self._stream.flush()
 
 
-@contextmanager
-def standard_streams() -> Iterator[None]:
-    """Within the block stdin and stderr lead somewhere, and an OSError of stdout names it.
-
-    Raises InputError if stdout is closed.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:  # the next file would get this number, and with it what libraries print
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")
-    if sys.stdout is None:
-        raise InputError("stdout is closed")
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
-    with redirect_stdout(_Stdout(sys.stdout)):
-        yield
-
-
 class _Lines(logging.Handler):
-    """`warning: MESSAGE` on stderr."""
+    """Prints `warning: MESSAGE` on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         say(f"warning: {record.getMessage()}")
-
-
-def say(text: str) -> None:
-    """A line on stderr, whatever the names in it hold."""
-    click.echo(printable(text), err=True)
-
-
-@contextmanager
-def plain_warnings(*, shown: bool) -> Iterator[None]:
-    """Within the block our warnings are lines on stderr, and those of libraries are silent.
-
-    shown: print the libraries' warnings as well, as Python does.
-    """
-    ours, handler = logging.getLogger("dgc_pose"), _Lines()
-    silent = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
-    with warnings.catch_warnings():
-        ours.addHandler(handler)
-        ours.propagate = False
-        if not shown:
-            warnings.simplefilter("ignore")
-            silent.setLevel(logging.ERROR)
-        try:
-            yield
-        finally:
-            ours.removeHandler(handler)
-            ours.propagate = True
-            silent.setLevel(logging.NOTSET)

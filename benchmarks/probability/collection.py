@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.benchmarks.arrays import read_arrays
+from dgc_pose.benchmarks.files import read_arrays
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair

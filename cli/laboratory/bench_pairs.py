@@ -35,7 +35,7 @@ from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import replaced, save_text, staged, write_text
+from dgc_pose.files.outputs import replaced, require_no_input, save_text, staged, write_text
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import MAX_SEED, option
@@ -131,7 +131,8 @@ def bench_pairs(
     trial = any(method.cameras.reports for method in chosen)
     pairs = options.pair_set(pair_list, trial=trial)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
-    with staged(options.json_path, inputs=images) as stage:
+    require_no_input([options.json_path or ""], images)
+    with staged(options.json_path) as stage:
         matchers = load_matchers(chosen, device=run.device, runtime=run.runtime)
         evaluation = run.evaluation(pairs, chosen, matchers)
         results = by_method(work(evaluation, open_store(evaluation, options.out, run)))

@@ -21,7 +21,7 @@ from safetensors.torch import load_file, save_file
 from dgc_pose import load_image
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.result import read_batch
-from dgc_pose.benchmarks.arrays import read_arrays
+from dgc_pose.benchmarks.files import read_arrays
 from dgc_pose.benchmarks.probability.plan import read_plan
 from dgc_pose.cameras.colmap_files import read_database
 from dgc_pose.cameras.pair_list import read_pairs
