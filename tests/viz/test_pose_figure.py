@@ -35,8 +35,9 @@ def title(axes):
 
 
 def test_all_panels_are_there():
-    figure, pose = figure_of(dense_scene.true_map())
-    assert pose.success
+    trace = trace_of(dense_scene.true_map())
+    figure, pose = plot_pose(trace), trace.pose
+    assert pose.success and len(plot_pose(replace(trace, correspondence_map=None)).axes) == 3
     matches, points, lines, matchability, warp = figure.axes
     assert [axes.get_title() for axes in figure.axes] == [""] * 5  # all at the left
     segments = matches.collections[0].get_segments()
@@ -87,17 +88,6 @@ def test_each_match_through_a_lens_lies_on_its_epipolar_curve(lens):
     assert max(bends) > 10
 
 
-def test_without_a_map_its_panels_are_left_out():
-    trace = trace_of(dense_scene.true_map())
-    assert len(plot_pose(replace(trace, correspondence_map=None)).axes) == 3
-
-
-def test_without_a_pose_the_reason_is_the_headline():
-    figure, pose = figure_of(dense_scene.noise_map())
-    assert not pose.success
-    assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
-
-
 def test_of_an_ambiguous_pair_neither_pose_is_drawn():
     trace = trace_of(dense_scene.true_map())
     pose = ambiguous_pose(len(trace.matches))
@@ -108,7 +98,10 @@ def test_of_an_ambiguous_pair_neither_pose_is_drawn():
     assert any("confidence" in text.get_text() for text in matches.texts)  # not the residual
 
 
-def test_no_matches_can_be_drawn(tmp_path):
+def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
+    figure, pose = figure_of(dense_scene.noise_map())
+    assert not pose.success
+    assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     nothing = dense_scene.make_map(
         np.full((4, 4, 2), -9.0, np.float32), np.zeros((4, 4, 2), np.float32)
     )
@@ -211,11 +204,3 @@ def test_the_ending_of_a_name_chooses_the_format():
 )
 def test_a_subsample_is_even(points, count, expected):
     assert spread_evenly(np.array(points, float), count).tolist() == expected
-
-
-def test_a_crowd_takes_no_more_than_its_place():
-    rng = np.random.default_rng(0)
-    crowd, others = rng.normal(50, 1, (900, 2)), rng.random((100, 2)) * 1000
-    chosen = spread_evenly(np.concatenate([crowd, others]), 50)
-    assert len(chosen) == 50
-    assert (chosen < 900).sum() <= 2

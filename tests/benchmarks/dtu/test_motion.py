@@ -1,11 +1,9 @@
-from dataclasses import replace
-
 import dtu_report
 import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.dtu import motion
-from dgc_pose.benchmarks.dtu.motion import WORST, binned_medians, method_styles
+from dgc_pose.benchmarks.dtu.motion import WORST, binned_medians
 from dgc_pose.benchmarks.summary import columns
 
 
@@ -48,25 +46,10 @@ def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
     assert "native" in confident.get_xlabel() and "(pixels)" in confident.get_xlabel()
     # One colour a method, in both panels.
     assert everywhere.lines[1].get_color() == confident.lines[1].get_color()
-
-
-def test_a_run_of_methods_without_maps_can_be_drawn(rows) -> None:
+    assert everywhere.lines[0].get_linestyle() != everywhere.lines[1].get_linestyle()
     of_points = [row for row in rows if row.method == "points"]
     everywhere, confident = plot_histograms(of_points)["epipolar"].axes
     assert not everywhere.lines and len(confident.lines) == 1
-
-
-def test_matches_of_no_pair_at_all_can_be_drawn(rows) -> None:
-    none = [replace(row, epipolar_confident_px=np.inf, epipolar_all_px=np.inf) for row in rows]
-    for figure in plot_histograms(none).values():
-        figure.canvas.draw()
-
-
-def test_a_method_and_its_unmasked_twin_share_a_colour() -> None:
-    styles = method_styles(["a/all", "b", "a", "c"])
-    assert styles["a"]["color"] == styles["a/all"]["color"] != styles["b"]["color"]
-    assert styles["c"]["color"] not in (styles["a"]["color"], styles["b"]["color"])
-    assert styles["a"]["linestyle"] != styles["a/all"]["linestyle"]
 
 
 def test_medians_of_equally_many_pairs_by_increasing_x() -> None:
