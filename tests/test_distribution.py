@@ -5,18 +5,13 @@ import shutil
 import subprocess
 import sys
 import tarfile
-import urllib.request
 import venv
 import zipfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from email import message_from_bytes
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from packaging.requirements import Requirement
 from test_packaging import MAPPED, ROOT
 
 from dgc_pose.version import version
@@ -29,10 +24,9 @@ OWN = f"{sys.version_info.major}.{sys.version_info.minor}"
 
 @dataclass(frozen=True)
 class Release:
-    """What a release consists of."""
+    """A wheel, built from the sdist, and the commit."""
 
-    sdist: Path
-    wheel: Path  # built from the sdist
+    wheel: Path
     commit: str
 
 
@@ -72,7 +66,7 @@ def release(tmp_path_factory: pytest.TempPathFactory) -> Release:
     with tarfile.open(sdist) as archive:
         archive.extractall(unpacked, filter="data")
     (source,) = unpacked.iterdir()
-    return Release(sdist, build(source, "wheel"), run(*git, "rev-parse", "HEAD"))
+    return Release(build(source, "wheel"), run(*git, "rev-parse", "HEAD"))
 
 
 def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(release: Release) -> None:
@@ -91,42 +85,15 @@ def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(release: Release)
     assert "dgc_pose/data/demo/pair.txt" in wheel_files
 
 
-def test_the_sdist_holds_what_the_wheel_is_built_from(release: Release) -> None:
-    with tarfile.open(release.sdist) as archive:
-        names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    assert {*TOP_FILES, *DOCUMENTS, "cli/main.py", "benchmarks/scoring.py"} <= names
-    assert release.sdist.name == f"dgc_pose-{version()}.tar.gz"
-
-
-def test_the_wheels_metadata_are_those_of_the_package(release: Release) -> None:
-    with zipfile.ZipFile(release.wheel) as archive:
-        (name,) = (n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
-        metadata = message_from_bytes(archive.read(name))
-    assert metadata["Version"] == version()
-    assert metadata["Requires-Python"] == ">=3.10"
-    assert metadata["License-Expression"] == "Apache-2.0"
-    needed = [Requirement(line) for line in metadata.get_all("Requires-Dist")]
-    base = {requirement.name for requirement in needed if requirement.marker is None}
-    assert {"onnxruntime", "pycolmap", "matplotlib"} <= base
-    assert not base & {"torch", "scipy", "starlette", "uvicorn", "ray"}
-    extras = {"torch", "serve", "heic", "ray", "fit", "notebook", "all"}
-    assert extras <= set(metadata.get_all("Provides-Extra"))
-    pythons = {f"Programming Language :: Python :: {number}" for number in PYTHONS}
-    assert pythons <= set(metadata.get_all("Classifier"))
-
-
 def interpreter(number: str) -> str | None:
     """A Python of this version: this one, one on the path, or one of pyenv's."""
     if number == OWN:
         return sys.executable
     root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
-    installed = sorted(root.glob(f"versions/{number}.*/bin/python{number}"))
-    on_path = shutil.which(f"python{number}")
-    for path in (*map(str, installed), *([on_path] if on_path else [])):
-        # pyenv puts a program of each name on the path, which may lead to nothing.
-        if subprocess.run([path, "-c", ""], capture_output=True).returncode == 0:
-            return path
-    return None
+    paths = [*root.glob(f"versions/{number}.*/bin/python{number}"), shutil.which(f"python{number}")]
+    # pyenv puts a program of each name on the path, which may lead to nothing.
+    works = (p for p in paths if p and subprocess.run([p, "-c", ""]).returncode == 0)
+    return next(map(str, works), None)
 
 
 def installed(python: str, wheel: Path, folder: Path) -> Path:
@@ -150,15 +117,9 @@ def test_every_python_installs_the_wheel_and_runs_the_command(
     if python is None:
         pytest.skip(f"no Python {number} on this machine")
     own = installed(python, release.wheel, tmp_path / "env")
-    for name in ("click", "typing_extensions"):
-        spec = find_spec(name)
-        assert spec is not None and spec.origin is not None
-        origin = Path(spec.origin)
-        if origin.name == "__init__.py":
-            shutil.copytree(origin.parent, tmp_path / "needed" / name)
-        else:
-            shutil.copy(origin, tmp_path / "needed" / origin.name)
-    needed = str(tmp_path / "needed")
+    click, needed = find_spec("click"), str(tmp_path / "needed")
+    assert click is not None and click.origin is not None
+    shutil.copytree(Path(click.origin).parent, Path(needed, "click"))
     (package,) = (tmp_path / "env").glob("lib/python*/site-packages/dgc_pose")
     # Every module is written in this version's language.
     code = (
@@ -176,9 +137,7 @@ def test_every_python_installs_the_wheel_and_runs_the_command(
     assert help_text.startswith("Usage: python -m dgc_pose ")
 
 
-def test_an_installed_wheel_estimates_the_bundled_pair_and_serves_the_page(
-    release: Release, tmp_path: Path
-) -> None:
+def test_an_installed_wheel_estimates_the_bundled_pair(release: Release, tmp_path: Path) -> None:
     """In an environment that has the dependencies of this one, but not the repository."""
     own = installed(sys.executable, release.wheel, tmp_path / "env")
     (packages,) = (tmp_path / "env").glob("lib/python*/site-packages")
@@ -187,32 +146,4 @@ def test_an_installed_wheel_estimates_the_bundled_pair_and_serves_the_page(
     (packages / "dependencies.pth").write_text(f"{Path(numpy.origin).parents[1]}\n")
     code = "import dgc_pose; print(dgc_pose.__file__)"
     assert Path(run(own, "-c", code, cwd=tmp_path)).is_relative_to(packages)
-    text = run(own, "-m", "dgc_pose", "demo", cwd=tmp_path)
-    assert "errors: rotation 0." in text
-    files = {file.name: file for file in (ROOT / "dgc_pose" / "serve" / "static").iterdir()}
-    del files["page.html"]  # has the token put in
-    with served(own, tmp_path) as get:
-        assert version().encode() in get("")
-        for name, file in files.items():
-            assert get(f"static/{name}") == file.read_bytes()
-
-
-@contextmanager
-def served(python: Path, folder: Path) -> Iterator[Callable[[str], bytes]]:
-    """Runs `dgc-pose serve` in the folder; what it answers to a request of a path."""
-    command = [python, "-m", "dgc_pose", "serve", "--no-browser"]
-    environment = {**os.environ, "TMPDIR": str(folder)}
-    with subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True
-    ) as server:
-        try:
-            assert server.stdout is not None
-            address, token = server.stdout.readline().strip().split("?token=")
-
-            def get(path: str) -> bytes:
-                with urllib.request.urlopen(f"{address}{path}?token={token}", timeout=60) as answer:
-                    return bytes(answer.read())
-
-            yield get
-        finally:
-            server.terminate()
+    assert "errors: rotation 0." in run(own, "-m", "dgc_pose", "demo", cwd=tmp_path)
