@@ -10,7 +10,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.matches import Matches
+from dgc_pose.refinement.align import spread
 from dgc_pose.trace import Trace
 from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
@@ -43,7 +43,7 @@ def plot_pose(trace: Trace) -> Figure:
     """
     pose = trace.pose
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
-    drawn = _spread(trace.matches, chosen, DRAWN_MATCHES)
+    drawn = _spread(trace, chosen, DRAWN_MATCHES)
     rows = _rows(trace, f"{len(drawn)} of {len(chosen)}")
     for width in (WIDTH, _NARROW):
         if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT:
@@ -53,7 +53,7 @@ def plot_pose(trace: Trace) -> Figure:
     figure, axes = panel_rows(rows, _headline(pose), width=width)
     matches, points, lines, *map_axes = chain(*axes)
     _draw_matches(matches, trace, drawn)
-    _draw_epipolar(points, lines, trace, _spread(trace.matches, chosen, DRAWN_LINES))
+    _draw_epipolar(points, lines, trace, _spread(trace, chosen, DRAWN_LINES))
     if trace.correspondence_map is not None:
         left, right = map_axes
         places, matchability = trace.correspondence_map.map, trace.correspondence_map.matchability
@@ -134,25 +134,11 @@ def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
     return np.where(near.all(axis=1, keepdims=True), pixels, np.nan)
 
 
-def _spread(matches: Matches, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Indices of an even subsample, over image 2, of the chosen matches with finite points."""
+def _spread(trace: Trace, chosen: np.ndarray, count: int) -> np.ndarray:
+    """Indices of the most confident of the chosen matches, spread over image 2, with finite
+    points."""
+    matches = trace.matches
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
-    return chosen[spread_evenly(matches.points2[chosen], count)]
-
-
-def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
-    """Farthest point sampling: each point is the farthest from all that were chosen before.
-
-    points: (N, 2) pixels, finite. Returns at most `count` indices (M,) in increasing order, of
-    points that all differ.
-    """
-    distances = np.full(len(points), np.inf)
-    chosen: list[int] = []
-    while len(chosen) < min(count, len(points)):
-        farthest = int(np.argmax(distances))
-        if distances[farthest] == 0:
-            break
-        chosen.append(farthest)
-        distances = np.minimum(distances, np.sum((points - points[farthest]) ** 2, axis=1))
-    return np.array(sorted(chosen), dtype=np.intp)
+    points2, confidence = matches.points2[chosen], matches.confidence[chosen]
+    return chosen[spread(points2, confidence, trace.image2.size, count)]

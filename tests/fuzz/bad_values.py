@@ -8,7 +8,6 @@ from pathlib import Path
 
 import click
 import dense_scene
-from fuzz.damage import png_chunk
 from fuzz.readers import make_batch
 from photos import write_photos
 
@@ -68,8 +67,11 @@ def make_files(folder: Path) -> None:
 def png_claiming(width: int, height: int) -> bytes:
     """A PNG of a few bytes that claims a size."""
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    chunks = {b"IHDR": header, b"IDAT": zlib.compress(b"\0" * 99), b"IEND": b""}
-    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks.items())
+    data = b"\x89PNG\r\n\x1a\n"
+    for kind, body in ((b"IHDR", header), (b"IDAT", zlib.compress(b"\0" * 99)), (b"IEND", b"")):
+        data += struct.pack(">I", len(body)) + kind + body
+        data += struct.pack(">I", zlib.crc32(kind + body))
+    return data
 
 
 def command_lines() -> list[tuple[str, ...]]:

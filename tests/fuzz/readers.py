@@ -1,6 +1,5 @@
 """The readers of files that users have, with good files that the tests make themselves."""
 
-import base64
 import json
 from collections.abc import Callable
 from contextlib import suppress
@@ -33,7 +32,6 @@ from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network, save_weights
-from dgc_pose.serve.cameras import CameraRequest, command, python_text
 
 Make = Callable[[Path], object]  # writes good files into a folder
 Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
@@ -227,27 +225,6 @@ def _read_store(folder: Path, path: Path) -> None:
         list(PairStore(folder, MATCHED, read_plan(folder)).blocks())
 
 
-def _make_requests(folder: Path) -> None:
-    opencv = "OPENCV,10,8,9,9,5,4,0.1,0,0,0"
-    requests = ({"kind": "k", "k1": "9,9,4,3", "k2": ""}, {"kind": "k", "k1": opencv, "k2": opencv})
-    content = base64.b64encode(b"9 0 4\n0 9 3\n0 0 1\n").decode()
-    others = {"kind": "fov", "fov": 60}, {"kind": "file", "name": "K.txt", "content": content}
-    for number, request in enumerate((*requests, *others, {"kind": "auto"})):
-        (folder / f"{number}.json").write_text(json.dumps(request))
-
-
-def _read_request(folder: Path, path: Path) -> None:
-    try:
-        data = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        return  # the server refuses it itself
-    request = CameraRequest.of(data)
-    names = ("one", "--two")
-    cameras = request.resolve(*(Image(np.zeros((8, 10, 3), np.uint8), name) for name in names))
-    command(names, request.texts(cameras), [])
-    python_text(names, request.texts(cameras), "")
-
-
 READERS: dict[str, tuple[Make, Read]] = {
     "images": (_make_images, _read_image),
     "cameras of images": (_make_images, lambda _, path: auto_camera(image_header(path))),
@@ -260,5 +237,4 @@ READERS: dict[str, tuple[Make, Read]] = {
     "matches": (_make_matches, _read_matches),
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
     "unfinished batches": (make_unfinished_batch, _read_store),
-    "requests": (_make_requests, _read_request),
 }

@@ -12,7 +12,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.pose import estimate_relative_pose
 from dgc_pose.viz.figure import picture_format, save_figure
-from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose, spread_evenly
+from dgc_pose.viz.pose_figure import plot_pose
 
 
 def trace_of(correspondence_map):
@@ -41,9 +41,9 @@ def test_all_panels_are_there():
     matches, points, lines, matchability, warp = figure.axes
     assert [axes.get_title() for axes in figure.axes] == [""] * 5  # all at the left
     segments = matches.collections[0].get_segments()
-    assert 0 < len(segments) <= DRAWN_MATCHES
+    assert 75 < len(segments) <= 150
     assert f"{len(segments)} of {pose.num_inliers} inlier matches" == title(matches)
-    assert len(lines.lines) == len(points.collections[0].get_offsets()) == DRAWN_LINES
+    assert 6 < len(lines.lines) == len(points.collections[0].get_offsets()) <= 12
     assert "matchability" in title(matchability)
     assert "warped" in title(warp)
     assert figure.texts[0].get_text().startswith("rotation ")
@@ -75,7 +75,7 @@ def test_each_match_through_a_lens_lies_on_its_epipolar_curve(lens):
     figure = plot_pose(replace(trace, camera1=camera, camera2=camera, matches=moved))
     axes = figure.axes[2]
     drawn = axes.collections[0].get_offsets()
-    assert len(drawn) == len(axes.lines) == DRAWN_LINES
+    assert 6 < len(drawn) == len(axes.lines) <= 12
     assert axes.get_xlim() == (-0.5, 319.5)
     bends = []
     for point, line in zip(drawn, axes.lines, strict=True):
@@ -190,17 +190,3 @@ def test_the_ending_of_a_name_chooses_the_format():
     for name in ("plot", "plot.docx", ".png"):
         with pytest.raises(InputError):
             picture_format(name)
-
-
-@pytest.mark.parametrize(
-    ("points", "count", "expected"),
-    [
-        ([[5, 1], [0, 0], [3, 3]], 10, [0, 1, 2]),  # all, where they are few
-        (np.zeros((0, 2)), 10, []),
-        ([[1, 1]] * 5 + [[4, 4]], 4, [0, 5]),  # the same place is taken once
-        ([[0, 0], [1, 0], [10, 0], [4, 0]], 2, [0, 2]),
-        ([[0, 0], [1, 0], [10, 0], [4, 0]], 3, [0, 2, 3]),  # the farthest next
-    ],
-)
-def test_a_subsample_is_even(points, count, expected):
-    assert spread_evenly(np.array(points, float), count).tolist() == expected
