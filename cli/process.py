@@ -1,7 +1,6 @@
 """The process that a command runs in: its signals, standard streams and warnings."""
 
 import logging
-import os
 import signal
 import sys
 import warnings
@@ -28,14 +27,19 @@ class Stopped(BaseException):
 @contextmanager
 def command_process(*, debug: bool) -> Iterator[None]:
     """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup), so that
-    a command that is stopped removes its partial files; no standard stream is closed, and an
-    OSError of stdout names it; our warnings are lines on stderr.
+    a command that is stopped removes its partial files; an OSError of stdout names it; our warnings
+    are lines on stderr.
 
-    debug: print the libraries' warnings as well. Raises InputError if stdout is closed.
+    debug: print the libraries' warnings as well. Raises InputError if stdout or stderr is closed:
+    the next file would get its number, and with it what libraries print.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            raise InputError(f"{name} is closed")
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
     stopping = (signal.SIGTERM, signal.SIGHUP)
     handled = [number for number in stopping if signal.getsignal(number) is signal.SIG_DFL]
-    _open_streams()
     ours, handler = logging.getLogger("dgc_pose"), _Lines()
     matplotlib = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
     with warnings.catch_warnings(), redirect_stdout(_Stdout(sys.stdout)):
@@ -64,21 +68,6 @@ def say(text: str) -> None:
 def _stop(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the removal
     raise Stopped(number)
-
-
-def _open_streams() -> None:
-    """Open what the process was started without. Raises InputError if that is stdout."""
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:  # the next file would get this number, and with it what libraries print
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")
-    if sys.stdout is None:
-        raise InputError("stdout is closed")
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
 
 
 class _Stdout:

@@ -12,7 +12,7 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.refinement.align import spread
 from dgc_pose.trace import Trace
-from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
+from dgc_pose.viz.figure import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
     GAP,
     draw_colour_bar,
