@@ -107,7 +107,7 @@ class GuardedCommand(click.Command):
                     formatter.write_dl(shown, col_max=_COLUMN)
 
 
-def guarded(command: click.Command, *, reads_images: bool = True) -> click.Command:
+def guarded(command: click.Command) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
     params, hidden = list(command.params), {"expose_value": False}
     kinds = [parameter.type for parameter in params]
@@ -116,13 +116,10 @@ def guarded(command: click.Command, *, reads_images: bool = True) -> click.Comma
         flag = SectionedOption(["--overwrite"], section="output", is_flag=True, help=text, **hidden)
         flag.callback = lambda context, _, value: context.meta.update({_OVERWRITE: value})
         params.append(flag)
-    if reads_images:
-        text = "Most pixels of an image that is decoded; default: 210 million."
-        most = SectionedOption(
-            ["--max-pixels"], section="advanced", metavar="N", help=text, **hidden
-        )
-        most.type, most.callback = click.IntRange(1, 2**30), _set_max_pixels
-        params.append(most)
+    text = "Most pixels of an image that is decoded; default: 210 million."
+    most = SectionedOption(["--max-pixels"], section="advanced", metavar="N", help=text, **hidden)
+    most.type, most.callback = click.IntRange(1, 2**30), _set_max_pixels
+    params.append(most)
     text = "Show the trace of an error."
     params.append(SectionedOption([DEBUG], section="advanced", is_flag=True, help=text, **hidden))
     order = get_args(Section)

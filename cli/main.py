@@ -62,7 +62,6 @@ SECTIONS = {
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
-NO_IMAGES = {"info", "dtu-pairs"}  # that read none
 
 
 class LazyGroup(click.Group):
@@ -77,7 +76,7 @@ class LazyGroup(click.Group):
         name = cmd_name.replace("-", "_")
         folder = "dgc_pose.cli.laboratory" if cmd_name in LABORATORY else "dgc_pose.cli"
         command = getattr(importlib.import_module(f"{folder}.{name}"), name)
-        return guarded(command, reads_images=cmd_name not in NO_IMAGES)
+        return guarded(command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -80,8 +80,7 @@ def check_options(options: Any) -> None:
             choices = ", ".join(map(str, get_args(kind)))
             raise InputError(name, f"must be one of {choices}, not {value!r}")
         if info is not None and not _in_range(info, value):
-            order = "be ascending and " if isinstance(value, tuple) else ""
-            raise InputError(name, f"must {order}{_range_text(info)}, not {value}")
+            raise InputError(name, f"must {_range_text(info)}, not {value}")
         if isinstance(value, float) and math.isnan(value):
             raise InputError(name, "must be a number, not nan")
 
@@ -112,30 +111,18 @@ def check_type(value: Any, kind: Any, name: str) -> None:
 
 
 def _in_range(info: OptionInfo, value: Any) -> bool:
-    """Whether a number, or each of an ascending range (low, high), is finite and within bounds."""
-    if info.min is None and info.above is None and info.max is None:
-        return True
-    values = value if isinstance(value, tuple) else (value,)
-    return list(values) == sorted(values) and all(
-        (isinstance(number, int) or math.isfinite(number))  # a long integer is no float
-        and (info.min is None or number >= info.min)
-        and (info.above is None or number > info.above)
-        and (info.max is None or number <= info.max)
-        for number in values
+    return (
+        (info.min is None or value >= info.min)
+        and (info.above is None or value > info.above)
+        and (info.max is None or value <= info.max)
     )
 
 
 def _range_text(info: OptionInfo) -> str:
+    if info.min is not None and info.max is not None:
+        return f"lie in [{info.min}, {info.max}]"
     bounds = {"above": info.above, "at least": info.min, "at most": info.max}
-    texts = {
-        words: f"{bound:g}" if isinstance(bound, float) else str(bound)
-        for words, bound in bounds.items()
-        if bound is not None
-    }
-    if texts.keys() == {"at least", "at most"}:
-        return f"lie in [{texts['at least']}, {texts['at most']}]"
-    finite = " and finite" if info.above is not None and info.max is None else ""
-    return f"be {' and '.join(f'{words} {bound}' for words, bound in texts.items())}{finite}"
+    return "be " + " and ".join(f"{words} {n}" for words, n in bounds.items() if n is not None)
 
 
 def _without_none(hint: Any) -> tuple[Any, bool]:
