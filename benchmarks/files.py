@@ -57,3 +57,8 @@ def finite_data(data: Any) -> Any:
     if isinstance(data, list | tuple):
         return [finite_data(value) for value in data]
     return finite_or_none(data) if isinstance(data, float) else data
+
+
+def split_names(text: str) -> list[str]:
+    """The names in a comma-separated list, without blanks around them; empty ones are dropped."""
+    return [name for name in (part.strip() for part in text.split(",")) if name]

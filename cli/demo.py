@@ -9,7 +9,7 @@ from click.core import ParameterSource
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, require_picture, traced
+from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, traced
 from dgc_pose.cli.options import CameraChoice
 from dgc_pose.cli.output import pose_text, row_lines
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -27,8 +27,6 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
 
     The command that is printed too does the same as one of yours.
     """
-    if outputs.plot is not None:
-        require_picture(outputs.plot)
     pair = bundled_pair()
     K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:

@@ -42,6 +42,13 @@ class Outputs:
         "Write the inliers' points in space, coloured; nothing without a pose.", "PATH.ply"
     )
 
+    def __post_init__(self) -> None:
+        """Raise InputError, before the work, for a plot of a format that cannot be drawn."""
+        if self.plot is not None:
+            from dgc_pose.viz.figure import picture_format
+
+            picture_format(self.plot)
+
 
 @click.command()
 @click.argument("image1", metavar="IMG1", type=click.Path())
@@ -63,8 +70,6 @@ def estimate(
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 and the reason
     if there is no pose, and with all of them if several explain the matches alike.
     """
-    if outputs.plot is not None:
-        require_picture(outputs.plot)
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
         trace = traced(image1, image2, cameras, matcher, estimation)
@@ -77,7 +82,11 @@ def estimate(
         if outputs.plot is not None:
             draw(trace, stage(outputs.plot))
         if outputs.ply is not None and pose.success:
-            _write_points(trace, stage(outputs.ply), outputs.ply)
+            from dgc_pose.colmap.points_file import write_points
+
+            points = trace.points3d  # in camera 1's axes
+            known = np.isfinite(points).all(axis=1)
+            write_points(stage(outputs.ply), points[known], trace.colours[known], outputs.ply)
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
     else:
@@ -112,24 +121,8 @@ def traced(
     return Trace.of(search, camera1, camera2, pose)
 
 
-def require_picture(name: str) -> None:
-    """Raise InputError, before the work, if `name` ends in no format that can be drawn."""
-    from dgc_pose.viz.figure import picture_format
-
-    picture_format(name)
-
-
 def draw(trace: Trace, file: Path) -> None:
     """Draw the figure of a trace into a file."""
     from dgc_pose.viz import plot_pose, save_figure
 
     save_figure(plot_pose(trace), file)
-
-
-def _write_points(trace: Trace, file: Path, name: str) -> None:
-    """Write the points of a trace, in camera 1's axes, as PLY."""
-    from dgc_pose.colmap.points_file import write_points
-
-    points = trace.points3d
-    known = np.isfinite(points).all(axis=1)
-    write_points(file, points[known], trace.colours[known], name)

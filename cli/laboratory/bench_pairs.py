@@ -10,6 +10,7 @@ import click
 
 from dgc_pose.benchmarks.camera_summary import camera_table, summarise_cameras
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
@@ -31,7 +32,6 @@ from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, open_store, work
-from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text

@@ -8,12 +8,11 @@ import click
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.files import finite_data, table
+from dgc_pose.benchmarks.files import finite_data, split_names, table
 from dgc_pose.benchmarks.posed_views import views_of_dtu, views_of_list
 from dgc_pose.benchmarks.reconstructions import COLMAP_SIFT, COLUMNS, run_method
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import split_names
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions

@@ -12,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.curves import plot_pck, plot_reliability
+from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
 from dgc_pose.benchmarks.map_report import (
     ALL,
@@ -22,7 +23,6 @@ from dgc_pose.benchmarks.map_report import (
     write_pairs,
 )
 from dgc_pose.cli.guard import OutputFile, OutputFolder
-from dgc_pose.cli.options import split_names
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
 from dgc_pose.network.stored import shipped

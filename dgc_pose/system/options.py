@@ -60,7 +60,13 @@ def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
     The types must be importable at run time, not under TYPE_CHECKING alone.
     """
     hints = get_type_hints(cls)
-    return {of.name: _without_none(hints[of.name]) for of in fields(cls)}
+    types = {}
+    for of in fields(cls):
+        hint = hints[of.name]
+        kinds = [kind for kind in get_args(hint) if kind is not type(None)]
+        only = get_origin(hint) in (Union, UnionType) and len(kinds) == 1
+        types[of.name] = (kinds[0], True) if only else (hint, False)
+    return types
 
 
 def check_options(options: Any) -> None:
@@ -123,9 +129,3 @@ def _range_text(info: OptionInfo) -> str:
         return f"lie in [{info.min}, {info.max}]"
     bounds = {"above": info.above, "at least": info.min, "at most": info.max}
     return "be " + " and ".join(f"{words} {n}" for words, n in bounds.items() if n is not None)
-
-
-def _without_none(hint: Any) -> tuple[Any, bool]:
-    kinds = [kind for kind in get_args(hint) if kind is not type(None)]
-    is_union = get_origin(hint) in (Union, UnionType)
-    return (kinds[0], True) if is_union and len(kinds) == 1 else (hint, False)

@@ -7,8 +7,8 @@ images, (0, 0) the centre of the top-left pixel.
 
 from dgc_pose.viz.figure import new_figure, save_figure
 from dgc_pose.viz.panels import (
+    draw_curves,
     draw_image,
-    draw_lines,
     draw_matchability,
     draw_matches,
     draw_points,
@@ -19,7 +19,7 @@ from dgc_pose.viz.pose_figure import plot_pose
 
 __all__ = [
     "draw_image",
-    "draw_lines",
+    "draw_curves",
     "draw_matchability",
     "draw_matches",
     "draw_points",

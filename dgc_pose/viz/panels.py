@@ -70,20 +70,9 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
 
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
-    """Mark points (N, 2), each in the colour of its line by `draw_lines`."""
+    """Mark points (N, 2), each in the colour of its curve by `draw_curves`."""
     colours = _line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
-
-
-def draw_lines(axes: Axes, lines: np.ndarray) -> None:
-    """Draw lines (N, 3), a x + b y + c = 0 in pixels, across axes whose limits are set."""
-    for (a, b, c), colour in zip(lines, _line_colours(len(lines)), strict=True):
-        norm = np.hypot(a, b)
-        if norm == 0:
-            continue  # the line at infinity: its point is the epipole
-        foot = np.array([-a * c, -b * c]) / norm**2
-        along = np.array([b, -a]) / norm
-        axes.axline(tuple(foot), tuple(foot + along), color=colour, linewidth=1.2)
 
 
 def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:

@@ -18,7 +18,6 @@ from dgc_pose.viz.panels import (
     draw_colour_bar,
     draw_curves,
     draw_image,
-    draw_lines,
     draw_matchability,
     draw_matches,
     draw_points,
@@ -111,10 +110,7 @@ def _draw_epipolar(left: Axes, right: Axes, trace: Trace, drawn: np.ndarray) -> 
     draw_image(right, trace.image2.pixels)
     if trace.pose.E is not None:
         lines = homogeneous(trace.camera1.normalise(matches.points1)) @ trace.pose.E.T
-        if trace.camera2.distortion is None:
-            draw_lines(right, lines @ np.linalg.inv(trace.camera2.K))
-        else:
-            draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
+        draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
     draw_points(left, matches.points1)
     draw_points(right, matches.points2)
 

@@ -5,7 +5,6 @@ from dgc_pose.matching.warp import SHOWN_SIDE
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.panels import (
     draw_image,
-    draw_lines,
     draw_matchability,
     draw_matches,
     draw_warp,
@@ -48,19 +47,6 @@ def test_matches_join_the_same_places_of_both_pictures(axes):
     assert last[1] == pytest.approx([right[1], right[2]])
     low, high = axes.collections[0].get_colors()
     assert not np.allclose(low, high)
-
-
-@pytest.mark.parametrize("line", [(1.0, 0.0, -7.0), (3.0, 4.0, -60.0)])
-def test_a_line_is_drawn_where_its_equation_says(axes, line):
-    draw_image(axes, picture(40, 30))
-    draw_lines(axes, np.array([[0.0, 0.0, 1.0], line]))  # the line at infinity is left out
-    axes.figure.canvas.draw()
-    (drawn,) = axes.lines
-    path = drawn.get_path().transformed(drawn.get_transform() - axes.transData)
-    a, b, c = line
-    for x, y in path.vertices:
-        assert a * x + b * y + c == pytest.approx(0, abs=1e-6)
-    assert np.ptp(path.vertices, axis=0).max() > 20  # it crosses the picture
 
 
 def test_a_paler_warp_where_less_matchable(axes):
