@@ -31,13 +31,6 @@ _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report"
             "serve needs starlette and uvicorn, which are not installed: pip install '.[serve]'",
         ),
         (
-            (
-                *("batch", "{}", *_K, "--pairs", "exhaustive", "--out", "x"),
-                *("--engine", "ray"),
-            ),
-            "engine ray needs ray, which is not installed: pip install '.[ray]'",
-        ),
-        (
             ("fit-probability", "--data", ".", "--out", "x", "--plan", "{}/plan.json"),
             "fit-probability needs scikit-learn and scipy, which are not installed: "
             "pip install '.[fit]'",

@@ -43,15 +43,6 @@ def requirements(lines: str) -> list[Requirement]:
     ]
 
 
-def test_every_folder_of_modules_is_a_listed_package(setup: configparser.ConfigParser) -> None:
-    packages = set()
-    for folder, package in MAPPED.items():
-        for module in (ROOT / folder).rglob("*.py"):
-            assert (module.parent / "__init__.py").is_file(), f"{module.parent} has no __init__.py"
-            packages.add(".".join((package, *module.parent.relative_to(ROOT / folder).parts)))
-    assert set(setup["options"]["packages"].split()) == packages
-
-
 def test_what_needs_no_heavy_library_imports_none() -> None:
     code = "import sys, {}; print([n for n in {} if n in sys.modules])"
     heavy = ("torch", "cv2", "matplotlib", "pycolmap")

@@ -1,11 +1,9 @@
-"""Damage to files as strategies: bytes anywhere, and words, members and columns where a format has
-them, so that the damage gets past checksums and compression."""
+"""Damage to files as strategies: bytes anywhere, and words and members where a format has them, so
+that the damage gets past compression."""
 
 import io
 import re
-import sqlite3
 import zipfile
-from contextlib import closing, suppress
 
 from hypothesis import strategies as st
 
@@ -13,9 +11,6 @@ _NUMBERS = (0, 1, 255, 256, 30_000, 65_535, 10**6, 2**31 - 10, 2**31 - 1, 2**31,
 _WORDS = (
     'nan inf -inf 1e400 -1 0 -0.0 1e-320 1e308 0x10 1_000 ٣ ¼ 1,5 true null None {} [] "x" - . ../b'
 ).split() + ["", "9" * 5000, "\0", "\ufeff", "é" * 300, '"' + "x" * 140_000, "[" * 2000, "\n\r"]
-_COLUMN_VALUES = (
-    st.none() | st.text(max_size=9) | st.integers(-1, 2**63 - 1) | st.floats() | st.binary()
-)
 
 
 def damaged(data: bytes) -> st.SearchStrategy[bytes]:
@@ -23,8 +18,6 @@ def damaged(data: bytes) -> st.SearchStrategy[bytes]:
     kinds = [st.just(data), _edited(data), _edited(data).flatmap(_edited)]
     if data.startswith(b"PK"):
         kinds += 3 * [_members(data)]
-    elif data.startswith(b"SQLite"):
-        kinds += 3 * [_tables(data)]
     elif b"\0" not in data:
         kinds += 3 * [_words(data)]
     return st.one_of(kinds)
@@ -69,28 +62,3 @@ def _members(draw: st.DrawFn, data: bytes) -> bytes:
         for name, body in members.items():
             archive.writestr(name, body)
     return stream.getvalue()
-
-
-@st.composite
-def _tables(draw: st.DrawFn, data: bytes) -> bytes:
-    """A table of an SQLite database is missing, a view, or has another value in a column."""
-    with closing(sqlite3.connect(":memory:")) as database:
-        database.deserialize(data[:18] + b"\1\1" + data[20:])  # no log beside it, as COLMAP has
-        names = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
-        table = draw(st.sampled_from([name for (name,) in names if "sqlite_" not in name]))
-        columns = [row[1] for row in database.execute(f"PRAGMA table_info([{table}])")]
-        column = draw(st.sampled_from(columns))
-        change = draw(st.sampled_from(("value", "value", "value", "drop", "rename", "view")))
-        if change == "value":
-            value = draw(_COLUMN_VALUES)
-            with suppress(sqlite3.IntegrityError):  # a key must be an integer
-                database.execute(f"UPDATE OR IGNORE [{table}] SET [{column}] = ?", (value,))
-        elif change == "drop":
-            database.execute(f"DROP TABLE [{table}]")
-        elif change == "rename":
-            database.execute(f"ALTER TABLE [{table}] RENAME COLUMN [{column}] TO other")
-        else:
-            database.execute(f"ALTER TABLE [{table}] RENAME TO other")
-            database.execute(f"CREATE VIEW [{table}] AS SELECT * FROM other")
-        database.commit()
-        return bytes(database.serialize())

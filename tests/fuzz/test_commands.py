@@ -2,7 +2,6 @@
 
 import faulthandler
 import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -100,25 +99,6 @@ def test_an_output_that_exists_is_replaced_with_overwrite_alone(
     assert Path(name).read_bytes() == b"of the user"
     assert run(*ESTIMATE, *K, option, name, "--overwrite").exit_code == 0
     assert Path(name).read_bytes() != b"of the user"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((*ESTIMATE, *K, "--matches", "-"), "a file called - is ./-"),
-        ((*ESTIMATE, *K, "--json", "o.json/"), "must be a file"),
-        (("estimate", "-b.png", "two.png", *K), "No such option '-b'"),
-        (("train", "--photos", ".", "--out", "new", "--split", "nan,50,50"), "sum to 1"),
-        ((*BENCH, "--out", ""), "a path is needed"),
-        ((*BENCH, "--photos", "."), "one of them"),
-    ],
-    ids=lambda value: " ".join(value[-3:]) if isinstance(value, tuple) else "",
-)
-def test_words(folder: Path, arguments: tuple, words: str) -> None:
-    shutil.copy("one.png", "-b.png")
-    before = contents(folder)
-    assert_refused(run(*arguments), words)
-    assert contents(folder) == before
 
 
 def test_max_pixels_bounds_what_is_decoded(folder: Path) -> None:

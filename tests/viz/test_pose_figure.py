@@ -25,11 +25,6 @@ def trace_of(correspondence_map):
     )
 
 
-def figure_of(correspondence_map):
-    trace = trace_of(correspondence_map)
-    return plot_pose(trace), trace.pose
-
-
 def title(axes):
     return axes.get_title(loc="left")
 
@@ -92,14 +87,16 @@ def test_of_an_ambiguous_pair_neither_pose_is_drawn():
 
 
 def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
-    figure, pose = figure_of(dense_scene.noise_map())
+    trace = trace_of(dense_scene.noise_map())
+    figure, pose = plot_pose(trace), trace.pose
     assert not pose.success
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     nothing = dense_scene.make_map(
         np.full((4, 4, 2), -9.0, np.float32), np.zeros((4, 4, 2), np.float32)
     )
-    figure, pose = figure_of(nothing)
-    assert pose.num_matches == 0
+    trace = trace_of(nothing)
+    figure = plot_pose(trace)
+    assert trace.pose.num_matches == 0
     save_figure(figure, tmp_path / "p.png")
     assert cv2.imread(str(tmp_path / "p.png")) is not None
 
@@ -134,7 +131,6 @@ def with_sizes(trace, size1, size2):
     [
         ((320, 240), (320, 240)),
         ((400, 300), (300, 300)),
-        ((300, 400), (300, 400)),
         ((320, 1500), (320, 1500)),
         ((3000, 100), (3000, 100)),
     ],

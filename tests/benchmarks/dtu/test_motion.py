@@ -43,7 +43,6 @@ def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
     assert everywhere.get_xlim() == confident.get_xlim()
     median = np.median([row.epipolar_all_px for row in rows if row.method == "net"])
     assert legend(everywhere)[0] == f"net, median {median:.2f} px"
-    assert "native" in confident.get_xlabel() and "(pixels)" in confident.get_xlabel()
     # One colour a method, in both panels.
     assert everywhere.lines[1].get_color() == confident.lines[1].get_color()
     assert everywhere.lines[0].get_linestyle() != everywhere.lines[1].get_linestyle()
@@ -66,8 +65,7 @@ def test_medians_of_equally_many_pairs_by_increasing_x() -> None:
 
 def test_errors_are_drawn_against_both_motions_and_failures_at_the_top(rows) -> None:
     figure = plot_against_motion(rows)
-    top_left, top_right, bottom_left, bottom_right = figure.axes
-    assert "rotation" in bottom_left.get_xlabel() and "(mm)" in bottom_right.get_xlabel()
+    top_left, top_right, bottom_left, _ = figure.axes
     of_net = [row for row in rows if row.method == "net"]
     dots = np.asarray(top_right.collections[0].get_offsets())
     assert dots[:, 0] == pytest.approx([row.true_baseline_mm for row in of_net])
