@@ -20,7 +20,6 @@ from dgc_pose.system.options import Section
 STDOUT = "-"
 DEBUG = "--debug"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
-_OVERWRITE = "overwrite"
 _COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
 # Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
 _SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
@@ -114,7 +113,7 @@ def guarded(command: click.Command) -> click.Command:
     if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
         text = "Replace outputs that exist, but never an input."
         flag = SectionedOption(["--overwrite"], section="output", is_flag=True, help=text, **hidden)
-        flag.callback = lambda context, _, value: context.meta.update({_OVERWRITE: value})
+        flag.callback = lambda context, _, value: context.meta.update({"overwrite": value})
         params.append(flag)
     text = "Most pixels of an image that is decoded; default: 210 million."
     most = SectionedOption(["--max-pixels"], section="advanced", metavar="N", help=text, **hidden)
@@ -129,7 +128,7 @@ def guarded(command: click.Command) -> click.Command:
 
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
-    return bool(click.get_current_context().meta.get(_OVERWRITE))
+    return bool(click.get_current_context().meta.get("overwrite"))
 
 
 def _section(option: click.Option) -> Section:

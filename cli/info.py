@@ -59,7 +59,11 @@ def _facts() -> dict[str, dict[str, str]]:
             "memory": f"{memory:.1f} GiB",
         },
         "libraries": {name: _library(name) for name in _LIBRARIES},
-        "weights": {f.name: _digest(f) for f in sorted(package.glob("weights/*.safetensors"))},
+        "weights": {
+            file.name: f"{file.stat().st_size / 1e6:.1f} MB, "
+            f"sha256 {hashlib.sha256(file.read_bytes()).hexdigest()[:16]}"
+            for file in sorted(package.glob("weights/*.safetensors"))
+        },
         "devices": devices,
         "threads": threads,
         "environment": {name: os.environ[name] for name in _VARIABLES if name in os.environ},
@@ -78,12 +82,6 @@ def _library(name: str) -> str:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return _ABSENT
-
-
-def _digest(file: Path) -> str:
-    """The size of a file and the first digits of its sha256."""
-    data = file.read_bytes()
-    return f"{len(data) / 1e6:.1f} MB, sha256 {hashlib.sha256(data).hexdigest()[:16]}"
 
 
 def _devices_and_threads() -> tuple[dict[str, str], dict[str, str]]:

@@ -25,7 +25,6 @@ from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reaso
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
 LONGEST = 1000  # characters of a message
-INTERRUPTED = 130  # what shells report after SIGINT
 # How long a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits for the others.
 # With the default of 300,000 rounds, a machine that has another busy process spends most of its
 # time spinning.
@@ -132,7 +131,7 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
     """What is printed of an error, None for nothing, and the exit code."""
     match error:
         case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
-            return "interrupted", INTERRUPTED
+            return "interrupted", 128 + signal.SIGINT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
         case ImageSizeError():

@@ -19,9 +19,9 @@ from dgc_pose.files.outputs import writing
 class Stopped(BaseException):
     """A signal asked the process to end. Like KeyboardInterrupt no `Exception`."""
 
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    @property
+    def number(self) -> int:
+        return int(self.args[0])
 
 
 @contextmanager

@@ -96,11 +96,10 @@ def check_type(value: Any, kind: Any, name: str) -> None:
     str, Path, a class or a tuple of these."""
     kinds, parts = get_args(kind), (value,)
     if get_origin(kind) is tuple:
-        if not isinstance(value, tuple):
-            raise InputError(ArgumentName(name), f"must be a tuple, not {value!r}")
-        if kinds[-1] is not Ellipsis and len(kinds) != len(value):
-            words = f"must have {len(kinds)} values, not {len(value)}"
-            raise InputError(ArgumentName(name), words)
+        count = None if kinds[-1] is Ellipsis else len(kinds)
+        if not isinstance(value, tuple) or count not in (None, len(value)):
+            words = "must be a tuple" if count is None else f"must be a tuple of {count}"
+            raise InputError(ArgumentName(name), f"{words}, not {value!r}")
         kinds, parts = kinds[:1], value
     elif get_origin(kind) not in (Union, UnionType):
         kinds = (kind,)

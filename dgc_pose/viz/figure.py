@@ -45,8 +45,7 @@ def picture_format(path: str | Path) -> str:
     """The format of a file name's ending. Raises InputError if no picture is written in it."""
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in _FORMATS:
-        *others, last = (f".{name}" for name in _FORMATS)
-        raise InputError(f"{path}: a plot is written as {', '.join(others)} or {last}")
+        raise InputError(f"{path}: a plot is written as one of {', '.join(_FORMATS)}")
     return suffix
 
 
@@ -89,9 +88,10 @@ def panel_rows(
     """
     head = _wrapped(headline, width - 2 * _MARGIN)
     heights = [row_height(row, width) for row in rows]
-    strips = [
-        max(_strip(p, p.aspect * h) for p in row) for row, h in zip(rows, heights, strict=True)
-    ]
+    strips = []  # heights of titles, and of the colour bars below them
+    for row, h in zip(rows, heights, strict=True):
+        lines = (len(_wrapped(p.title, p.aspect * h)) * _LINE + _BAR_LINE * p.bar for p in row)
+        strips.append(0.14 + max(lines))
     top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
     total = top + sum(heights) + sum(strips) + _MARGIN
     figure = new_figure(width, total, layout=None)
@@ -120,8 +120,3 @@ def panel_rows(
 
 def _wrapped(text: str, width: float) -> list[str]:
     return textwrap.wrap(text, max(8, int(width / _CHARACTER)))
-
-
-def _strip(panel: Panel, width: float) -> float:
-    """Height in inches of the title, and of the colour bar below it."""
-    return 0.14 + _LINE * len(_wrapped(panel.title, width)) + _BAR_LINE * panel.bar
