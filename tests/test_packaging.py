@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 from packaging.requirements import Requirement
 
 from dgc_pose import errors
@@ -76,22 +75,6 @@ def test_each_missing_package_is_told_with_the_extra_that_has_it(
         )
         names = {requirement.name for requirement in requirements(listed)}
         assert set(modules.values()) <= names if extra == "" else set(modules.values()) == names
-
-
-def test_an_installation_of_everything_has_each_extra(setup: configparser.ConfigParser) -> None:
-    """`all` has those that a user asks for, and `dev` all of them."""
-    extras = setup["options.extras_require"]
-    (everything,) = requirements(extras["all"])
-    assert everything.extras == set(extras) - {"all", "dev", "docs", "export"}
-    assert "dgc-pose[all]" in extras["dev"].split()
-
-
-def test_the_citation_is_of_this_version(setup: configparser.ConfigParser) -> None:
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    own = setup["metadata"]
-    assert (citation["title"], citation["version"]) == (own["name"], own["version"])
-    assert citation["license"] == own["license_expression"]
-    assert {"cff-version", "message", "authors"} <= set(citation)
 
 
 def run_elsewhere(code: str) -> str:

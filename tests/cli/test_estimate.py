@@ -121,16 +121,6 @@ def test_noise_has_no_pose(folder, network):
     assert text.stdout.startswith("no pose ") and data["warnings"][0] in text.stdout
 
 
-def test_a_pure_rotation_keeps_R_and_says_that_t_is_undefined(folder, network):
-    network(dense_scene.true_map(np.zeros(3), error_px=0.3))
-    result = estimate("--json", "-")
-    assert result.exit_code == 3
-    data = json.loads(result.stdout)
-    assert data["status"] == "rotation_only" and data["success"] is False
-    assert data["t"] is None
-    assert rotation_error_deg(np.array(data["R"]), dense_scene.R) < 0.1
-
-
 def test_an_ambiguous_pair_exits_with_3_and_has_both_poses(folder, network, monkeypatch):
     def estimated(matches, *others, **more):
         return ambiguous_pose(len(matches))

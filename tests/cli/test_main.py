@@ -75,13 +75,6 @@ def test_what_people_use_first_is_first(monkeypatch, command, more):
     assert {"--K-size", "--K-std", "--max-pixels", "--debug"} < {*options[options.index("-h,") :]}
 
 
-@pytest.mark.parametrize("name", SUBCOMMANDS)
-def test_every_command_has_help_and_bounds_the_pixels_that_it_reads(name):
-    result = run(name, "--help")
-    assert result.exit_code == 0 and result.stdout.startswith("Usage: ")
-    assert "--max-pixels" in result.stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "heavy"),
     [

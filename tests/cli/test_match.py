@@ -49,12 +49,11 @@ def test_map_and_matches_are_written(network):
     assert "one.png" not in result.stderr
 
 
-@pytest.mark.parametrize("refine, error", [("none", (0.5, 1.5)), ("map", (0.0, 0.1))])
-def test_matches_written_are_refined_and_the_map_is_not(network, refine, error):
+def test_matches_written_are_refined_and_the_map_is_not(network):
     network(OFF)
-    result = match("--refine", refine)
+    result = match("--refine", "map")
     assert result.exit_code == 0, result.stderr
     with np.load("m.npz", allow_pickle=False) as file:
         assert np.array_equal(file["map"], OFF.map)
         off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
-    assert error[0] < np.median(np.linalg.norm(off, axis=1)) < error[1]
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.1  # of the map 0.7 and more

@@ -7,11 +7,10 @@ import pytest
 from ambiguous_pose import ambiguous_pose
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.pose import estimate_relative_pose
-from dgc_pose.viz.figure import picture_format, save_figure
+from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.pose_figure import plot_pose
 
 
@@ -171,11 +170,3 @@ def overlap(box1, box2):
     """Whether two boxes share more than a pixel in both directions."""
     low, high = np.maximum(box1.min, box2.min), np.minimum(box1.max, box2.max)
     return bool((high - low > 1).all())
-
-
-def test_the_ending_of_a_name_chooses_the_format():
-    assert picture_format("a/b.PNG") == "png"
-    assert picture_format("b.svg") == "svg"
-    for name in ("plot", "plot.docx", ".png"):
-        with pytest.raises(InputError):
-            picture_format(name)

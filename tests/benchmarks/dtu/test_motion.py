@@ -2,8 +2,12 @@ import dtu_report
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.dtu import motion
-from dgc_pose.benchmarks.dtu.motion import WORST, binned_medians
+from dgc_pose.benchmarks.dtu.motion import (
+    WORST,
+    binned_medians,
+    plot_against_motion,
+    plot_histograms,
+)
 from dgc_pose.benchmarks.summary import columns
 
 
@@ -12,21 +16,13 @@ def rows(tmp_path_factory):
     return dtu_report.finished_run(tmp_path_factory.mktemp("run")).rows
 
 
-def plot_histograms(rows):
-    return motion.plot_histograms(columns(rows), rows[0].protocol)
-
-
-def plot_against_motion(rows):
-    return motion.plot_against_motion(columns(rows))
-
-
 def legend(axes):
     return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 @pytest.mark.parametrize("name", ["rotation", "translation"])
 def test_the_curves_of_angles_are_those_of_the_rows(rows, name) -> None:
-    (axes,) = plot_histograms(rows)[name].axes
+    (axes,) = plot_histograms(columns(rows), "native")[name].axes
     limit = axes.get_xlim()[1]
     assert f"{name} error (degrees)" in axes.get_xlabel()
     for method, line in zip(dtu_report.METHODS, axes.lines, strict=True):
@@ -37,7 +33,7 @@ def test_the_curves_of_angles_are_those_of_the_rows(rows, name) -> None:
 
 
 def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
-    everywhere, confident = plot_histograms(rows)["epipolar"].axes
+    everywhere, confident = plot_histograms(columns(rows), "native")["epipolar"].axes
     assert [text.split(",")[0] for text in legend(everywhere)] == ["net", "net/all"]
     assert [text.split(",")[0] for text in legend(confident)] == [*dtu_report.METHODS]
     assert everywhere.get_xlim() == confident.get_xlim()
@@ -47,7 +43,7 @@ def test_methods_without_a_map_are_left_out_over_all_pixels(rows) -> None:
     assert everywhere.lines[1].get_color() == confident.lines[1].get_color()
     assert everywhere.lines[0].get_linestyle() != everywhere.lines[1].get_linestyle()
     of_points = [row for row in rows if row.method == "points"]
-    everywhere, confident = plot_histograms(of_points)["epipolar"].axes
+    everywhere, confident = plot_histograms(columns(of_points), "native")["epipolar"].axes
     assert not everywhere.lines and len(confident.lines) == 1
 
 
@@ -64,7 +60,7 @@ def test_medians_of_equally_many_pairs_by_increasing_x() -> None:
 
 
 def test_errors_are_drawn_against_both_motions_and_failures_at_the_top(rows) -> None:
-    figure = plot_against_motion(rows)
+    figure = plot_against_motion(columns(rows))
     top_left, top_right, bottom_left, _ = figure.axes
     of_net = [row for row in rows if row.method == "net"]
     dots = np.asarray(top_right.collections[0].get_offsets())
