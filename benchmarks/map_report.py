@@ -4,8 +4,8 @@ import csv
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
-from dgc_pose.files.json_files import finite_data
-from dgc_pose.files.tables import aligned, decimals
+from dgc_pose.benchmarks.files import decimals, finite_data
+from dgc_pose.files.tables import aligned
 from dgc_pose.network.config import LEVEL_SIZES
 from dgc_pose.training.evaluation.map_scores import (
     FOUND_PX,

@@ -6,9 +6,11 @@ import click
 import numpy as np
 from click.core import ParameterSource
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, bundled_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, Outputs, check_picture, draw, run_pipeline
+from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, traced
+from dgc_pose.cli.options import CameraChoice
 from dgc_pose.cli.output import pose_text, row_lines
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files.outputs import staged
@@ -25,13 +27,13 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
 
     The command that is printed too does the same as one of yours.
     """
-    check_picture(outputs.plot)
     pair = bundled_pair()
-    cameras = (pair.camera1, pair.camera2)
+    K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:
-        trace = run_pipeline(pair.path1, pair.path2, lambda *_: cameras, matcher, estimation)
-        draw(trace, stage, outputs.plot)
-    K1, K2 = (",".join(f"{camera.K[at]:.15g}" for at in _NUMBERS_OF_K) for camera in cameras)
+        choice = CameraChoice(k1=K1, k2=K2)
+        trace = traced(pair.path1, pair.path2, choice, matcher, estimation)
+        if outputs.plot is not None:
+            draw(trace, stage(outputs.plot))
     click.echo(f"image 1: {pair.path1}, K {K1}\nimage 2: {pair.path2}, K {K2}\n")
     words = ["dgc-pose", "estimate", str(pair.path1), str(pair.path2), "--K1", K1, "--K2", K2]
     click.echo(f"the same by: {shlex.join([*words, *_chosen(click.get_current_context())])}\n")
@@ -42,7 +44,9 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
     return 0
 
 
-_NUMBERS_OF_K = ((0, 0), (1, 1), (0, 2), (1, 2))  # fx, fy, cx, cy, as --K takes them
+def _numbers(camera: Camera) -> str:
+    """fx, fy, cx and cy, as --K takes them."""
+    return ",".join(f"{value:.15g}" for value in camera.K[(0, 1, 0, 1), (0, 1, 2, 2)])
 
 
 def _chosen(context: click.Context) -> list[str]:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice
@@ -19,7 +17,7 @@ from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
@@ -29,34 +27,27 @@ if TYPE_CHECKING:
 NO_POSE = 3  # exit code if there is no pose
 
 
+def _file(help: str, metavar: str, *, stdout: bool = False) -> Any:
+    return option(None, help, metavar=metavar, type=OutputFile(stdout=stdout))
+
+
 @dataclass(frozen=True)
 class Outputs:
     """The files to write."""
 
-    json: str | None = option(
-        None,
-        "Write the pose as JSON; - for stdout.",
-        metavar="PATH|-",
-        type=OutputFile(stdout=True),
+    json: str | None = _file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
+    matches: str | None = _file("Write the matches and which are inliers.", "PATH.npz")
+    plot: str | None = _file("Draw inliers, epipolar lines and the warp.", "PATH.png")
+    ply: str | None = _file(
+        "Write the inliers' points in space, coloured; nothing without a pose.", "PATH.ply"
     )
-    matches: str | None = option(
-        None,
-        "Write the matches and which are inliers.",
-        metavar="PATH.npz",
-        type=OutputFile(),
-    )
-    plot: str | None = option(
-        None,
-        "Draw inliers, epipolar lines and the warp.",
-        metavar="PATH.png",
-        type=OutputFile(),
-    )
-    ply: str | None = option(
-        None,
-        "Write the inliers' points in space, coloured; nothing without a pose.",
-        metavar="PATH.ply",
-        type=OutputFile(),
-    )
+
+    def __post_init__(self) -> None:
+        """Raise InputError, before the work, for a plot of a format that cannot be drawn."""
+        if self.plot is not None:
+            from dgc_pose.viz.figure import picture_format
+
+            picture_format(self.plot)
 
 
 @click.command()
@@ -79,19 +70,23 @@ def estimate(
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 and the reason
     if there is no pose, and with all of them if several explain the matches alike.
     """
-    check_picture(outputs.plot)
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
-        trace = run_pipeline(image1, image2, cameras.resolve, matcher, estimation)
+        trace = traced(image1, image2, cameras, matcher, estimation)
         pose, data = trace.pose, json_text(trace.pose.as_dict())
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
             arrays = matches_arrays(trace.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)
-        draw(trace, stage, outputs.plot)
+        if outputs.plot is not None:
+            draw(trace, stage(outputs.plot))
         if outputs.ply is not None and pose.success:
-            _write_points(trace, stage(outputs.ply), outputs.ply)
+            from dgc_pose.colmap.points_file import write_points
+
+            points = trace.points3d  # in camera 1's axes
+            known = np.isfinite(points).all(axis=1)
+            write_points(stage(outputs.ply), points[known], trace.colours[known], outputs.ply)
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
     else:
@@ -101,21 +96,18 @@ def estimate(
     return 0 if pose.success else NO_POSE
 
 
-def run_pipeline(
+def traced(
     path1: str | Path,
     path2: str | Path,
-    resolve: Callable[[Image, Image], tuple[Camera, Camera]],
+    cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> Trace:
-    """Read both images, get their cameras from `resolve`, load the matcher, estimate the pose.
-
-    resolve: raises InputError if a camera does not fit its image. In `seconds` of the pose, `load`
-    is the time for images and weights.
-    """
+    """The trace of the pose of two images. In its `seconds`, `load` is the time for images and
+    weights."""
     start = time.perf_counter()
     image1, image2 = load_image(path1), load_image(path2)
-    camera1, camera2 = resolve(image1, image2)
+    camera1, camera2 = cameras.resolve(image1, image2)
     read_seconds = time.perf_counter() - start
     from dgc_pose.pose import pose_of_pair  # heavy; unusable input is refused without it
     from dgc_pose.trace import Trace
@@ -129,27 +121,8 @@ def run_pipeline(
     return Trace.of(search, camera1, camera2, pose)
 
 
-def draw(trace: Trace, stage: Callable[[str], Path], name: str | None) -> None:
-    """Draw the trace of a pose into the staged output `name`, unless that is None."""
-    if name is None:
-        return
+def draw(trace: Trace, file: Path) -> None:
+    """Draw the figure of a trace into a file."""
     from dgc_pose.viz import plot_pose, save_figure
 
-    save_figure(plot_pose(trace), stage(name))
-
-
-def _write_points(trace: Trace, file: Path, name: str) -> None:
-    """Write the points of a trace, in camera 1's axes, as PLY."""
-    from dgc_pose.colmap.points_file import write_points
-
-    points = trace.points3d
-    known = np.isfinite(points).all(axis=1)
-    write_points(file, points[known], trace.colours[known], name)
-
-
-def check_picture(name: str | None) -> None:
-    """Raise InputError, before the work, if `name` ends in no format that can be drawn."""
-    if name is not None:
-        from dgc_pose.viz.figure import picture_format
-
-        picture_format(name)
+    save_figure(plot_pose(trace), file)

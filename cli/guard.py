@@ -20,7 +20,6 @@ from dgc_pose.system.options import Section
 STDOUT = "-"
 DEBUG = "--debug"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
-_OVERWRITE = "overwrite"
 _COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
 # Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
 _SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
@@ -51,12 +50,9 @@ class OutputFile(click.Path):
             if not self.stdout:
                 raise InputError("only --json goes to stdout; a file called - is ./-")
             return
-        target = output_target(path)
         require_no_input([path], _inputs(context))
-        if target.exists() and not overwrites():
+        if output_target(path).exists() and not overwrites():
             raise InputError(f"{path} is there already: --overwrite replaces it")
-        if not target.parent.is_dir():
-            raise InputError(f"{path}: no such folder to write it into")
 
 
 class OutputFolder(NamedPath):
@@ -110,22 +106,19 @@ class GuardedCommand(click.Command):
                     formatter.write_dl(shown, col_max=_COLUMN)
 
 
-def guarded(command: click.Command, *, reads_images: bool = True) -> click.Command:
+def guarded(command: click.Command) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
     params, hidden = list(command.params), {"expose_value": False}
     kinds = [parameter.type for parameter in params]
     if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
         text = "Replace outputs that exist, but never an input."
         flag = SectionedOption(["--overwrite"], section="output", is_flag=True, help=text, **hidden)
-        flag.callback = lambda context, _, value: context.meta.update({_OVERWRITE: value})
+        flag.callback = lambda context, _, value: context.meta.update({"overwrite": value})
         params.append(flag)
-    if reads_images:
-        text = "Most pixels of an image that is decoded; default: 210 million."
-        most = SectionedOption(
-            ["--max-pixels"], section="advanced", metavar="N", help=text, **hidden
-        )
-        most.type, most.callback = click.IntRange(1, 2**30), _set_max_pixels
-        params.append(most)
+    text = "Most pixels of an image that is decoded; default: 210 million."
+    most = SectionedOption(["--max-pixels"], section="advanced", metavar="N", help=text, **hidden)
+    most.type, most.callback = click.IntRange(1, 2**30), _set_max_pixels
+    params.append(most)
     text = "Show the trace of an error."
     params.append(SectionedOption([DEBUG], section="advanced", is_flag=True, help=text, **hidden))
     order = get_args(Section)
@@ -135,7 +128,7 @@ def guarded(command: click.Command, *, reads_images: bool = True) -> click.Comma
 
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
-    return bool(click.get_current_context().meta.get(_OVERWRITE))
+    return bool(click.get_current_context().meta.get("overwrite"))
 
 
 def _section(option: click.Option) -> Section:

@@ -19,19 +19,12 @@ import click
 from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
-from dgc_pose.cli.process import (
-    Stopped,
-    plain_warnings,
-    say,
-    standard_streams,
-    stopped_by_signals,
-)
+from dgc_pose.cli.process import Stopped, command_process, say
 from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason, shortened
 
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
 LONGEST = 1000  # characters of a message
-INTERRUPTED = 130  # what shells report after SIGINT
 # How long a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits for the others.
 # With the default of 300,000 rounds, a machine that has another busy process spends most of its
 # time spinning.
@@ -68,7 +61,6 @@ SECTIONS = {
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
-NO_IMAGES = {"info", "dtu-pairs"}  # that read none
 
 
 class LazyGroup(click.Group):
@@ -83,8 +75,7 @@ class LazyGroup(click.Group):
         name = cmd_name.replace("-", "_")
         folder = "dgc_pose.cli.laboratory" if cmd_name in LABORATORY else "dgc_pose.cli"
         command = getattr(importlib.import_module(f"{folder}.{name}"), name)
-        assert isinstance(command, click.Command)
-        return guarded(command, reads_images=cmd_name not in NO_IMAGES)
+        return guarded(command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -122,7 +113,7 @@ class LazyGroup(click.Group):
         words = kwargs.get("args") or (args[0] if args else None) or sys.argv[1:]
         debug = DEBUG in words
         try:
-            with stopped_by_signals(), standard_streams(), plain_warnings(shown=debug):
+            with command_process(debug=debug):
                 status = super().main(*args, **kwargs)
                 sys.stdout.flush()  # a full disk shows here, and not when the process ends
         except SystemExit:
@@ -140,7 +131,7 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
     """What is printed of an error, None for nothing, and the exit code."""
     match error:
         case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
-            return "interrupted", INTERRUPTED
+            return "interrupted", 128 + signal.SIGINT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
         case ImageSizeError():
@@ -155,23 +146,17 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
         case Stopped():
             return f"stopped by {signal.Signals(error.number).name}", 128 + error.number
         case OSError():
-            return _describe(error), UNUSABLE_INPUT
-        case ModuleNotFoundError() if (told := missing_package(error, _command(words))) is not None:
-            return told, UNUSABLE_INPUT
+            paths = [str(path) for path in (error.filename, error.filename2) if path is not None]
+            where = " -> ".join(paths) or type(error).__name__
+            return f"{where}: {error.strerror or reason(error)}", UNUSABLE_INPUT
+        case ModuleNotFoundError():
+            # The options before the name of the sub-command have no values.
+            command = next((word for word in words if not word.startswith("-")), "this")
+            if (missing := missing_package(error, command)) is not None:
+                return missing, UNUSABLE_INPUT
         case MemoryError():
             return f"not enough memory: {reason(error)}", UNUSABLE_INPUT
     return f"{type(error).__name__}: {reason(error)} ({DEBUG} shows the trace)", UNEXPECTED
-
-
-def _command(words: Sequence[str]) -> str:
-    """The name of the sub-command: the options before it have no values."""
-    return next((word for word in words if not word.startswith("-")), "this")
-
-
-def _describe(error: OSError) -> str:
-    """The files that the system names, and its words."""
-    paths = [str(path) for path in (error.filename, error.filename2) if path is not None]
-    return f"{' -> '.join(paths) or type(error).__name__}: {error.strerror or reason(error)}"
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:

@@ -40,9 +40,7 @@ def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
         arrays = {"map": dense.map, "grid": dense.grid, "matchability": dense.matchability}
         write_npz(stage(out), arrays | matches_arrays(result.matches))
     for image in (first, second):
-        if image.orientation != 1:
-            say(
-                f"warning: {image.name}: EXIF orientation {image.orientation} is not applied: the "
-                f"points refer to the pixels as stored"
-            )
+        if (turned := image.orientation) != 1:
+            why = "the points refer to the pixels as stored"
+            say(f"warning: {image.name}: EXIF orientation {turned} is not applied: {why}")
     click.echo(f"{out}: {len(result.matches)} matches of {dense.matchability.size} cells")

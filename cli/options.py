@@ -11,11 +11,6 @@ from dgc_pose.images.image import Image
 from dgc_pose.system.options import option
 
 
-def split_names(text: str) -> list[str]:
-    """The names in a comma-separated list, without blanks around them; empty ones are dropped."""
-    return [name for name in (part.strip() for part in text.split(",")) if name]
-
-
 def parse_size(text: str) -> tuple[int, int]:
     """A text WxH. Raises InputError for another one."""
     match = re.fullmatch(r"0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})", text.strip())

@@ -1,11 +1,6 @@
-"""The process that a command runs in: its signals, standard streams and warnings.
-
-SIGTERM and SIGHUP become exceptions, so that a command that is stopped removes its partial files.
-No standard stream is closed, and errors of stdout name it. Our warnings are a line each.
-"""
+"""The process that a command runs in: its signals, standard streams and warnings."""
 
 import logging
-import os
 import signal
 import sys
 import warnings
@@ -24,26 +19,50 @@ from dgc_pose.files.outputs import writing
 class Stopped(BaseException):
     """A signal asked the process to end. Like KeyboardInterrupt no `Exception`."""
 
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    @property
+    def number(self) -> int:
+        return int(self.args[0])
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup).
+def command_process(*, debug: bool) -> Iterator[None]:
+    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup), so that
+    a command that is stopped removes its partial files; an OSError of stdout names it; our warnings
+    are lines on stderr.
 
-    SIGINT is a KeyboardInterrupt anyway.
+    debug: print the libraries' warnings as well. Raises InputError if stdout or stderr is closed:
+    the next file would get its number, and with it what libraries print.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            raise InputError(f"{name} is closed")
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
     stopping = (signal.SIGTERM, signal.SIGHUP)
     handled = [number for number in stopping if signal.getsignal(number) is signal.SIG_DFL]
-    for number in handled:
-        signal.signal(number, _stop)
-    try:
-        yield
-    finally:
+    ours, handler = logging.getLogger("dgc_pose"), _Lines()
+    matplotlib = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
+    with warnings.catch_warnings(), redirect_stdout(_Stdout(sys.stdout)):
         for number in handled:
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, _stop)
+        ours.addHandler(handler)
+        ours.propagate = False
+        if not debug:
+            warnings.simplefilter("ignore")
+            matplotlib.setLevel(logging.ERROR)
+        try:
+            yield
+        finally:
+            matplotlib.setLevel(logging.NOTSET)
+            ours.propagate = True
+            ours.removeHandler(handler)
+            for number in handled:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def say(text: str) -> None:
+    """Print a line on stderr, whatever the names in it hold."""
+    click.echo(printable(text), err=True)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
@@ -69,56 +88,8 @@ class _Stdout:
             self._stream.flush()
 
 
-@contextmanager
-def standard_streams() -> Iterator[None]:
-    """Within the block stdin and stderr lead somewhere, and an OSError of stdout names it.
-
-    Raises InputError if stdout is closed.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:  # the next file would get this number, and with it what libraries print
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
-    if sys.stderr is None:
-        sys.stderr = open(os.devnull, "w", encoding="utf-8")
-    if sys.stdout is None:
-        raise InputError("stdout is closed")
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
-    with redirect_stdout(_Stdout(sys.stdout)):
-        yield
-
-
 class _Lines(logging.Handler):
-    """`warning: MESSAGE` on stderr."""
+    """Prints `warning: MESSAGE` on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         say(f"warning: {record.getMessage()}")
-
-
-def say(text: str) -> None:
-    """A line on stderr, whatever the names in it hold."""
-    click.echo(printable(text), err=True)
-
-
-@contextmanager
-def plain_warnings(*, shown: bool) -> Iterator[None]:
-    """Within the block our warnings are lines on stderr, and those of libraries are silent.
-
-    shown: print the libraries' warnings as well, as Python does.
-    """
-    ours, handler = logging.getLogger("dgc_pose"), _Lines()
-    silent = logging.getLogger("matplotlib")  # of a HOME that cannot be written, of fonts
-    with warnings.catch_warnings():
-        ours.addHandler(handler)
-        ours.propagate = False
-        if not shown:
-            warnings.simplefilter("ignore")
-            silent.setLevel(logging.ERROR)
-        try:
-            yield
-        finally:
-            ours.removeHandler(handler)
-            ours.propagate = True
-            silent.setLevel(logging.NOTSET)

@@ -13,8 +13,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
     def progress(stage: str, done: int, of: int) -> None:
         if stage not in bars:
-            unit = stage.removesuffix("s")
-            bars[stage] = tqdm(total=of, initial=done, unit=unit, disable=None)
+            bars[stage] = tqdm(total=of, initial=done, unit=stage.removesuffix("s"), disable=None)
         bars[stage].update(done - bars[stage].n)
 
     try:

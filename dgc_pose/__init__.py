@@ -9,30 +9,33 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
-    from dgc_pose.cameras.calibration import parse_camera
-    from dgc_pose.cameras.camera import Camera
-    from dgc_pose.errors import DgcPoseError, ImageError, InputError, WeightsError
-    from dgc_pose.estimation import (
-        EstimationOptions,
-        Hypothesis,
-        RelativePose,
-        estimate_pose,
-    )
-    from dgc_pose.images.image import Image, load_image
-    from dgc_pose.matchers import MatcherCaches, MatcherOptions, load_matcher
-    from dgc_pose.matches import Matches
-    from dgc_pose.matching import (
-        CorrespondenceMap,
-        DenseMatcher,
-        Matcher,
-        MatchingOptions,
-        MatchResult,
-        PairSearch,
-        load_dense_matcher,
-    )
-    from dgc_pose.pose import estimate_relative_pose
-    from dgc_pose.refinement import RefinementOptions, Refiner
-    from dgc_pose.trace import Trace
+    from dgc_pose.cameras.calibration import parse_camera as parse_camera
+    from dgc_pose.cameras.camera import Camera as Camera
+    from dgc_pose.errors import DgcPoseError as DgcPoseError
+    from dgc_pose.errors import ImageError as ImageError
+    from dgc_pose.errors import InputError as InputError
+    from dgc_pose.errors import WeightsError as WeightsError
+    from dgc_pose.estimation import EstimationOptions as EstimationOptions
+    from dgc_pose.estimation import Hypothesis as Hypothesis
+    from dgc_pose.estimation import RelativePose as RelativePose
+    from dgc_pose.estimation import estimate_pose as estimate_pose
+    from dgc_pose.images.image import Image as Image
+    from dgc_pose.images.image import load_image as load_image
+    from dgc_pose.matchers import MatcherCaches as MatcherCaches
+    from dgc_pose.matchers import MatcherOptions as MatcherOptions
+    from dgc_pose.matchers import load_matcher as load_matcher
+    from dgc_pose.matches import Matches as Matches
+    from dgc_pose.matching import CorrespondenceMap as CorrespondenceMap
+    from dgc_pose.matching import DenseMatcher as DenseMatcher
+    from dgc_pose.matching import Matcher as Matcher
+    from dgc_pose.matching import MatchingOptions as MatchingOptions
+    from dgc_pose.matching import MatchResult as MatchResult
+    from dgc_pose.matching import PairSearch as PairSearch
+    from dgc_pose.matching import load_dense_matcher as load_dense_matcher
+    from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
+    from dgc_pose.refinement import RefinementOptions as RefinementOptions
+    from dgc_pose.refinement import Refiner as Refiner
+    from dgc_pose.trace import Trace as Trace
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
@@ -63,35 +66,7 @@ _PUBLIC = {
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 
-__all__ = [
-    "Camera",
-    "CorrespondenceMap",
-    "DenseMatcher",
-    "DgcPoseError",
-    "EstimationOptions",
-    "Hypothesis",
-    "Image",
-    "ImageError",
-    "InputError",
-    "MatchResult",
-    "Matcher",
-    "MatcherCaches",
-    "MatcherOptions",
-    "Matches",
-    "MatchingOptions",
-    "PairSearch",
-    "RefinementOptions",
-    "Refiner",
-    "RelativePose",
-    "Trace",
-    "WeightsError",
-    "estimate_pose",
-    "estimate_relative_pose",
-    "load_dense_matcher",
-    "load_image",
-    "load_matcher",
-    "parse_camera",
-]
+__all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> Any:

@@ -32,7 +32,6 @@ def checked_out(folder: Path) -> str:
         return UNKNOWN
     command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=10)
-    except (OSError, subprocess.TimeoutExpired):
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
         return UNKNOWN
-    return done.stdout.strip() if done.returncode == 0 else UNKNOWN

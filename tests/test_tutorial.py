@@ -63,4 +63,3 @@ def test_the_stored_results_are_of_a_whole_run(run: nbformat.NotebookNode) -> No
     assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)]
     assert all(alternative_texts(stored)) and alternative_texts(stored) == alternative_texts(run)
     assert not re.search(r"/(home|root|tmp|work|Users)/", "".join(texts(stored)))
-    assert TUTORIAL.stat().st_size < 1_500_000

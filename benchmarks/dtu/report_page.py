@@ -10,13 +10,13 @@ import jinja2
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs
+from dgc_pose.benchmarks.dtu.motion import plot_against_motion, plot_histograms
 from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.scores import MATCHES, DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.viz.figure import save_figure
-from dgc_pose.viz.motion import plot_against_motion, plot_histograms
 
 PAGE = "report.html"
 WORST = 10  # pairs of each method that have a picture

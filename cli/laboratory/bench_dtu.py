@@ -12,6 +12,7 @@ from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs, write_pair_c
 from dgc_pose.benchmarks.dtu.report_page import write_report
 from dgc_pose.benchmarks.dtu.view_pairs import listed_pair
 from dgc_pose.benchmarks.evaluate import Evaluation
+from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import require_images
 from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
@@ -25,7 +26,6 @@ from dgc_pose.benchmarks.summary import (
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, work
 from dgc_pose.cli.laboratory.dtu_pairs import FolderChoice
-from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json

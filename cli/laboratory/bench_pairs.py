@@ -9,6 +9,7 @@ import click
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.evaluate import Evaluation
+from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.methods import load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import (
     ListedPairs,
@@ -30,11 +31,10 @@ from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, work
-from dgc_pose.cli.options import split_names
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import replaced, save_text, staged, write_text
+from dgc_pose.files.outputs import replaced, require_no_input, save_text, staged, write_text
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.system.options import MAX_SEED, option
@@ -130,7 +130,8 @@ def bench_pairs(
     trial = any(method.cameras.reports for method in chosen)
     pairs = options.pair_set(pair_list, trial=trial)
     images = (path for pair in getattr(pairs, "pairs", ()) for path in (pair.path1, pair.path2))
-    with staged(options.json_path, inputs=images) as stage:
+    require_no_input([options.json_path or ""], images)
+    with staged(options.json_path) as stage:
         matchers = load_matchers(chosen, device=run.device, runtime=run.runtime)
         evaluation = Evaluation(pairs, chosen, matchers, run.workers)
         results = by_method(work(evaluation, options.out, run))
@@ -139,7 +140,8 @@ def bench_pairs(
         if options.json_path is not None:
             save_text(stage(options.json_path), data)
     if options.out is not None:
-        from dgc_pose.viz import plot_errors, save_figure
+        from dgc_pose.benchmarks.curves import plot_errors
+        from dgc_pose.viz import save_figure
 
         numbers = columns(row for rows in results.values() for row in rows)
         rotation, translation = (

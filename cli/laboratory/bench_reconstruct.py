@@ -8,6 +8,7 @@ import click
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
+from dgc_pose.benchmarks.files import finite_data, split_names, table
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
@@ -17,12 +18,10 @@ from dgc_pose.benchmarks.reconstructions import (
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import split_names
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import finite_data, write_json
-from dgc_pose.files.tables import table
+from dgc_pose.files.json_files import write_json
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
 

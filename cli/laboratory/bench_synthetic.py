@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import click
 
+from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.map_report import (
     HEADING,
     figures_table,
@@ -13,7 +14,6 @@ from dgc_pose.benchmarks.map_report import (
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.laboratory.map_bench import MapBenchOptions, run_map_bench
-from dgc_pose.cli.options import split_names
 from dgc_pose.system.options import MAX_SEED, option
 
 

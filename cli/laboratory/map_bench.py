@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
+from dgc_pose.benchmarks.curves import plot_pck
+from dgc_pose.benchmarks.files import split_names
+from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
 from dgc_pose.benchmarks.map_report import (
     ALL,
     Scores,
@@ -19,7 +22,6 @@ from dgc_pose.benchmarks.map_report import (
     write_pairs,
 )
 from dgc_pose.cli.guard import OutputFile, OutputFolder
-from dgc_pose.cli.options import split_names
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
 from dgc_pose.network.stored import shipped
@@ -28,8 +30,6 @@ from dgc_pose.system.options import option
 from dgc_pose.training.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.training.evaluation.reliability import plot_reliability
 from dgc_pose.viz import save_figure
-from dgc_pose.viz.curves import plot_pck
-from dgc_pose.viz.map_figure import MapPicture, plot_maps
 
 if TYPE_CHECKING:
     from dgc_pose.benchmarks.map_run import MapSet

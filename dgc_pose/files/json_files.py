@@ -30,12 +30,3 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
 def finite_or_none(value: float | None) -> float | None:
     """The value as a float; None for NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
-
-
-def finite_data(data: Any) -> Any:
-    """Data for `json_text`: None in place of every NaN and infinity, however deep."""
-    if isinstance(data, Mapping):
-        return {key: finite_data(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [finite_data(value) for value in data]
-    return finite_or_none(data) if isinstance(data, float) else data

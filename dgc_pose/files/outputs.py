@@ -12,19 +12,16 @@ from dgc_pose.errors import InputError
 
 
 @contextmanager
-def staged(
-    *paths: str | None, inputs: Iterable[str | Path] = ()
-) -> Iterator[Callable[[str], Path]]:
+def staged(*paths: str | None) -> Iterator[Callable[[str], Path]]:
     """Open the output files of a command, before its work. Paths that are None are passed over.
 
     Yields a function from an output's path to the file to write instead, see `replaced`. Raises
     OSError, naming the output, if it cannot be written; InputError if two outputs are the same
-    file, or one is a folder, a device, an input, or written by another run.
+    file, or one is a folder, a device, or written by another run.
     """
     outputs = [path for path in paths if path is not None]
     if len({output_target(path) for path in outputs}) < len(outputs):
         raise InputError("two outputs are the same file")
-    require_no_input(outputs, inputs)
     with ExitStack() as stack:
         files = {path: stack.enter_context(replaced(path)) for path in outputs}
         yield files.__getitem__

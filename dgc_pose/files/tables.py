@@ -1,14 +1,6 @@
 """Tables of text with aligned columns."""
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
-
-
-def table(columns: Mapping[str, str], rows: Iterable[object]) -> str:
-    """A line for each row below the headings; a column's text, such as "{0.seconds:.2f}", is
-    formatted with the row."""
-    cells = ([text.format(row) for text in columns.values()] for row in rows)
-    return aligned([[*columns], *cells])
+from collections.abc import Sequence
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
@@ -20,8 +12,3 @@ def aligned(rows: Sequence[Sequence[str]]) -> str:
         for row in rows
     )
     return "\n".join("  ".join(line).rstrip() for line in lines)
-
-
-def decimals(value: float, digits: int) -> str:
-    """The value with so many decimals; "-" for NaN and infinity."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"

@@ -60,7 +60,13 @@ def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
     The types must be importable at run time, not under TYPE_CHECKING alone.
     """
     hints = get_type_hints(cls)
-    return {of.name: _without_none(hints[of.name]) for of in fields(cls)}
+    types = {}
+    for of in fields(cls):
+        hint = hints[of.name]
+        kinds = [kind for kind in get_args(hint) if kind is not type(None)]
+        only = get_origin(hint) in (Union, UnionType) and len(kinds) == 1
+        types[of.name] = (kinds[0], True) if only else (hint, False)
+    return types
 
 
 def check_options(options: Any) -> None:
@@ -80,8 +86,7 @@ def check_options(options: Any) -> None:
             choices = ", ".join(map(str, get_args(kind)))
             raise InputError(name, f"must be one of {choices}, not {value!r}")
         if info is not None and not _in_range(info, value):
-            order = "be ascending and " if isinstance(value, tuple) else ""
-            raise InputError(name, f"must {order}{_range_text(info)}, not {value}")
+            raise InputError(name, f"must {_range_text(info)}, not {value}")
         if isinstance(value, float) and math.isnan(value):
             raise InputError(name, "must be a number, not nan")
 
@@ -91,11 +96,10 @@ def check_type(value: Any, kind: Any, name: str) -> None:
     str, Path, a class or a tuple of these."""
     kinds, parts = get_args(kind), (value,)
     if get_origin(kind) is tuple:
-        if not isinstance(value, tuple):
-            raise InputError(ArgumentName(name), f"must be a tuple, not {value!r}")
-        if kinds[-1] is not Ellipsis and len(kinds) != len(value):
-            words = f"must have {len(kinds)} values, not {len(value)}"
-            raise InputError(ArgumentName(name), words)
+        count = None if kinds[-1] is Ellipsis else len(kinds)
+        if not isinstance(value, tuple) or count not in (None, len(value)):
+            words = "must be a tuple" if count is None else f"must be a tuple of {count}"
+            raise InputError(ArgumentName(name), f"{words}, not {value!r}")
         kinds, parts = kinds[:1], value
     elif get_origin(kind) not in (Union, UnionType):
         kinds = (kind,)
@@ -112,33 +116,15 @@ def check_type(value: Any, kind: Any, name: str) -> None:
 
 
 def _in_range(info: OptionInfo, value: Any) -> bool:
-    """Whether a number, or each of an ascending range (low, high), is finite and within bounds."""
-    if info.min is None and info.above is None and info.max is None:
-        return True
-    values = value if isinstance(value, tuple) else (value,)
-    return list(values) == sorted(values) and all(
-        (isinstance(number, int) or math.isfinite(number))  # a long integer is no float
-        and (info.min is None or number >= info.min)
-        and (info.above is None or number > info.above)
-        and (info.max is None or number <= info.max)
-        for number in values
+    return (
+        (info.min is None or value >= info.min)
+        and (info.above is None or value > info.above)
+        and (info.max is None or value <= info.max)
     )
 
 
 def _range_text(info: OptionInfo) -> str:
+    if info.min is not None and info.max is not None:
+        return f"lie in [{info.min}, {info.max}]"
     bounds = {"above": info.above, "at least": info.min, "at most": info.max}
-    texts = {
-        words: f"{bound:g}" if isinstance(bound, float) else str(bound)
-        for words, bound in bounds.items()
-        if bound is not None
-    }
-    if texts.keys() == {"at least", "at most"}:
-        return f"lie in [{texts['at least']}, {texts['at most']}]"
-    finite = " and finite" if info.above is not None and info.max is None else ""
-    return f"be {' and '.join(f'{words} {bound}' for words, bound in texts.items())}{finite}"
-
-
-def _without_none(hint: Any) -> tuple[Any, bool]:
-    kinds = [kind for kind in get_args(hint) if kind is not type(None)]
-    is_union = get_origin(hint) in (Union, UnionType)
-    return (kinds[0], True) if is_union and len(kinds) == 1 else (hint, False)
+    return "be " + " and ".join(f"{words} {n}" for words, n in bounds.items() if n is not None)

@@ -1,4 +1,4 @@
-"""Worker processes: pools that end at once, and how a process ended, in the system's words."""
+"""Worker processes: pools that end at once."""
 
 import multiprocessing
 import os
@@ -48,9 +48,12 @@ def process_pools(
         for pool in pools:
             pool.shutdown(cancel_futures=True)  # the processes have exit codes then
         if isinstance(error, BrokenProcessPool):
-            codes = {process.exitcode for process in started} - {None}
+            codes = {process.exitcode or 0 for process in started}
+            # The pool stops the others by SIGTERM.
+            codes = codes - {0, -signal.SIGTERM} or codes
+            ends = (signal.Signals(-n).name if n < 0 else f"exit code {n}" for n in sorted(codes))
             raise DgcPoseError(
-                f"a worker process ended ({process_end(*codes)}):",
+                f"a worker process ended ({', '.join(ends)}):",
                 ArgumentName("resume"),
                 "goes on from the pairs that were done",
             ) from None
@@ -75,15 +78,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def process_end(*codes: int | None) -> str:
-    """How processes ended, in words, from the exit codes that `multiprocessing` gives.
-
-    A pool whose process has ended stops the others by SIGTERM, which says nothing of the cause.
-    """
-    ends = {code: f"exit code {code}" for code in codes}
-    ends |= {n: f"signal {-n}, {signal.strsignal(-n)}" for n in codes if n is not None and n < 0}
-    return "; ".join(
-        sorted(end for n, end in ends.items() if n != -signal.SIGTERM or len(ends) == 1)
-    )

@@ -38,14 +38,11 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
         return [work(item) for item in items]  # signals are handled in the main thread alone
     results: dict[int, Result] = {}
     errors: dict[int, BaseException] = {}
-    waiting = iter(range(len(items)))
-    lock, stopped = threading.Lock(), threading.Event()
+    waiting, stopped = iter(range(len(items))), threading.Event()
 
     def run() -> None:
-        while not stopped.is_set():
-            with lock:
-                number = next(waiting, None)
-            if number is None:
+        for number in waiting:  # shared by the threads
+            if stopped.is_set():
                 return
             try:
                 results[number] = work(items[number])

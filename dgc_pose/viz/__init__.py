@@ -5,11 +5,10 @@ if there is one; a function `plot_...` makes a figure of them. Points are in pix
 images, (0, 0) the centre of the top-left pixel.
 """
 
-from dgc_pose.viz.curves import draw_cumulative, plot_errors
 from dgc_pose.viz.figure import new_figure, save_figure
 from dgc_pose.viz.panels import (
+    draw_curves,
     draw_image,
-    draw_lines,
     draw_matchability,
     draw_matches,
     draw_points,
@@ -19,15 +18,13 @@ from dgc_pose.viz.panels import (
 from dgc_pose.viz.pose_figure import plot_pose
 
 __all__ = [
-    "draw_cumulative",
     "draw_image",
-    "draw_lines",
+    "draw_curves",
     "draw_matchability",
     "draw_matches",
     "draw_points",
     "draw_warp",
     "new_figure",
-    "plot_errors",
     "plot_pose",
     "residual_colours",
     "save_figure",

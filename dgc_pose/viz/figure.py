@@ -1,10 +1,15 @@
-"""Figures of matplotlib by its object interface: no pyplot, so no global state and no display."""
+"""Figures of matplotlib by its object interface: no pyplot, so no global state and no display; and
+rows of panels that fill a figure's width, so that no band stays blank."""
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -13,6 +18,14 @@ from dgc_pose.files.outputs import writing
 
 # What matplotlib draws without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
+
+WIDTH = 10.0  # inches; 1000 pixels at the resolution of `save_figure`
+GAP = 0.1  # inches, between the panels of a row
+_MARGIN = 0.08  # inches, around the figure
+_LINE = 0.19  # inches, of a line of text
+_CHARACTER = 0.078  # inches, the mean width in a title
+_BAR_LINE = 0.24  # inches, of a colour bar below a title
+_MAX_PANEL = 20.0  # inches; the height of a row at most
 
 
 def new_figure(
@@ -32,8 +45,7 @@ def picture_format(path: str | Path) -> str:
     """The format of a file name's ending. Raises InputError if no picture is written in it."""
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in _FORMATS:
-        *others, last = (f".{name}" for name in _FORMATS)
-        raise InputError(f"{path}: a plot is written as {', '.join(others)} or {last}")
+        raise InputError(f"{path}: a plot is written as one of {', '.join(_FORMATS)}")
     return suffix
 
 
@@ -50,3 +62,61 @@ def save_figure(figure: Figure, path: str | Path) -> None:
             text.set_text(text.get_text().encode("utf-8", "replace").decode())
     with writing(path):
         figure.savefig(path, format=picture_format(path), dpi=100)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What a panel needs of the layout."""
+
+    aspect: float  # width over height of what is drawn
+    title: str
+    bar: bool = False  # whether a colour bar stands below its title
+
+
+def row_height(row: Sequence[Panel], width: float) -> float:
+    """Height in inches of panels side by side in a row of this width."""
+    inside = width - 2 * _MARGIN - GAP * (len(row) - 1)
+    return min(inside / sum(panel.aspect for panel in row), _MAX_PANEL)
+
+
+def panel_rows(
+    rows: Sequence[Sequence[Panel]], headline: str = "", *, width: float = WIDTH
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure and its axes, a list a row. The panels of a row have one height and fill the width.
+
+    Titles are set, broken where their panel is narrow; the headline stands above all.
+    """
+    head = _wrapped(headline, width - 2 * _MARGIN)
+    heights = [row_height(row, width) for row in rows]
+    strips = []  # heights of titles, and of the colour bars below them
+    for row, h in zip(rows, heights, strict=True):
+        lines = (len(_wrapped(p.title, p.aspect * h)) * _LINE + _BAR_LINE * p.bar for p in row)
+        strips.append(0.14 + max(lines))
+    top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
+    total = top + sum(heights) + sum(strips) + _MARGIN
+    figure = new_figure(width, total, layout=None)
+    if head:
+        figure.text(_MARGIN / width, 1 - _MARGIN / total, "\n".join(head), va="top", fontsize=11)
+    axes_of_rows: list[list[Axes]] = []
+    for row, height, strip in zip(rows, heights, strips, strict=True):
+        top += strip + height
+        sizes = [panel.aspect * height for panel in row]
+        left = (width - sum(sizes) - GAP * (len(row) - 1)) / 2
+        axes_of_rows.append([])
+        for panel, size in zip(row, sizes, strict=True):
+            place = (left / width, 1 - top / total, size / width, height / total)
+            axes = figure.add_axes(place)
+            axes.set_title(
+                "\n".join(_wrapped(panel.title, size)),
+                fontsize=10,
+                loc="left",
+                y=1.0,  # or matplotlib would lift it above the colour bar
+                pad=72 * (0.05 + _BAR_LINE * panel.bar),
+            )
+            axes_of_rows[-1].append(axes)
+            left += size + GAP
+    return figure, axes_of_rows
+
+
+def _wrapped(text: str, width: float) -> list[str]:
+    return textwrap.wrap(text, max(8, int(width / _CHARACTER)))

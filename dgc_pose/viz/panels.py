@@ -23,9 +23,9 @@ LINE_COLOURS = "hsv"
 _BAR = (1.1, 0.12)  # width and height of a colour bar, inches
 
 
-def draw_image(axes: Axes, pixels: np.ndarray, title: str = "") -> None:
+def draw_image(axes: Axes, pixels: np.ndarray) -> None:
     """Draw an image (H, W, 3) uint8 RGB."""
-    _show(axes, shrunk(pixels), pixels.shape[1::-1], title)
+    _show(axes, shrunk(pixels), pixels.shape[1::-1])
 
 
 def draw_matches(
@@ -35,7 +35,6 @@ def draw_matches(
     points1: np.ndarray,
     points2: np.ndarray,
     values: np.ndarray,
-    title: str = "",
     *,
     colours: ScalarMappable | None = None,
 ) -> ScalarMappable:
@@ -59,7 +58,7 @@ def draw_matches(
     axes.add_collection(LineCollection(list(lines), colors=shades, linewidths=0.8, alpha=0.8))
     for ends in np.moveaxis(lines, 1, 0):
         axes.scatter(ends[:, 0], ends[:, 1], s=6, c=shades, linewidths=0)
-    _frame(axes, (right + 0.5, height1), title)
+    _frame(axes, (right + 0.5, height1))
     return colours
 
 
@@ -71,20 +70,9 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
 
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
-    """Mark points (N, 2), each in the colour of its line by `draw_lines`."""
+    """Mark points (N, 2), each in the colour of its curve by `draw_curves`."""
     colours = _line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
-
-
-def draw_lines(axes: Axes, lines: np.ndarray) -> None:
-    """Draw lines (N, 3), a x + b y + c = 0 in pixels, across axes whose limits are set."""
-    for (a, b, c), colour in zip(lines, _line_colours(len(lines)), strict=True):
-        norm = np.hypot(a, b)
-        if norm == 0:
-            continue  # the line at infinity: its point is the epipole
-        foot = np.array([-a * c, -b * c]) / norm**2
-        along = np.array([b, -a]) / norm
-        axes.axline(tuple(foot), tuple(foot + along), color=colour, linewidth=1.2)
 
 
 def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
@@ -93,15 +81,13 @@ def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
         axes.plot(*curve.T, color=colour, linewidth=1.2, scalex=False, scaley=False)
 
 
-def draw_matchability(
-    axes: Axes, pixels2: np.ndarray, matchability: np.ndarray, title: str = ""
-) -> ScalarMappable:
+def draw_matchability(axes: Axes, pixels2: np.ndarray, matchability: np.ndarray) -> ScalarMappable:
     """Draw the matchability (H', W') in [0, 1] over image 2. Returns what a colour bar needs."""
     grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY)
     colours = ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     shown = cv2.resize(matchability.astype(np.float32), grey.shape[::-1])
     shaded = colours.to_rgba(shown)[..., :3] * (0.35 + 0.65 * grey[..., None] / 255)
-    _show(axes, shaded, pixels2.shape[1::-1], title)
+    _show(axes, shaded, pixels2.shape[1::-1])
     return colours
 
 
@@ -111,7 +97,6 @@ def draw_warp(
     correspondences: np.ndarray,
     matchability: np.ndarray,
     size2: tuple[int, int],
-    title: str = "",
 ) -> None:
     """Draw image 1 warped onto image 2, paler where it is less matchable.
 
@@ -121,12 +106,12 @@ def draw_warp(
     warped = warp_image(pixels1, correspondences, shown_size(size2))
     weight = np.clip(cv2.resize(matchability.astype(np.float32), warped.shape[1::-1]), 0, 1)
     paled = 255 - (0.15 + 0.85 * weight[..., None]) * (255 - warped.astype(np.float32))
-    _show(axes, paled.astype(np.uint8), size2, title)
+    _show(axes, paled.astype(np.uint8), size2)
 
 
 def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
-    """A colour bar in the line of the title, at its right end, between its least and largest
-    value. The axes must have their place in the figure."""
+    """Draw a colour bar below the title, at its right end, between its least and largest value. The
+    axes must have their place in the figure."""
     figure, box = axes.figure, axes.get_window_extent()
     width, height = box.width / figure.dpi, box.height / figure.dpi
     right, above = 1 - 0.35 / width, 1 + 0.07 / height
@@ -140,19 +125,17 @@ def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
 
 
-def _show(axes: Axes, picture: np.ndarray, size: tuple[float, float], title: str) -> None:
+def _show(axes: Axes, picture: np.ndarray, size: tuple[float, float]) -> None:
     """Draw a picture over all of an image of `size` (width, height)."""
     extent = (-0.5, size[0] - 0.5, size[1] - 0.5, -0.5)
     axes.imshow(picture, extent=extent, interpolation="bilinear")
-    _frame(axes, size, title)
+    _frame(axes, size)
 
 
-def _frame(axes: Axes, size: tuple[float, float], title: str) -> None:
+def _frame(axes: Axes, size: tuple[float, float]) -> None:
     """Fix the axes to an image of this size, so that nothing drawn later moves them."""
     xlim, ylim = (-0.5, size[0] - 0.5), (size[1] - 0.5, -0.5)
     axes.set(xlim=xlim, ylim=ylim, aspect="equal", xticks=[], yticks=[])
-    if title:
-        axes.set_title(title, fontsize=10)
 
 
 def _line_colours(count: int) -> np.ndarray:

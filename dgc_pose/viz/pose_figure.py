@@ -10,15 +10,14 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.matches import Matches
+from dgc_pose.refinement.align import spread
 from dgc_pose.trace import Trace
-from dgc_pose.viz.layout import WIDTH, Panel, panel_rows, row_height
+from dgc_pose.viz.figure import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
     GAP,
     draw_colour_bar,
     draw_curves,
     draw_image,
-    draw_lines,
     draw_matchability,
     draw_matches,
     draw_points,
@@ -43,7 +42,7 @@ def plot_pose(trace: Trace) -> Figure:
     """
     pose = trace.pose
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
-    drawn = _spread(trace.matches, chosen, DRAWN_MATCHES)
+    drawn = _spread(trace, chosen, DRAWN_MATCHES)
     rows = _rows(trace, f"{len(drawn)} of {len(chosen)}")
     for width in (WIDTH, _NARROW):
         if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT:
@@ -53,7 +52,7 @@ def plot_pose(trace: Trace) -> Figure:
     figure, axes = panel_rows(rows, _headline(pose), width=width)
     matches, points, lines, *map_axes = chain(*axes)
     _draw_matches(matches, trace, drawn)
-    _draw_epipolar(points, lines, trace, _spread(trace.matches, chosen, DRAWN_LINES))
+    _draw_epipolar(points, lines, trace, _spread(trace, chosen, DRAWN_LINES))
     if trace.correspondence_map is not None:
         left, right = map_axes
         places, matchability = trace.correspondence_map.map, trace.correspondence_map.matchability
@@ -111,10 +110,7 @@ def _draw_epipolar(left: Axes, right: Axes, trace: Trace, drawn: np.ndarray) -> 
     draw_image(right, trace.image2.pixels)
     if trace.pose.E is not None:
         lines = homogeneous(trace.camera1.normalise(matches.points1)) @ trace.pose.E.T
-        if trace.camera2.distortion is None:
-            draw_lines(right, lines @ np.linalg.inv(trace.camera2.K))
-        else:
-            draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
+        draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
     draw_points(left, matches.points1)
     draw_points(right, matches.points2)
 
@@ -134,25 +130,11 @@ def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
     return np.where(near.all(axis=1, keepdims=True), pixels, np.nan)
 
 
-def _spread(matches: Matches, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Indices of an even subsample, over image 2, of the chosen matches with finite points."""
+def _spread(trace: Trace, chosen: np.ndarray, count: int) -> np.ndarray:
+    """Indices of the most confident of the chosen matches, spread over image 2, with finite
+    points."""
+    matches = trace.matches
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
-    return chosen[spread_evenly(matches.points2[chosen], count)]
-
-
-def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
-    """Farthest point sampling: each point is the farthest from all that were chosen before.
-
-    points: (N, 2) pixels, finite. Returns at most `count` indices (M,) in increasing order, of
-    points that all differ.
-    """
-    distances = np.full(len(points), np.inf)
-    chosen: list[int] = []
-    while len(chosen) < min(count, len(points)):
-        farthest = int(np.argmax(distances))
-        if distances[farthest] == 0:
-            break
-        chosen.append(farthest)
-        distances = np.minimum(distances, np.sum((points - points[farthest]) ** 2, axis=1))
-    return np.array(sorted(chosen), dtype=np.intp)
+    points2, confidence = matches.points2[chosen], matches.confidence[chosen]
+    return chosen[spread(points2, confidence, trace.image2.size, count)]

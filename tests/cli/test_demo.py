@@ -2,7 +2,6 @@ import re
 import shlex
 
 import numpy as np
-import pytest
 from command_line import run
 
 from dgc_pose.cameras.pair_list import bundled_pair
@@ -21,26 +20,21 @@ def test_the_known_pose_is_that_of_the_pictures():
     assert translation_error_deg(pose.t, pair.t) < 2
 
 
-def test_demo_prints_the_estimate_beside_the_known_pose(tmp_path):
-    result = run("demo", "--plot", tmp_path / "p.png")
+def test_demo_prints_the_estimate_the_known_pose_and_a_command_that_does_the_same(tmp_path):
+    options = ("--weights", "sift", "--runs", "2", "--effort", "fast")
+    result = run("demo", *options, "--plot", tmp_path / "p.png")
     assert result.exit_code == 0
-    assert result.stdout.splitlines()[-6].split() == ["estimated", "known"]
-    errors = re.search(r"errors: rotation ([\d.]+) deg, .* ([\d.]+) deg", result.stdout)
-    assert errors is not None
+    shown = result.stdout
+    assert shown.splitlines()[-6].split() == ["estimated", "known"]
+    errors = re.search(r"errors: rotation ([\d.]+) deg, .* ([\d.]+) deg", shown)
     assert float(errors[1]) < 5 and float(errors[2]) < 15
     assert (tmp_path / "p.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize("options", [(), ("--weights", "sift", "--runs", "2", "--effort", "fast")])
-def test_the_command_that_is_printed_gives_the_same_pose(options):
-    shown = run("demo", *options).stdout
     pair = bundled_pair()
-    for number, (path, camera) in enumerate(
-        ((pair.path1, pair.camera1), (pair.path2, pair.camera2)), start=1
+    cameras = re.findall(r"^image \d: (.*), K (.*)$", shown, re.MULTILINE)
+    for (path, K), expected, camera in zip(
+        cameras, (pair.path1, pair.path2), (pair.camera1, pair.camera2), strict=True
     ):
-        (line,) = (line for line in shown.splitlines() if line.startswith(f"image {number}: "))
-        said, _, K = line.removeprefix(f"image {number}: ").rpartition(", K ")
-        assert said == str(path)
+        assert path == str(expected)
         fx, fy, cx, cy = map(float, K.split(","))
         assert np.array_equal(camera.K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     (command,) = re.findall(r"^the same by: dgc-pose (.*)$", shown, re.MULTILINE)

@@ -1,29 +1,20 @@
 import hashlib
 import json
+import os
 import sys
 from importlib import metadata
 from pathlib import Path
 
 import cv2
-import pytest
-from click.testing import CliRunner
+from command_line import run
+from hidden_packages import run_in, without
 
 import dgc_pose
-import dgc_pose.cli
-from dgc_pose.cli.main import main
-from dgc_pose.system import environment
 
 
-@pytest.fixture(scope="module")
-def facts():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("OMP_NUM_THREADS", "3")
-        result = CliRunner().invoke(main, ["info", "--json"])
-        assert result.exit_code == 0
-        yield json.loads(result.stdout)
-
-
-def test_the_facts_are_those_of_the_installation(facts):
+def test_the_facts_are_those_of_the_installation(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    facts = json.loads(run("info", "--json").stdout)
     assert facts["dgc-pose"]["version"] == metadata.version("dgc-pose")
     assert facts["libraries"]["numpy"] == metadata.version("numpy")
     assert facts["machine"]["Python"].startswith(sys.version.split()[0])
@@ -35,19 +26,16 @@ def test_the_facts_are_those_of_the_installation(facts):
     for file in files:
         digest = hashlib.sha256(file.read_bytes()).hexdigest()
         assert facts["weights"][file.name].endswith(f"sha256 {digest[:16]}")
-
-
-def test_the_text_has_all_facts(facts):
-    text = CliRunner().invoke(main, ["info"]).stdout
+    text = run("info").stdout
     for heading, group in facts.items():
         assert heading in text.splitlines()
         for name, value in group.items():
             assert f"  {name} " in text and value in text
 
 
-def test_what_is_not_installed_is_said(monkeypatch):
-    monkeypatch.setattr(environment, "is_installed", lambda module: False)
-    monkeypatch.setattr(environment, "LIBRARIES", ("numpy", "no-such-library"))
-    found = environment.environment()
-    assert found["devices"] == {"torch": "not installed"}
-    assert found["libraries"]["no-such-library"] == "not installed"
+def test_torch_may_be_missing(tmp_path):
+    environment = without(tmp_path, "torch")
+    environment["PYTHONPATH"] += os.pathsep + os.pathsep.join(sys.path)
+    done = run_in(environment, "info", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["devices"]["torch"] == "not installed"

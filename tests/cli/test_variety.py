@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 LATIN_1 = os.fsdecode("h\xfctte".encode("latin-1"))  # no UTF-8
-NAMES = ("shoot #3", "herz?", "100%20real", "guess", "a name", "hütte", "[1]", LATIN_1)
+NAMES = ("100%20real #3?", "a hütte [1]", LATIN_1)
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,6 @@ def test_a_folder_may_have_any_name(views: Path, tmp_path: Path, name: str) -> N
     done = run("batch", photos, "--out", out, *words)
     assert (done.exit_code, done.stderr) == (0, ""), done.output
     assert read_batch(out).summary["poses"] == 3
-    again = run("batch", photos, "--out", out, *words, "--resume")
-    assert again.exit_code == 0, again.output
     database = out.parent / f"{name}.db"
     exported = run("export-colmap", out, "--database", database, "--hloc", out.parent / "hloc")
     assert exported.exit_code == 0, exported.output

@@ -1,6 +1,5 @@
-"""Every reader of the package, with good files that the tests make themselves."""
+"""The readers of files that users have, with good files that the tests make themselves."""
 
-import base64
 import json
 from collections.abc import Callable
 from contextlib import suppress
@@ -8,8 +7,6 @@ from pathlib import Path
 
 import cv2
 import dense_scene
-import dtu_layout
-import homography_scene
 import numpy as np
 import PIL.Image
 import pycolmap
@@ -22,14 +19,6 @@ from dgc_pose.batch.result import read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import BAD_INPUT, HypothesisRow, PairRow
 from dgc_pose.batch.store import MATCHED, PairStore
 from dgc_pose.batch.work import Matched
-from dgc_pose.benchmarks.dtu.dataset import open_dataset
-from dgc_pose.benchmarks.dtu.pair_lists import read_pair_file
-from dgc_pose.benchmarks.homographies import find_homography_pairs, read_lists
-from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.plan import PlanEntry
-from dgc_pose.benchmarks.probability.plan import read_plan as read_sources
-from dgc_pose.benchmarks.scores import PairScore
-from dgc_pose.benchmarks.store import RunStore
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -42,11 +31,8 @@ from dgc_pose.images.image import Image, image_header, image_size, load_image, r
 from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_checkpoint, load_network
-from dgc_pose.serve.cameras import CameraRequest, command, python_text
+from dgc_pose.network.weights import load_network
 from dgc_pose.training.run import save_weights
-from dgc_pose.training.synthesis.photos import load_photos
-from dgc_pose.training.synthesis.posed_depth import read_rgbd
 
 Make = Callable[[Path], object]  # writes good files into a folder
 Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
@@ -166,45 +152,12 @@ def _make_batch_lists(folder: Path) -> None:
     _make_pair_list(folder)
 
 
-def _make_layout(layout: str) -> Make:
-    def make(folder: Path) -> None:
-        dtu_layout.WRITERS[layout](folder, dtu_layout.grey_scan([-10.0, 0.0, 12.0]))
-        (folder / "pairs.csv").write_text("scene,view1,view2\n65,1,2\n65,1,3\n")
-        names = "scan65/rect_001_3_r5000.png scan65/rect_002_3_r5000.png"
-        numbers = " ".join(["300 0 80 0 300 60 0 0 1"] * 2 + ["1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1"])
-        (folder / "glue.txt").write_text(f"{names} 0 0 {numbers}\n")
-
-    return make
-
-
-def _read_layout(folder: Path, path: Path) -> None:
-    dataset = open_dataset(folder)
-    if path.parent == folder:
-        read_pair_file(path, dataset)
-
-
-def _make_homographies(folder: Path) -> None:
-    homography_scene.write_sequence(folder / "v_wall", 3)
-    homography_scene.write_lists(folder, ["v_wall"])
-
-
-def _read_homographies(folder: Path, path: Path) -> None:
-    read_lists(folder, folder) if path.suffix == ".csv" else find_homography_pairs(folder)
-
-
 def _make_weights(folder: Path) -> None:
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite0")), folder / "a.safetensors")
     state = {"pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3), "x": torch.ones(3)}
     torch.save({"state_dict": state}, folder / "a.pth")
     torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
-
-
-def _make_checkpoints(folder: Path) -> None:
-    state = {"preset": "dgcm-lite0", "elapsed": 1.5, "step": 3, "stage": "encoder", "net": {}}
-    state["net"]["weight"] = torch.ones(3, 4)
-    torch.save(state, folder / "checkpoint.pt")
-    torch.save(state, folder / "legacy.pt", _use_new_zipfile_serialization=False)
 
 
 def _make_matches(folder: Path) -> None:
@@ -225,31 +178,8 @@ def _make_matches(folder: Path) -> None:
 
 
 def _read_matches(folder: Path, path: Path) -> None:
-    FileMatcher("files", {("one", "two"): path}).match(
-        *(Image(_pixels(), name) for name in ("one", "two"))
-    )
-
-
-def _make_run(folder: Path) -> None:
-    RunStore(folder, PairScore, 1, {"batch": 1})
-    values = dict.fromkeys(PairScore.tables["results.csv"], "1")
-    values |= {"method": "sift", "image1": "a", "image2": "b", "success": "True", "status": "ok"}
-    rows = [",".join(PairScore.headings.get(n, n) for n in values), ",".join(values.values())]
-    (folder / "results.csv").write_text("\n".join(rows) + "\n")
-
-
-def _make_rgbd(folder: Path) -> None:
-    for name, pixels in (("images", _pixels()), ("depth", np.full((30, 40), 1500, np.uint16))):
-        (folder / name).mkdir()
-        for k in range(2):
-            cv2.imwrite(str(folder / name / f"{k}.png"), pixels)
-    (folder / "K.txt").write_text("40 0 19.5\n0 40 14.5\n0 0 1\n")
-    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 2)
-
-
-def _make_photos(folder: Path) -> None:
-    for k in range(24):
-        cv2.imwrite(str(folder / f"{k}.{'jpg' if k % 2 else 'png'}"), _pixels((8, 6)))
+    images = [Image(_pixels(), name) for name in ("one", "two")]
+    FileMatcher(path.parent, lambda *_: "pair").match(*images)
 
 
 def make_batch(folder: Path) -> None:
@@ -296,51 +226,6 @@ def _read_store(folder: Path, path: Path) -> None:
         list(PairStore(folder, MATCHED, read_plan(folder)).blocks())
 
 
-def _make_collection(folder: Path) -> None:
-    engine = folder / "matches" / "sift"
-    (engine / "scene").mkdir(parents=True)
-    (engine / "engine.json").write_text(json.dumps({"name": "sift", "fingerprint": None}))
-    points = np.random.default_rng(0).uniform(0, 9, (6, 2)).astype(np.float32)
-    arrays = {"scene": "scene", "R": np.eye(3), "t": np.array([1.0, 0, 0])}
-    for number in (1, 2):
-        arrays |= {f"K{number}": np.diag([9.0, 9, 1]), f"size{number}": (10, 8)}
-    for prefix in ("", "map_"):
-        arrays |= {f"{prefix}points1": points, f"{prefix}points2": points}
-        arrays |= {f"{prefix}confidence": np.ones(6, np.float32), f"{prefix}error_px": 1.0}
-        arrays |= {f"{prefix}key_points": True}
-    np.savez_compressed(engine / "scene" / "0000.npz", **arrays)
-    parts = [("x", "fit"), ("z", "report")]
-    plan = [{"name": name, "part": part, "kind": "list", "path": "a"} for name, part in parts]
-    (folder / "plan.json").write_text(json.dumps(plan))
-
-
-def _read_collection(folder: Path, path: Path) -> None:
-    read_sources(folder / "plan.json")
-    read_engine(folder, "sift")
-    list(read_collection(folder, "sift", [PlanEntry("scene", part="fit", kind="list")]))
-
-
-def _make_requests(folder: Path) -> None:
-    opencv = "OPENCV,10,8,9,9,5,4,0.1,0,0,0"
-    requests = ({"kind": "k", "k1": "9,9,4,3", "k2": ""}, {"kind": "k", "k1": opencv, "k2": opencv})
-    content = base64.b64encode(b"9 0 4\n0 9 3\n0 0 1\n").decode()
-    others = {"kind": "fov", "fov": 60}, {"kind": "file", "name": "K.txt", "content": content}
-    for number, request in enumerate((*requests, *others, {"kind": "auto"})):
-        (folder / f"{number}.json").write_text(json.dumps(request))
-
-
-def _read_request(folder: Path, path: Path) -> None:
-    try:
-        data = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        return  # the server refuses it itself
-    request = CameraRequest.of(data)
-    names = ("one", "--two")
-    cameras = request.resolve(*(Image(np.zeros((8, 10, 3), np.uint8), name) for name in names))
-    command(names, request.texts(cameras), [])
-    python_text(names, request.texts(cameras), "")
-
-
 READERS: dict[str, tuple[Make, Read]] = {
     "images": (_make_images, _read_image),
     "cameras of images": (_make_images, lambda _, path: auto_camera(image_header(path))),
@@ -349,20 +234,8 @@ READERS: dict[str, tuple[Make, Read]] = {
     "databases": (_make_database, lambda _, path: read_database(path)),
     "pair lists": (_make_pair_list, lambda _, path: read_pairs(path)),
     "batch lists": (_make_batch_lists, lambda _, path: read_pair_list(path)),
-    "DTU raw": (_make_layout("raw"), _read_layout),
-    "DTU MVSNet": (_make_layout("mvsnet"), _read_layout),
-    "homographies": (_make_homographies, _read_homographies),
     "weights": (_make_weights, lambda _, path: load_network(path)),
-    "checkpoints": (_make_checkpoints, lambda _, path: load_checkpoint(path)),
     "matches": (_make_matches, _read_matches),
-    "results": (
-        _make_run,
-        lambda folder, _: RunStore(folder, PairScore, 1, {"batch": 1}, resume=True),
-    ),
-    "RGB-D": (_make_rgbd, lambda folder, _: [f.read_depth() for f in read_rgbd(folder)]),
-    "photographs": (_make_photos, lambda folder, _: load_photos(folder, 8)),
     "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
     "unfinished batches": (make_unfinished_batch, _read_store),
-    "collections": (_make_collection, _read_collection),
-    "requests": (_make_requests, _read_request),
 }

@@ -3,90 +3,52 @@
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import assert_refused, contents, run
-from fuzz.readers import make_batch, make_unfinished_batch
+from fuzz.readers import make_batch
 from photos import write_photos
 
-from dgc_pose.batch.store import MATCHED, PairStore
-from dgc_pose.benchmarks.reconstructions import PosedViews
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import only_writer, replaced_folder
+
+RECONSTRUCT = ("reconstruct", "batch", "--out", ".", "--K", "9,9,4,3")
+EXPORT = ("export-colmap", "batch", "--sharing", "cells")
 
 
 @pytest.fixture
-def batch(tmp_path: Path) -> Path:
-    """A finished batch of three small pictures."""
-    folder = tmp_path / "batch"
-    folder.mkdir()
-    make_batch(folder)
-    return folder
-
-
-def test_what_cannot_be_read_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error of the system while a batch is resumed costs no pair."""
-    plan, _ = make_unfinished_batch(tmp_path)
-    before = contents(tmp_path)
-
-    def fail(*arguments: object) -> None:
-        raise PermissionError(13, "Permission denied", "matched.jsonl")
-
-    with monkeypatch.context() as patch, pytest.raises(PermissionError):
-        patch.setattr("dgc_pose.batch.store.open_regular", fail)
-        PairStore(tmp_path, MATCHED, plan)
-    assert contents(tmp_path) == before
-    assert PairStore(tmp_path, MATCHED, plan).left == []
-
-
-@pytest.mark.parametrize("present", ["sparse/0/cameras.bin", "picture.png", "points.ply"])
-@pytest.mark.parametrize("resume", [(), ("--resume",)], ids=["", "resume"])
-def test_reconstruct_keeps_what_is_not_its_own(
-    tmp_path: Path, present: str, resume: tuple[str, ...]
-) -> None:
-    (tmp_path / "sparse/0").mkdir(parents=True)
-    (tmp_path / present).write_text("of the user")
-    result = run("reconstruct", tmp_path, "--out", tmp_path, "--K", "9,9,4,3", *resume)
-    assert_refused(result, "is there already")
-    assert (tmp_path / present).read_text() == "of the user"
-
-
-def test_a_model_folder_with_other_files_is_kept(batch: Path) -> None:
-    """Also beside a batch of ours."""
-    out = batch.parent
-    (out / "sparse").mkdir()
-    (out / "sparse/letter.txt").write_text("dear friend")
-    result = run("reconstruct", batch, "--out", out, "--K", "9,9,4,3", "--resume")
-    assert_refused(result, "sparse: holds other files")
+def batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A finished batch of three small pictures, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    Path("batch").mkdir()
+    make_batch(Path("batch"))
+    return tmp_path
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("words", "present", "line"),
     [
-        ("--database", "matches.h5"),
-        ("--database", "plan.json"),
-        ("--database", "a.png"),
-        ("--hloc", "."),
+        (RECONSTRUCT, "sparse/0/cameras.bin", "is there already"),
+        ((*RECONSTRUCT, "--resume"), "picture.png", "is there already"),
+        ((*RECONSTRUCT, "--resume"), "points.ply", "is there already"),
+        ((*RECONSTRUCT, "--resume"), "sparse/letter.txt", "sparse: holds other files"),
+        ((*EXPORT, "--database", "batch/matches.h5", "--overwrite"), "", ""),
+        ((*EXPORT, "--database", "batch/a.png", "--overwrite"), "batch/a.png", ""),
+        ((*EXPORT, "--hloc", "batch"), "", ""),
+        ((*EXPORT, "--hloc", "batch", "--overwrite"), "", ""),
     ],
-    ids=" ".join,
+    ids=str,
 )
-@pytest.mark.parametrize("overwrite", [(), ("--overwrite",)], ids=["", "overwrite"])
-def test_export_never_replaces_its_batch(
-    batch: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple, overwrite: tuple
+def test_what_is_not_its_own_is_kept(
+    batch: Path, words: tuple[str, ...], present: str, line: str
 ) -> None:
-    monkeypatch.chdir(batch)
-    Path("a.png").write_bytes(b"\x89PNG")
+    if line == "is there already":
+        Path("batch").rename("other")  # no batch to go on with
+        words = ("reconstruct", "other", *words[2:])
+    if present:
+        Path(present).parent.mkdir(parents=True, exist_ok=True)
+        Path(present).write_text("of the user")
     before = contents(batch)
-    assert_refused(run("export-colmap", ".", "--sharing", "cells", *arguments, *overwrite))
+    assert_refused(run(*words), line)
     assert contents(batch) == before
-
-
-def test_copies_for_a_benchmark_never_replace_the_images(tmp_path: Path) -> None:
-    views = PosedViews(tmp_path, {"a.png": Camera(np.eye(3))}, {"a.png": np.eye(4)[:3]})
-    (tmp_path / "a.png").write_bytes(b"image")
-    with pytest.raises(InputError, match="would be lost"):
-        views.resized(0.5, tmp_path)
 
 
 def test_a_second_writer_of_a_batch_is_refused(tmp_path: Path) -> None:

@@ -5,11 +5,9 @@ from dgc_pose.matching.warp import SHOWN_SIDE
 from dgc_pose.viz.figure import new_figure
 from dgc_pose.viz.panels import (
     draw_image,
-    draw_lines,
     draw_matchability,
     draw_matches,
     draw_warp,
-    residual_colours,
 )
 
 
@@ -50,24 +48,6 @@ def test_matches_join_the_same_places_of_both_pictures(axes):
     assert not np.allclose(low, high)
 
 
-@pytest.mark.parametrize("line", [(1.0, 0.0, -7.0), (0.0, -2.0, 8.0), (3.0, 4.0, -60.0)])
-def test_a_line_is_drawn_where_its_equation_says(axes, line):
-    draw_image(axes, picture(40, 30))
-    draw_lines(axes, np.array([line]))
-    axes.figure.canvas.draw()
-    drawn = axes.lines[0]
-    path = drawn.get_path().transformed(drawn.get_transform() - axes.transData)
-    a, b, c = line
-    for x, y in path.vertices:
-        assert a * x + b * y + c == pytest.approx(0, abs=1e-6)
-    assert np.ptp(path.vertices, axis=0).max() > 20  # it crosses the picture
-
-
-def test_the_line_at_infinity_is_left_out(axes):
-    draw_lines(axes, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, -7.0]]))
-    assert len(axes.lines) == 1
-
-
 def test_a_paler_warp_where_less_matchable(axes):
     black = np.zeros((20, 30, 3), np.uint8)
     places = np.full((4, 4, 2), 10.0)
@@ -86,10 +66,3 @@ def test_matchability_is_drawn_over_the_whole_of_image_2(axes):
     assert shown.shape == (30, 40, 3)
     dark, yellow = shown[15, 2], shown[15, 37]
     assert dark.sum() < 1 < yellow[:2].sum()
-
-
-def test_colours_of_residuals_go_to_the_95_percent_quantile():
-    residuals = np.append(np.linspace(0, 2, 1001), [np.nan, np.inf])
-    assert residual_colours(residuals).get_clim() == pytest.approx((0, 1.9))
-    low, high = residual_colours(np.array([np.nan])).get_clim()
-    assert low == 0 < high

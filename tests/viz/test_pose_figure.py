@@ -7,12 +7,11 @@ import pytest
 from ambiguous_pose import ambiguous_pose
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
 from dgc_pose.pose import estimate_relative_pose
-from dgc_pose.viz.figure import picture_format, save_figure
-from dgc_pose.viz.pose_figure import DRAWN_LINES, DRAWN_MATCHES, plot_pose, spread_evenly
+from dgc_pose.viz.figure import save_figure
+from dgc_pose.viz.pose_figure import plot_pose
 
 
 def trace_of(correspondence_map):
@@ -25,45 +24,34 @@ def trace_of(correspondence_map):
     )
 
 
-def figure_of(correspondence_map):
-    trace = trace_of(correspondence_map)
-    return plot_pose(trace), trace.pose
-
-
 def title(axes):
     return axes.get_title(loc="left")
 
 
 def test_all_panels_are_there():
-    figure, pose = figure_of(dense_scene.true_map())
-    assert pose.success
+    trace = trace_of(dense_scene.true_map())
+    figure, pose = plot_pose(trace), trace.pose
+    assert pose.success and len(plot_pose(replace(trace, correspondence_map=None)).axes) == 3
     matches, points, lines, matchability, warp = figure.axes
     assert [axes.get_title() for axes in figure.axes] == [""] * 5  # all at the left
     segments = matches.collections[0].get_segments()
-    assert 0 < len(segments) <= DRAWN_MATCHES
+    assert 75 < len(segments) <= 150
     assert f"{len(segments)} of {pose.num_inliers} inlier matches" == title(matches)
-    assert len(lines.lines) == len(points.collections[0].get_offsets()) == DRAWN_LINES
+    assert 6 < len(lines.lines) == len(points.collections[0].get_offsets()) <= 12
     assert "matchability" in title(matchability)
     assert "warped" in title(warp)
     assert figure.texts[0].get_text().startswith("rotation ")
 
 
-def test_each_match_in_image_2_lies_on_its_epipolar_line():
-    figure, _ = figure_of(dense_scene.true_map())
-    axes = figure.axes[2]
-    points = axes.collections[0].get_offsets()
-    for point, line in zip(points, axes.lines, strict=True):
-        (x1, y1), (x2, y2) = line.get_xy1(), line.get_xy2()
-        along = np.array([x2 - x1, y2 - y1])
-        across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-        assert abs(across @ (point - (x1, y1))) < 0.5
-
-
 @pytest.mark.parametrize(
     "lens",
-    [Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("OPENCV_FISHEYE", (0.1,) * 4)],
+    [
+        None,
+        Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)),
+        Distortion("OPENCV_FISHEYE", (0.1,) * 4),
+    ],
 )
-def test_each_match_through_a_lens_lies_on_its_epipolar_curve(lens):
+def test_each_match_lies_on_its_epipolar_line_or_curve(lens):
     trace = trace_of(dense_scene.true_map())
     camera = replace(trace.camera1, distortion=lens)
     points = [
@@ -74,7 +62,7 @@ def test_each_match_through_a_lens_lies_on_its_epipolar_curve(lens):
     figure = plot_pose(replace(trace, camera1=camera, camera2=camera, matches=moved))
     axes = figure.axes[2]
     drawn = axes.collections[0].get_offsets()
-    assert len(drawn) == len(axes.lines) == DRAWN_LINES
+    assert 6 < len(drawn) == len(axes.lines) <= 12
     assert axes.get_xlim() == (-0.5, 319.5)
     bends = []
     for point, line in zip(drawn, axes.lines, strict=True):
@@ -84,18 +72,7 @@ def test_each_match_through_a_lens_lies_on_its_epipolar_curve(lens):
         first, last = curve[0], curve[-1]
         along = (last - first) / np.linalg.norm(last - first)
         bends.append(np.abs((curve - first) @ (-along[1], along[0])).max())
-    assert max(bends) > 10
-
-
-def test_without_a_map_its_panels_are_left_out():
-    trace = trace_of(dense_scene.true_map())
-    assert len(plot_pose(replace(trace, correspondence_map=None)).axes) == 3
-
-
-def test_without_a_pose_the_reason_is_the_headline():
-    figure, pose = figure_of(dense_scene.noise_map())
-    assert not pose.success
-    assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
+    assert max(bends) < 1e-6 if lens is None else max(bends) > 10
 
 
 def test_of_an_ambiguous_pair_neither_pose_is_drawn():
@@ -108,12 +85,17 @@ def test_of_an_ambiguous_pair_neither_pose_is_drawn():
     assert any("confidence" in text.get_text() for text in matches.texts)  # not the residual
 
 
-def test_no_matches_can_be_drawn(tmp_path):
+def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
+    trace = trace_of(dense_scene.noise_map())
+    figure, pose = plot_pose(trace), trace.pose
+    assert not pose.success
+    assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     nothing = dense_scene.make_map(
         np.full((4, 4, 2), -9.0, np.float32), np.zeros((4, 4, 2), np.float32)
     )
-    figure, pose = figure_of(nothing)
-    assert pose.num_matches == 0
+    trace = trace_of(nothing)
+    figure = plot_pose(trace)
+    assert trace.pose.num_matches == 0
     save_figure(figure, tmp_path / "p.png")
     assert cv2.imread(str(tmp_path / "p.png")) is not None
 
@@ -148,7 +130,6 @@ def with_sizes(trace, size1, size2):
     [
         ((320, 240), (320, 240)),
         ((400, 300), (300, 300)),
-        ((300, 400), (300, 400)),
         ((320, 1500), (320, 1500)),
         ((3000, 100), (3000, 100)),
     ],
@@ -189,33 +170,3 @@ def overlap(box1, box2):
     """Whether two boxes share more than a pixel in both directions."""
     low, high = np.maximum(box1.min, box2.min), np.minimum(box1.max, box2.max)
     return bool((high - low > 1).all())
-
-
-def test_the_ending_of_a_name_chooses_the_format():
-    assert picture_format("a/b.PNG") == "png"
-    assert picture_format("b.svg") == "svg"
-    for name in ("plot", "plot.docx", ".png"):
-        with pytest.raises(InputError):
-            picture_format(name)
-
-
-@pytest.mark.parametrize(
-    ("points", "count", "expected"),
-    [
-        ([[5, 1], [0, 0], [3, 3]], 10, [0, 1, 2]),  # all, where they are few
-        (np.zeros((0, 2)), 10, []),
-        ([[1, 1]] * 5 + [[4, 4]], 4, [0, 5]),  # the same place is taken once
-        ([[0, 0], [1, 0], [10, 0], [4, 0]], 2, [0, 2]),
-        ([[0, 0], [1, 0], [10, 0], [4, 0]], 3, [0, 2, 3]),  # the farthest next
-    ],
-)
-def test_a_subsample_is_even(points, count, expected):
-    assert spread_evenly(np.array(points, float), count).tolist() == expected
-
-
-def test_a_crowd_takes_no_more_than_its_place():
-    rng = np.random.default_rng(0)
-    crowd, others = rng.normal(50, 1, (900, 2)), rng.random((100, 2)) * 1000
-    chosen = spread_evenly(np.concatenate([crowd, others]), 50)
-    assert len(chosen) == 50
-    assert (chosen < 900).sum() <= 2

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dgc_pose.viz.curves import draw_cumulative, shown_limit
+from dgc_pose.benchmarks.curves import draw_cumulative, shown_limit
 from dgc_pose.viz.figure import new_figure
 
 EPIPOLAR_LIMITS = (5.0, 10.0, 20.0, 50.0, 100.0)  # where an axis may end, pixels

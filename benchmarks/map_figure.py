@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from dgc_pose.matching.warp import warp_image
-from dgc_pose.viz.layout import Panel, panel_rows
+from dgc_pose.viz.figure import Panel, panel_rows
 from dgc_pose.viz.panels import draw_colour_bar, draw_image
 
 ERROR_LIMIT = 20.0  # pixels; from there on an error is drawn at its brightest

@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks.curves import draw_cumulative, plot_errors, plot_pck, plot_reliability
+from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
+from dgc_pose.metrics import Reliability
+from dgc_pose.viz.figure import new_figure, save_figure
+
+
+def test_a_curve_a_method_with_its_median():
+    axes = new_figure(4, 3).subplots()
+    errors = {"a": np.array([3.0, np.inf, 1.0, 12.0, 3.0]), "b": np.full(3, np.inf)}
+    draw_cumulative(axes, errors, quantity="rotation error", limit=10)
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["a, median 3.00°", "b, median inf°"]
+    # At each value the share of errors not above it.
+    assert axes.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 10]
+    assert axes.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 60]
+    assert axes.lines[1].get_ydata().tolist() == [0, 0]
+
+
+def test_a_method_may_be_called_as_a_formula(tmp_path):
+    errors = {"$\\frac{$": np.ones(3), "\udcff": np.array([12.0, 170.0, np.inf])}
+    figure = plot_errors(errors, errors)
+    assert figure.axes[0].get_xlim() == (0, 180)  # most of the finite errors are shown
+    save_figure(figure, tmp_path / "a.png")
+    assert (tmp_path / "a.png").exists()
+
+
+def test_a_panel_a_group_and_a_curve_a_method():
+    alphas = np.linspace(0.005, 0.1, 5)
+    curves = {"I": {"a": np.linspace(0, 1, 5)}, "II": {"a": np.full(5, np.nan)}}
+    figure = plot_pck(curves, alphas, distance="Euclidean")
+    assert [axes.get_title() for axes in figure.axes] == ["I", "II"]
+    (curve,) = figure.axes[0].lines
+    assert curve.get_ydata().tolist() == pytest.approx([0, 25, 50, 75, 100])
+    assert curve.get_xdata().tolist() == alphas.tolist()
+    figure.canvas.draw()
+
+
+def test_shares_stand_over_the_mean_confidence_and_counts_below():
+    confidence = np.array([0.02, 0.06, 0.55, 0.57, 0.53, 0.51])
+    reliability = Reliability.of(confidence, np.array([False, False, True, True, True, False]))
+    upper, lower = plot_reliability({"net": reliability}, right="within 3 px").axes
+    _, curve = upper.lines
+    assert curve.get_xdata().tolist() == pytest.approx([0.04, 0.54])  # empty bins are left out
+    assert curve.get_ydata().tolist() == pytest.approx([0, 0.75])
+    error = 100 * (2 * 0.04 + 4 * 0.21) / 6
+    assert curve.get_label() == f"net, calibration error {error:.1f} %"
+    values, _, _ = lower.patches[0].get_data()
+    assert values[0] == pytest.approx(100 / 3) and values[5] == pytest.approx(200 / 3)
+
+
+def test_a_row_a_pair_with_the_warped_source_and_its_errors():
+    """Errors are bright, and grey where nothing is known."""
+    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    places = np.stack(np.meshgrid(np.arange(30.0), np.arange(20.0)), -1).astype(np.float32)
+    picture = MapPicture("first", image, image, places, np.zeros((20, 30)))
+    picture.errors[0, :4] = 10, 20, 1e6, np.inf
+    panels = [axes for axes in plot_maps([picture]).axes if axes.images]
+    source, _, warped, errors = (axes.images[0].get_array().astype(int) for axes in panels)
+    np.testing.assert_array_equal(warped, source)
+    bad, worst, beyond, unknown = errors[0, :4]
+    assert bad.sum() < worst.sum() and beyond.tolist() == worst.tolist()
+    assert len(set(unknown.tolist())) == 1
