@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from dgc_pose.network.config import EfficientNet, preset
 from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid, even_kernel
 from dgc_pose.network.net import normalise
-from dgc_pose.training.imagenet import load_backbone
+from dgc_pose.training.initialise import load_backbone
 
 
 @pytest.fixture
