@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from dgc_pose.network.efficientnet import BLOCKS, EfficientPyramid
 from dgc_pose.network.net import normalise
-from dgc_pose.training.imagenet import even_kernel, load_backbone
+from dgc_pose.training.initialise import even_kernel, load_backbone
 
 
 @pytest.fixture

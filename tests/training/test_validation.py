@@ -73,10 +73,3 @@ def test_figures_are_those_of_a_loop(pairs: MapPairs, net: MapNet) -> None:
     assert compare(net, pairs)[0].levels[0].aepe == pytest.approx(math.sqrt(5), rel=1e-4)
     keys = [f"aepe{cells}" for cells in (15, 30, 60, 120, 240)]
     assert list(figures) == ["aepe", "epe_median", "pck3", "sure3", "jaccard", *keys]
-
-
-@pytest.mark.parametrize("training", [True, False])
-def test_a_net_is_left_in_its_mode(pairs: MapPairs, net: MapNet, training: bool) -> None:
-    net.train(training)
-    compare(net, pairs)
-    assert net.training is training

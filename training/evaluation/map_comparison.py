@@ -1,6 +1,5 @@
 """A method's dense maps of pairs, with the true maps."""
 
-from dataclasses import dataclass
 from typing import cast
 
 import cv2
@@ -14,44 +13,8 @@ from dgc_pose.matching.matcher import Matcher
 from dgc_pose.network.config import INPUT_SIZE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import normalise
-from dgc_pose.training.evaluation.map_errors import endpoint_errors
+from dgc_pose.training.evaluation.map_scores import Comparison, LevelMap
 from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays, level_truth
-
-
-@dataclass(frozen=True, eq=False)
-class LevelMap:
-    """A level's map of one pair and the true one, in pixels of the 240x240 input."""
-
-    points: np.ndarray  # (S, S, 2) float32, for each cell of the target a point of the source
-    truth: np.ndarray  # (S, S, 2) float32
-    valid: np.ndarray  # (S, S) bool, cells of known truth
-
-    @property
-    def aepe(self) -> float:
-        """Mean Euclidean error over the valid cells, pixels; NaN without any."""
-        errors = endpoint_errors(self.points, self.truth, self.valid)
-        return float(errors.mean()) if len(errors) else float("nan")
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A method's maps and mask of one pair, with the truth."""
-
-    levels: tuple[LevelMap, ...]  # coarse to fine, up to 240 cells a side; of a network from 15 on
-    matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
-    known: np.ndarray  # (240, 240) bool, pixels of known visibility
-
-    @property
-    def finest(self) -> LevelMap:
-        return self.levels[-1]
-
-    @property
-    def errors(self) -> np.ndarray:
-        """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
-        finest = self.finest
-        distance = np.full(finest.valid.shape, np.inf)
-        distance[finest.valid] = endpoint_errors(finest.points, finest.truth, finest.valid)
-        return distance
 
 
 @torch.no_grad()

@@ -8,16 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
-from dgc_pose.training.evaluation.map_errors import count_within, endpoint_errors, jaccard
 from dgc_pose.training.evaluation.reliability import Reliability
-
-if TYPE_CHECKING:
-    from dgc_pose.training.evaluation.map_comparison import Comparison
 
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
@@ -25,6 +20,42 @@ WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
 RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
 # The mask of dgcm-lite0 is trained on "visible, with an error below" so many pixels.
 FOUND_PX = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """A level's map of one pair and the true one, in pixels of the 240x240 input."""
+
+    points: np.ndarray  # (S, S, 2) float32, for each cell of the target a point of the source
+    truth: np.ndarray  # (S, S, 2) float32
+    valid: np.ndarray  # (S, S) bool, cells of known truth
+
+    @property
+    def aepe(self) -> float:
+        """Mean Euclidean error over the valid cells, pixels; NaN without any."""
+        errors = endpoint_errors(self.points, self.truth, self.valid)
+        return float(errors.mean()) if len(errors) else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A method's maps and mask of one pair, with the truth."""
+
+    levels: tuple[LevelMap, ...]  # coarse to fine, up to 240 cells a side; of a network from 15 on
+    matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
+    known: np.ndarray  # (240, 240) bool, pixels of known visibility
+
+    @property
+    def finest(self) -> LevelMap:
+        return self.levels[-1]
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
+        finest = self.finest
+        distance = np.full(finest.valid.shape, np.inf)
+        distance[finest.valid] = endpoint_errors(finest.points, finest.truth, finest.valid)
+        return distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +143,34 @@ def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> Ma
         jaccard_found=_mean([pair.jaccard_found for pair in scores]),
         reliability=sum(parts[1:], parts[0]) if parts else None,
     )
+
+
+def endpoint_errors(
+    map: np.ndarray, truth: np.ndarray, valid: np.ndarray, per_axis: bool = False
+) -> np.ndarray:
+    """Distances (N,) float64 between map and truth at the N valid cells, in the maps' unit.
+
+    map, truth: (..., 2); valid: (...) bool. Euclidean; with `per_axis` max(|dx|, |dy|), as in the
+    DGC-Net authors' evaluation, which is never stricter.
+    """
+    offsets = map[valid].astype(np.float64) - truth[valid].astype(np.float64)
+    return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
+
+
+def count_within(errors: np.ndarray, thresholds: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Number (K,) of errors (N,) that are at most each threshold (K,); NaN never is.
+
+    Over N this is the "percentage of correct keypoints" (PCK).
+    """
+    # NaN sorts last, beyond every threshold.
+    return np.searchsorted(np.sort(errors), np.asarray(thresholds, np.float64), side="right")
+
+
+def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
+    """Intersection over union of two bool masks of the same shape, in [0, 1]; 1 if both are
+    empty."""
+    union = int((prediction | truth).sum())
+    return int((prediction & truth).sum()) / union if union else 1.0
 
 
 def _share(counts: np.ndarray, total: int) -> np.ndarray:

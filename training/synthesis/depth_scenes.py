@@ -14,8 +14,7 @@ from tqdm import tqdm
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import load_image
-from dgc_pose.training.synthesis.batches import changed, joined
-from dgc_pose.training.synthesis.map_pairs import point_grid
+from dgc_pose.training.synthesis.map_pairs import changed, joined, point_grid
 from dgc_pose.training.synthesis.photos import SIDE, resized_planes
 from dgc_pose.training.synthesis.posed_depth import PosedFrame
 

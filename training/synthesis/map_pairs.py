@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from dgc_pose.training.synthesis.batches import changed
-
 # Cells whose four central pixels map this far apart (pixels) straddle two surfaces: not valid.
 _STRADDLES_PX = 6.0
+
+
+Batch = TypeVar("Batch")  # a dataclass of tensors
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,25 @@ class MapPairs:
     def chosen(self, which: slice | Tensor) -> MapPairs:
         """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
         return changed(self, lambda values: values[which])
+
+
+def combined(parts: Sequence[Batch], combine: Callable[[list[Tensor]], Tensor]) -> Batch:
+    """A dataclass of the parts' tensors, each combined; other fields are the first part's."""
+    first: Any = parts[0]
+    names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), Tensor)]
+    tensors = {name: combine([getattr(part, name) for part in parts]) for name in names}
+    result: Batch = replace(first, **tensors)
+    return result
+
+
+def changed(batch: Batch, change: Callable[[Tensor], Tensor]) -> Batch:
+    """A dataclass with every tensor changed."""
+    return combined([batch], lambda tensors: change(tensors[0]))
+
+
+def joined(parts: Sequence[Batch]) -> Batch:
+    """Several batches, one after the other."""
+    return combined(parts, torch.cat)
 
 
 def image_arrays(images: Tensor) -> np.ndarray:

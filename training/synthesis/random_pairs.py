@@ -8,11 +8,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.synthesis.batches import joined
 from dgc_pose.training.synthesis.depth_pairs import depth_pairs
 from dgc_pose.training.synthesis.depth_scenes import DepthScenes
 from dgc_pose.training.synthesis.draw import Draw
-from dgc_pose.training.synthesis.map_pairs import MapPairs, point_grid
+from dgc_pose.training.synthesis.map_pairs import MapPairs, joined, point_grid
 from dgc_pose.training.synthesis.options import PairOptions
 from dgc_pose.training.synthesis.photometric import random_photometric
 from dgc_pose.training.synthesis.photos import Photos

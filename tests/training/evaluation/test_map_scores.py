@@ -5,8 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.training.evaluation.map_comparison import Comparison, LevelMap
-from dgc_pose.training.evaluation.map_scores import PCK_THRESHOLDS, score_map, summarise_maps
+from dgc_pose.training.evaluation.map_scores import (
+    PCK_THRESHOLDS,
+    Comparison,
+    LevelMap,
+    score_map,
+    summarise_maps,
+)
 
 
 def comparison(
@@ -70,13 +75,6 @@ def test_a_mask_is_not_judged_where_nothing_is_known() -> None:
     assert found.jaccard == pytest.approx((mask & valid).sum() / (mask | valid).sum())
     assert found.jaccard > score_map("net", "", "wall", pair).jaccard
     assert found.reliability is not None and found.reliability.counts.sum() == known.sum() < 144
-
-
-def test_without_a_mask_there_are_no_figures_of_one() -> None:
-    found = score_map("net", "", "wall", comparison(masked=False))
-    assert math.isnan(found.jaccard) and math.isnan(found.jaccard_found)
-    assert found.reliability is None and summarise_maps([found]).reliability is None
-    assert math.isnan(summarise_maps([found]).jaccard)
 
 
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:

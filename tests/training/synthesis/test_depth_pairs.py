@@ -1,4 +1,4 @@
-"""Pairs from depth and poses: the rendered truth, and a loop in double precision."""
+"""Pairs from depth and poses, against the rendered truth."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +11,10 @@ from depth_folder import rendered, write_rgbd
 from procedural import procedural_textures
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.synthesis.depth_pairs import depth_pairs, random_views
+from dgc_pose.training.synthesis.depth_pairs import depth_pairs
 from dgc_pose.training.synthesis.depth_scenes import (
     DepthScenes,
     FramePairOptions,
-    depth_at,
     load_depth_scenes,
     training_frames,
 )
@@ -60,80 +59,20 @@ def test_the_map_is_the_rendered_one(pair: RenderedPair, scenes: DepthScenes) ->
     np.testing.assert_allclose(found.image2[0].permute(1, 2, 0), pair.image2 / 255, atol=1e-4)
 
 
-def _reference(
-    scenes: DepthScenes,
-    index: int,
-    views: tuple[np.ndarray, ...],
-    pixel: tuple[int, int],
-    size: int,
-) -> tuple[np.ndarray | None, str]:
-    """The place of a target's pixel in the source view, and what is known of it."""
-    source, target = scenes.pairs[index].tolist()
-    A1, b1, A2, b2 = views
-    K1, K2 = (scenes.K[frame].double().numpy() for frame in (source, target))
-    pose = scenes.source_from_target[index].double().numpy()
-    in_frame = A2 @ np.array(pixel, float) + b2
-    z = _depth(scenes.depth[target].double().numpy(), in_frame)
-    if z is None:
-        return None, "unknown"
-    point = pose[:, :3] @ (z * np.linalg.inv(K2) @ (*in_frame, 1)) + pose[:, 3]
-    if point[2] <= 1e-3:
-        return None, "not visible"
-    place1 = (K1 @ (point / point[2]))[:2]
-    place = np.linalg.solve(A1, place1 - b1)
-    if (place < 0).any() or (place > size - 1).any():
-        return place, "not visible"
-    there = _depth(scenes.depth[source].double().numpy(), place1)
-    if there is None:
-        return place, "unknown"
-    ratio = there / point[2]
-    if abs(ratio - 1) < DepthOptions.agree:
-        return place, "visible"
-    return place, "not visible" if ratio < 1 - DepthOptions.hidden else "unknown"
-
-
-def _depth(depth: np.ndarray, place: np.ndarray) -> float | None:
-    x, y = place
-    height, width = depth.shape
-    if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
-        return None
-    left, top = min(int(x), width - 2), min(int(y), height - 2)
-    corners = depth[top : top + 2, left : left + 2]
-    if corners.min() <= 0 or corners.max() >= 1.05 * corners.min():
-        return None
-    u, v = x - left, y - top
-    weights = np.outer((1 - v, v), (1 - u, u))
-    return float(1 / (weights / corners).sum())
-
-
-def test_views_cut_from_frames_agree_with_a_loop_in_double_precision(scenes: DepthScenes) -> None:
-    holed = scenes.depth.clone()
-    holed[:, 20:50, 30:45] = 0
-    holed[1, 60:70] = 0
-    scenes = replace(scenes, depth=holed)
-    options, size, batch, seed = DepthOptions(), 48, 4, 5
-    pairs = depth_pairs(scenes, batch, size, torch.Generator().manual_seed(seed), options)
-    generator = torch.Generator().manual_seed(seed)
-    chosen = torch.randint(len(scenes.pairs), (batch,), generator=generator)
-    A, b = random_views(2 * batch, _SIDE, size, generator, options)
-    (A1, A2), (b1, b2) = A.chunk(2), b.chunk(2)
-    counts = {"visible": 0, "not visible": 0, "unknown": 0}
-    disagreeing = 0
-    for index in range(batch):
-        views = tuple(part[index].double().numpy() for part in (A1, b1, A2, b2))
-        for y in range(0, size, 3):
-            for x in range(0, size, 3):
-                place, state = _reference(scenes, int(chosen[index]), views, (x, y), size)
-                counts[state] += 1
-                valid = bool(pairs.valid[index, y, x])
-                known = bool(pairs.known[index, y, x])
-                found = "visible" if valid else "not visible" if known else "unknown"
-                disagreeing += found != state
-                if place is not None and known:
-                    np.testing.assert_allclose(pairs.map[index, y, x], place, atol=0.02)
-    # Single precision may fall on the other side of a threshold.
-    assert min(counts.values()) > 50 and disagreeing < 0.01 * sum(counts.values())
+def test_views_cut_from_frames_look_alike_where_valid(scenes: DepthScenes) -> None:
+    pairs = depth_pairs(scenes, 4, 64, torch.Generator().manual_seed(5), DepthOptions())
+    fetched = F.grid_sample(pairs.image1, (2 * pairs.map + 1) / 64 - 1, align_corners=False)
+    difference = (fetched - pairs.image2).abs().mean(1)
+    assert pairs.valid.float().mean() > 0.2 and difference[pairs.valid].median() < 0.03
+    shuffled = (fetched - pairs.image2.flip(-1)).abs().mean(1)
+    assert difference[pairs.valid].mean() < 0.4 * shuffled[pairs.valid].mean()
     assert not (pairs.valid & ~pairs.known).any() and pairs.map.isfinite().all()
+
+
+def test_depth_that_lacks_is_not_known(scenes: DepthScenes) -> None:
+    blind = replace(scenes, depth=torch.zeros_like(scenes.depth))
+    pairs = depth_pairs(blind, 1, 32, torch.Generator().manual_seed(5), DepthOptions())
+    assert not pairs.known.any() and not pairs.valid.any()
 
 
 def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
@@ -152,16 +91,6 @@ def test_a_rectangle_squared_keeps_the_truth(tmp_path: Path) -> None:
     truth = (sampled.permute(1, 2, 0).numpy() + 0.5) * (0.5, 48 / 64) - 0.5
     error = np.linalg.norm(found.map[0].numpy() - truth, axis=-1)[valid]
     assert np.median(error) < 0.02 and np.quantile(error, 0.95) < 0.15
-
-
-def test_depth_between_pixels_is_exact_on_a_plane() -> None:
-    y, x = torch.meshgrid(torch.arange(12.0), torch.arange(15.0), indexing="ij")
-    inverse = 0.5 + 0.01 * x - 0.008 * y
-    points = torch.rand(1, 50, 2, generator=torch.Generator().manual_seed(0)) * 10
-    found, known = depth_at((1 / inverse)[None], torch.zeros(1, dtype=torch.long), points)
-    expected = 1 / (0.5 + 0.01 * points[..., 0] - 0.008 * points[..., 1])
-    assert known.all()
-    torch.testing.assert_close(found, expected)
 
 
 def test_pairs_turn_within_the_range(tmp_path: Path) -> None:

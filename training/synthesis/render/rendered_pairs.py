@@ -9,9 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dgc_pose.training.synthesis.batches import changed, combined, joined
 from dgc_pose.training.synthesis.draw import Draw
-from dgc_pose.training.synthesis.map_pairs import image_arrays
+from dgc_pose.training.synthesis.map_pairs import changed, combined, image_arrays, joined
 from dgc_pose.training.synthesis.options import SceneOptions
 from dgc_pose.training.synthesis.render.bank import TextureBank
 from dgc_pose.training.synthesis.render.cameras import Cameras, relative_pose

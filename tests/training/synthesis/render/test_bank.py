@@ -35,12 +35,6 @@ def test_textures_repeat_by_mirroring():
         assert torch.allclose(sampled(2, moved_x, moved_y, 1.0), expected, atol=1e-3)
 
 
-def test_footprints_beyond_the_levels_use_the_ends():
-    x, y = np.array((7.0, 30.0)), np.array((3.0, 20.0))
-    assert torch.equal(sampled(0, x, y, 0.01), sampled(0, x, y, 1.0))
-    assert torch.equal(sampled(0, x, y, 1e6), sampled(0, x, y, 2.0 ** (BANK.levels - 1)))
-
-
 def test_many_photos_keep_their_order():
     """More than are reduced at a time."""
     photos = torch.randint(0, 256, (600, 3, 8, 8), generator=torch.Generator().manual_seed(3))
