@@ -9,13 +9,13 @@ import h5py
 import numpy as np
 from multi_view import K_text, View, render_views, write_views
 
-from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.batch.work import Job, Outcome, Task
+from dgc_pose.batch.workers import RunTasks, Workers, local_workers
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions

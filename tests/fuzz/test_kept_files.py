@@ -9,7 +9,7 @@ from command_line import assert_refused, contents, run
 from fuzz.readers import make_batch, make_unfinished_batch
 from photos import write_photos
 
-from dgc_pose.batch.store import MATCHED, PairStore
+from dgc_pose.batch.store import PairStore
 from dgc_pose.benchmarks.posed_views import PosedViews
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -35,9 +35,9 @@ def test_what_cannot_be_read_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     with monkeypatch.context() as patch, pytest.raises(PermissionError):
         patch.setattr("dgc_pose.batch.store.open_regular", fail)
-        PairStore(tmp_path, MATCHED, plan)
+        PairStore(tmp_path, plan)
     assert contents(tmp_path) == before
-    assert PairStore(tmp_path, MATCHED, plan).left == []
+    assert PairStore(tmp_path, plan).left == []
 
 
 @pytest.mark.parametrize("present", ["sparse/0/cameras.bin", "picture.png", "points.ply"])
