@@ -38,7 +38,7 @@ class Plan:
 
     @property
     def uncertain(self) -> bool:
-        """Whether a focal length is to be told by the pairs."""
+        """Whether a focal length is estimated from the pairs."""
         return any(camera.focal_std > 0 for camera in self.cameras.values())
 
     @property

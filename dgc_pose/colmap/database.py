@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.pooling import TOLD_STD
+from dgc_pose.batch.pooling import KNOWN_FOCAL_STD
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -22,7 +22,7 @@ from dgc_pose.system.stderr import quiet
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
-_LEAST_BYTES = 2**18  # more than an empty database takes
+_EMPTY_DATABASE_BYTES = 2**18  # more than an empty database takes
 
 
 def write_database(
@@ -55,7 +55,7 @@ def write_database(
                     geometry = two_view_geometry(rows[pair], index)
                     database.write_two_view_geometry(id1, id2, geometry)
         except RuntimeError as error:
-            require_room(path, _LEAST_BYTES)  # pycolmap leaves out the system's error
+            require_room(path, _EMPTY_DATABASE_BYTES)  # pycolmap leaves out the system's error
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
         for ending in ("-wal", "-shm", "-journal"):
@@ -112,7 +112,7 @@ def _write_images(
     for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
         std, identity = cameras[name].focal_std, cameras[name].identity
-        camera.has_prior_focal_length = std < TOLD_STD
+        camera.has_prior_focal_length = std < KNOWN_FOCAL_STD
         alone = name if std > 0 and identity is None else None
         size = (camera.width, camera.height)
         key = (alone, camera.model.name, *size, *camera.params.tolist())

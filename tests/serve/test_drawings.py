@@ -71,36 +71,6 @@ def test_the_maps_point_stands_in_the_other_image(map_page, way, place):
     assert distance is not None and float(distance[1]) < 1.2
 
 
-def test_the_keyboard_points_too(map_page):
-    clear(map_page)
-    map_page.press("ArrowLeft")
-    image, middle = pointed(map_page)[0]
-    assert image == 1
-    np.testing.assert_allclose(middle, (np.array(dense_scene.SIZE) - 1) / 2, atol=0.1)
-    map_page.press("ArrowDown")
-    _, lower = pointed(map_page)[0]
-    assert lower[0] == middle[0] and lower[1] > middle[1]
-    for _ in range(60):  # across the gap
-        map_page.press("ArrowRight")
-    assert map_page.text("#pointed").startswith("image 2 (")
-
-
-def test_the_scene_turns(map_page):
-    page = map_page
-    aslant = page.drawn("#scene")
-    page.drag("#scene", (0.4, 0.5), (0.7, 0.6))
-    dragged = page.redrawn("#scene", aslant)
-    page.evaluate("document.querySelector('#scene').focus()")
-    for key in ("ArrowLeft", "ArrowUp", "+", "-"):
-        page.press(key)
-        dragged = page.redrawn("#scene", dragged)
-    page.click("[data-from=above]")
-    page.redrawn("#scene", dragged)
-    page.click("[data-from=aslant]")
-    page.wait("true")
-    assert page.drawn("#scene") == aslant
-
-
 def test_the_scene_projects_points_as_a_camera_behind_camera_1_does(map_page):
     """From behind, with the eye far off, points lie to the right of each other by x, below by y."""
     places = map_page.evaluate(
