@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+from batch_runs import Killed, assert_same_result, killed_after, run_sift
 from multi_view import K, K_text
 
 from dgc_pose.batch.result import read_batch
@@ -26,13 +26,6 @@ def _two_rounds() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dgc_pose.batch.run.centre_moved", lambda before, after: True)
         yield
-
-
-@pytest.fixture(scope="module")
-def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("views")
-    view_folder(folder, COUNT)
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_runs import Killed, assert_same_result, killed_after, run_sift, view_folder
+from batch_runs import Killed, assert_same_result, killed_after, run_sift
 
 from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.source import open_source
@@ -19,13 +19,6 @@ from dgc_pose.matching.sift import SiftMatcher
 COUNT = 4
 LAST = f"view{COUNT - 1}.png"
 OTHER_K = "300,300,119.5,89.5"
-
-
-@pytest.fixture(scope="module")
-def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("views")
-    view_folder(folder, COUNT)
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -124,11 +124,3 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         write_database(path, ["a"], {"a": skewed}, SharedMatches({}, {}), {})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_name_of_a_folder_is_no_address(tmp_path: Path) -> None:
-    path = tmp_path / "shoot #3? 100%20 mode=ro&x" / "database.db"
-    _write(path)
-    with pycolmap.Database.open(path) as database:
-        assert database.num_images() == 3
-    assert list(path.parent.iterdir()) == [path]

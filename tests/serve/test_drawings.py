@@ -6,7 +6,6 @@ import re
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
 
 pytestmark = pytest.mark.slow
 
@@ -26,21 +25,8 @@ def test_everything_fits_into_the_window(map_page, width):
             page.click(f"[value={kind}]")
             assert page.evaluate(OUTSIDE) == []
             assert page.evaluate("document.scrollingElement.scrollWidth") <= width
-        two = json.dumps([list(map(np.ndarray.tolist, (pose.R, pose.t))) for pose in both()])
-        page.evaluate(
-            f"import('/static/result.js').then(({{ describe }}) => describe({{ reason: 'x',"
-            f" pose: {{ status: 'ambiguous', num_inliers: 9, num_matches: 9, camera1: null,"
-            f" warnings: ['w'.repeat(200)], alternatives: {two}.map(([R, t]) =>"
-            f" ({{ R, t, num_inliers: 9, probability: 0.5 }})) }} }}, 'k'))"
-        )
-        assert len(re.findall("Pose [12]:", page.text("#poses"))) == 2
-        assert page.evaluate(OUTSIDE) == []
     finally:
         page.resize(1400, 1600)
-
-
-def both():
-    return ambiguous_pose().alternatives
 
 
 def pointed(page):
