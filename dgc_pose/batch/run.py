@@ -22,7 +22,7 @@ from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Estimate, Job, Match, Matched
-from dgc_pose.batch.workers import RunTasks, Workers, local_workers, ray_workers
+from dgc_pose.batch.workers import RunTasks, local_workers, ray_workers
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, InputError
@@ -33,7 +33,6 @@ from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 
-_ENGINES: Mapping[str, Workers] = {"local": local_workers, "ray": ray_workers}
 _BLOCKS_HELD = 4  # of matches in memory, for each worker
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
@@ -48,14 +47,12 @@ def run_batch(
     matcher: MatcherOptions,
     estimation: EstimationOptions,
     options: BatchOptions,
-    start_workers: Workers | None = None,
     progress: Progress = lambda stage, done, of: None,
 ) -> Batch:
     """Match the pairs of a source and put the result into `out`.
 
     choice: how pairs are chosen; None for those of the source, or if it has none, all pairs of up
-    to 20 images, and of more each image with its 10 most similar ones. start_workers: None for
-    those of `options.engine`.
+    to 20 images, and of more each image with its 10 most similar ones.
 
     Where a focal length has a deviation, each pair fits its own, and the principal point. They are
     pooled over the pairs of a camera, and the poses are estimated again with the pooled cameras,
@@ -69,7 +66,6 @@ def run_batch(
     full.
     """
     start = time.perf_counter()
-    begin = start_workers or _ENGINES[options.engine]
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     if choice is None and source.pairs is None:
@@ -95,7 +91,8 @@ def run_batch(
                 return read_batch(out)
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, options.worker_bytes)
         # What a matcher cannot load is an error before anything is written.
-        with begin(job, options.worker_count) as run:
+        start_workers = ray_workers if options.engine == "ray" else local_workers
+        with start_workers(job, options.worker_count) as run:
             if before is None:
                 if choice is not None and choice.way == "auto":
                     plan = _with_similar(plan, choice.number, run, progress)

@@ -6,7 +6,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -17,10 +17,8 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
 from dgc_pose.files.outputs import writing
 from dgc_pose.system.processes import process_pools
 
-# Worked through in any order; the same outcomes whatever the workers.
+# Does tasks, several times; the outcomes come in any order and are the same whatever the workers.
 RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
-# Starts so many workers for a job; within the context tasks can be run, several times.
-Workers = Callable[[Job, int], AbstractContextManager[RunTasks]]
 
 
 @contextmanager

@@ -52,7 +52,7 @@ def _move(photos: Path) -> Path:
 CHANGES = {
     "K": (None, {"K": OTHER_K}, "had of view0.png the K [["),
     "folder": (_move, {}, "had the folder "),
-    "added": (_add, {}, "lacked added.png"),
+    "added": (_add, {}, 'had the image 1 "view0.png", not "added.png"'),
     "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
     "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }
