@@ -17,7 +17,7 @@ from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_sim
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.rows import FAILED, PairRow
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import PairStore
@@ -86,9 +86,10 @@ def run_batch(
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
             plan = continued(before, plan, out)
-            same = plan.same_files(plan.names, before.states)
-            if same and is_finished(out) and not PairStore(out, plan).left_of_files:
-                return read_batch(out)
+            if is_finished(out) and plan.same_files(plan.names, before.states):
+                result = read_batch(out)
+                if all(row.status != FAILED for row in result.rows):
+                    return result
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, options.worker_bytes)
         # What a matcher cannot load is an error before anything is written.
         start_workers = ray_workers if options.engine == "ray" else local_workers

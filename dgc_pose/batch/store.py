@@ -50,11 +50,6 @@ class PairStore:
         return [index for index in range(len(self._plan.pairs)) if index not in self._done]
 
     @property
-    def left_of_files(self) -> list[int]:
-        """The pairs that are not done, if there are files; none without, as of a finished batch."""
-        return self.left if self._lines.exists() else []
-
-    @property
     def bad(self) -> dict[str, str]:
         """The reasons of all images that cannot be used, by name."""
         reasons = dict(self._plan.bad)
