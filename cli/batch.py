@@ -62,11 +62,11 @@ def work_through(
     work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
-    least_images: int = 2,
+    min_images: int = 2,
 ) -> Batch:
     """Run the batch that the options describe, with a progress bar on a terminal.
 
-    Raises InputError for fewer than `least_images`.
+    Raises InputError for fewer than `min_images`.
     """
     from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.run import run_batch
@@ -76,8 +76,8 @@ def work_through(
     images = open_source(Path(source), inputs.root)
     for line in images.left_out:
         say(f"warning: {line}")
-    if len(images.names) < least_images:
-        raise InputError(f"{source}: {len(images.names)} images, and a model needs {least_images}")
+    if len(images.names) < min_images:
+        raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
     choice = None if inputs.pairs is None else parse_pair_choice(inputs.pairs)
     with progress_bars() as progress:
         return run_batch(

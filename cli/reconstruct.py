@@ -45,7 +45,7 @@ def reconstruct(
     """
     from dgc_pose.batch.source import BATCH, PICTURE, PLAN
     from dgc_pose.colmap import reconstruction
-    from dgc_pose.colmap.mapping import LEAST_IMAGES
+    from dgc_pose.colmap.mapping import MIN_IMAGES
     from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.reconstruction import plot_reconstruction
 
@@ -65,7 +65,7 @@ def reconstruct(
         work,
         matcher,
         estimation,
-        least_images=LEAST_IMAGES,
+        min_images=MIN_IMAGES,
     )
     report(batch)
     matched = time.perf_counter()

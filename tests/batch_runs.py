@@ -1,24 +1,27 @@
 """Batches of rendered views with SIFT, for tests in which the network is not the point."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from itertools import count
 from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 from multi_view import K_text, View, render_views, write_views
 
-from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.batch.work import Job, Outcome, Task
+from dgc_pose.batch.workers import RunTasks, local_workers
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
+
+Workers = Callable[[Job, int], AbstractContextManager[RunTasks]]
 
 
 def view_folder(folder: Path, number: int = 4) -> list[View]:
@@ -42,16 +45,17 @@ def run_sift(
     start_workers: Workers = local_workers,
 ) -> Batch:
     """A batch, by default with SIFT and the K of the rendered views."""
-    return run_batch(
-        open_source(source, root),
-        read_calibration(K, "--K"),  # as the command names it
-        None if pairs is None else parse_pair_choice(pairs),
-        out,
-        matcher=matcher,
-        estimation=estimation,
-        options=BatchOptions(workers=workers, resume=resume),
-        start_workers=start_workers,
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dgc_pose.batch.run.local_workers", start_workers)
+        return run_batch(
+            open_source(source, root),
+            read_calibration(K, "--K"),  # as the command names it
+            None if pairs is None else parse_pair_choice(pairs),
+            out,
+            matcher=matcher,
+            estimation=estimation,
+            options=BatchOptions(workers=workers, resume=resume),
+        )
 
 
 class Killed(Exception):

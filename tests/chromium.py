@@ -99,13 +99,6 @@ class Page:
         """Move the mouse to a place of an element, in shares of its width and height."""
         self._mouse("mouseMoved", *self.middle(selector, at))
 
-    def drag(self, selector: str, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Drag the mouse from a place of an element to another, in shares of its size."""
-        first, last = self.middle(selector, start), self.middle(selector, end)
-        self._mouse("mousePressed", *first, button="left", clickCount=1)
-        self._mouse("mouseMoved", *last, button="left", buttons=1)
-        self._mouse("mouseReleased", *last, button="left", clickCount=1)
-
     def touch(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
         """Put a finger on a place of an element, and lift it."""
         x, y = self.middle(selector, at)

@@ -4,7 +4,7 @@ A group `name1/name2` ("/" inside a name becomes "-") holds `keypoints0`, `keypo
 float32, pixels of the images, (0, 0) the centre of the top-left pixel, `scores` (N,) float32, and
 `inliers` (N,) bool, which hloc passes over. Where the pose can be estimated again, with another
 camera, there is a group `again` with what that needs besides: the attributes `error_px` and
-`key_points`, `cameras` that the pair tells, and of a matcher with a map its even sample:
+`key_points`, `cameras` as fitted to the pair, and of a matcher with a map its even sample:
 `keypoints0`, `keypoints1`, `scores`, and the attribute `map_error_px`.
 """
 
@@ -27,15 +27,15 @@ from dgc_pose.matching.matcher import MatchResult
 
 
 @dataclass(frozen=True, eq=False)
-class Again:
-    """What a pose is estimated from beside its matches' points and scores."""
+class PoseInputs:
+    """Values that a pose is estimated from beside its matches' points and scores."""
 
     error_px: float  # expected error of a good match, pixels of the originals
     key_points: bool  # whether the matches are independent detections
     map_matches: Matches | None  # even sample of the map, float32; None without a map
-    # (2, 4, 3) float64, what this pair alone tells of its cameras, once it is estimated: ln f and
+    # (2, 4, 3) float64, the fit of both cameras to this pair alone, once it is estimated: ln f and
     # the principal point, pixels, and below their covariance. None without a pose.
-    cameras: np.ndarray | None = None
+    camera_fits: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,28 +46,28 @@ class PairMatches:
     points2: np.ndarray  # (N, 2) float32
     scores: np.ndarray  # (N,) float32, confidence in [0, 1]
     inliers: np.ndarray  # (N,) bool, of the pose
-    again: Again | None = None  # None if the pose is not to be estimated again
+    pose_inputs: PoseInputs | None = None  # None if the pose is not to be estimated again
 
     def estimable(self) -> tuple[Matches, Matches | None]:
-        """The matches and the sample of the map that a pose is estimated from; needs `again`."""
-        assert self.again is not None
-        facts = (self.again.error_px, self.again.key_points)
+        """The matches and the sample of the map to estimate a pose from; needs `pose_inputs`."""
+        assert self.pose_inputs is not None
+        facts = (self.pose_inputs.error_px, self.pose_inputs.key_points)
         matches = Matches(self.points1, self.points2, self.scores, *facts)
-        return matches, self.again.map_matches
+        return matches, self.pose_inputs.map_matches
 
 
-def pair_matches(result: MatchResult, *, again: bool) -> PairMatches:
+def pair_matches(result: MatchResult, *, estimable: bool) -> PairMatches:
     """The matches of a matcher as they are stored, without inliers yet.
 
-    again: whether the pose is to be estimated again from them.
+    estimable: whether the pose is to be estimated again from them.
     """
-    matches, sample = result.matches, result.map_matches if again else None
+    matches, sample = result.matches, result.map_matches if estimable else None
     if sample is not None:
         sample = Matches(*_rounded(sample), sample.error_px)
     return PairMatches(
         *_rounded(matches),
         np.zeros(len(matches), dtype=bool),
-        Again(matches.error_px, matches.key_points, sample) if again else None,
+        PoseInputs(matches.error_px, matches.key_points, sample) if estimable else None,
     )
 
 
@@ -83,7 +83,7 @@ NO_MATCHES = PairMatches(_NO_POINTS, _NO_POINTS, _NO_POINTS[:, 0], np.zeros(0, b
 _POINTS = {"keypoints0": "points1", "keypoints1": "points2"}
 _DATASETS = {**_POINTS, "scores": "scores", "inliers": "inliers"}
 _MAP = {**_POINTS, "scores": "confidence"}
-AGAIN = "again"
+_INPUTS_GROUP = "again"
 
 
 def group_name(name1: str, name2: str) -> str:
@@ -95,17 +95,17 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
     """The matches of a pair, as datasets of its group."""
     for dataset, field in _DATASETS.items():
         group.create_dataset(dataset, data=getattr(matches, field))
-    if matches.again is None:
+    if matches.pose_inputs is None:
         return
-    again, sample = group.create_group(AGAIN), matches.again.map_matches
-    again.attrs["error_px"] = matches.again.error_px
-    again.attrs["key_points"] = matches.again.key_points
-    if matches.again.cameras is not None:
-        again["cameras"] = matches.again.cameras
+    inputs, sample = group.create_group(_INPUTS_GROUP), matches.pose_inputs.map_matches
+    inputs.attrs["error_px"] = matches.pose_inputs.error_px
+    inputs.attrs["key_points"] = matches.pose_inputs.key_points
+    if matches.pose_inputs.camera_fits is not None:
+        inputs["cameras"] = matches.pose_inputs.camera_fits
     if sample is not None:
-        again.attrs["map_error_px"] = sample.error_px
+        inputs.attrs["map_error_px"] = sample.error_px
         for dataset, field in _MAP.items():
-            again.create_dataset(dataset, data=getattr(sample, field).astype(np.float32))
+            inputs.create_dataset(dataset, data=getattr(sample, field).astype(np.float32))
 
 
 @contextmanager
@@ -156,7 +156,9 @@ def read_matches(file: Any, name: str, where: str | None = None) -> PairMatches:
         for part in name.split("/"):
             group = _member(group, part, h5py.Group)
         arrays = {field: _array(group, dataset) for dataset, field in _DATASETS.items()}
-        again = _read_again(_member(group, AGAIN, h5py.Group)) if AGAIN in group else None
+        inputs = None
+        if _INPUTS_GROUP in group:
+            inputs = _read_pose_inputs(_member(group, _INPUTS_GROUP, h5py.Group))
     except Exception:  # of HDF5, for damaged files almost any
         raise InputError(f"{where}: no whole matches") from None
     count = len(arrays["scores"])
@@ -165,10 +167,10 @@ def read_matches(file: Any, name: str, where: str | None = None) -> PairMatches:
         raise InputError(f"{where}: datasets of different lengths")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"{where}: numbers that are not finite")
-    return PairMatches(**arrays, again=again)
+    return PairMatches(**arrays, pose_inputs=inputs)
 
 
-def _read_again(group: Any) -> Again:
+def _read_pose_inputs(group: Any) -> PoseInputs:
     """Raises anything for a group that is not whole."""
     sample = None
     if "map_error_px" in group.attrs:
@@ -182,7 +184,7 @@ def _read_again(group: Any) -> Again:
     error_px = float(group.attrs["error_px"])
     if not error_px > 0:
         raise ValueError("no error of a match")
-    return Again(error_px, bool(group.attrs["key_points"]), sample, cameras)
+    return PoseInputs(error_px, bool(group.attrs["key_points"]), sample, cameras)
 
 
 def _member(group: Any, name: str, kind: type) -> Any:

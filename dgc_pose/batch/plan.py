@@ -38,7 +38,7 @@ class Plan:
 
     @property
     def uncertain(self) -> bool:
-        """Whether a focal length is to be told by the pairs."""
+        """Whether a focal length is estimated from the pairs."""
         return any(camera.focal_std > 0 for camera in self.cameras.values())
 
     @property
@@ -131,20 +131,12 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     Raises InputError, saying what differs, if the batch had other settings, images, pairs, or other
     cameras of photographs that have not changed.
     """
-    where = out / PLAN
-    for name in sorted({*before.names} ^ {*now.names}):
-        verb = "had" if name in before.names else "lacked"
-        raise InputError(
-            f"{where}: that batch {verb} {name}:",
-            _RESUME,
-            "needs the same photographs",
-        )
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     for what in {**old, **new}:
         if old.get(what) != new.get(what):
             had, has = (shortened(json.dumps(facts.get(what))) for facts in (old, new))
-            differs = f"{where}: that batch had {what} {had}, not {has}:"
+            differs = f"{out / PLAN}: that batch had {what} {had}, not {has}:"
             raise InputError(differs, _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
@@ -156,6 +148,7 @@ def _facts(plan: Plan, names: Iterable[str], *, pairs: bool) -> dict[str, Any]:
     names: of the images whose cameras count; pairs: whether the pairs do.
     """
     facts: dict[str, Any] = {"the folder": str(plan.root)}
+    facts |= {f"the image {i + 1}": name for i, name in enumerate(plan.names)}
     for name, value in json.loads(json.dumps(plan.settings)).items():
         inner = value if isinstance(value, dict) else {"": value}
         facts |= {f"the option {name} {key}".rstrip(): inner[key] for key in inner}

@@ -1,9 +1,9 @@
-"""The cameras of a folder: what all of their pairs say of a camera, as one.
+"""The cameras of a folder, each pooled from the fits of all of its pairs.
 
 Each pair has fitted the focal lengths and the principal points of its own cameras, with a prior.
 The fits of one camera are pooled here: robustly, weighted by their covariances, and with the prior
-once instead of once a pair. Dozens of pairs tell the principal point, of which one says next to
-nothing.
+once instead of once a pair. Dozens of pairs determine the principal point, which one pair
+hardly does.
 """
 
 import csv
@@ -22,13 +22,13 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.files.outputs import write_text
 
 CAMERAS = "cameras.csv"
-TOLD_STD = 0.05  # of ln f: below, all pairs together tell a camera better than one does with them
+# Of ln f: below, a pooled camera is better than one that a single pair fits.
+KNOWN_FOCAL_STD = 0.05
 _CAUCHY = 2.385  # deviations at which a fit's weight is halved; 95 % efficient for normal errors
 _STARTS, _STEPS = 101, 50
-# A pair whose fit is hardly narrower than the prior says nothing of the focal length.
-_LEAST_TOLD = 0.9
-_FAR = 1.5  # standard deviations of a principal point
-_LEAST_VARIANCE = 1e-9  # of the prior's: keeps an information finite
+_MAX_STD_SHARE = 0.9  # of the prior: a wider fit of the focal length is left out
+_FAR_CENTRE_STDS = 1.5  # principal points that differ by more are far apart
+_MIN_VARIANCE = 1e-9  # of the prior's: keeps an information finite
 _COLUMNS = (
     *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px", "camera"),
     *("model", "coefficients"),  # of the lens
@@ -41,34 +41,34 @@ class PooledCamera:
 
     names: tuple[str, ...]  # its images
     camera: Camera  # of its first image
-    pairs: int  # that told its focal length
+    pairs: int  # whose fits enter its focal length
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """What one pair says of D parameters of a camera, as differences from the prior's."""
+class CameraFit:
+    """The fit of D parameters of a camera to one pair, as differences from the prior's."""
 
     value: np.ndarray  # (D,)
     covariance: np.ndarray  # (D, D)
     weight: float = 1.0  # the probability that the pair's pose is right
 
 
-def cameras_told(pose: RelativePose) -> np.ndarray | None:
-    """(2, 4, 3), see `Again`."""
+def camera_fits(pose: RelativePose) -> np.ndarray | None:
+    """(2, 4, 3), see `PoseInputs.camera_fits`."""
     if pose.camera_covariance is None or pose.camera1 is None or pose.camera2 is None:
         return None
-    told = np.empty((2, 4, 3))
+    fits = np.empty((2, 4, 3))
     for side, camera in enumerate((pose.camera1, pose.camera2)):
         rows = slice(3 * side, 3 * side + 3)
-        told[side, 0] = np.log(camera.focal), *camera.K[:2, 2]
-        told[side, 1:] = pose.camera_covariance[rows, rows]
-    return told
+        fits[side, 0] = np.log(camera.focal), *camera.K[:2, 2]
+        fits[side, 1:] = pose.camera_covariance[rows, rows]
+    return fits
 
 
 def pool(
     cameras: Mapping[str, Camera], pairs: Iterable[tuple[PairRow, PairMatches]]
 ) -> tuple[dict[str, Camera], list[PooledCamera]]:
-    """The cameras by image name as all pairs tell them, and one by one those that had a deviation.
+    """The cameras by image name as all pairs fit them, and one by one those that had a deviation.
 
     cameras: by name, as the pairs had them; those without a deviation stay as they are. Images of
     several sizes share a focal length and no principal point. The same for any order of the pairs.
@@ -77,10 +77,10 @@ def pool(
     for name, camera in cameras.items():
         if camera.focal_std > 0:
             groups[_key(camera, name)].append(name)
-    told: dict[tuple[str, str], list[Told]] = defaultdict(list)
+    fits: dict[tuple[str, str], list[CameraFit]] = defaultdict(list)
     for row, matches in pairs:
-        for key, fit in _told_by(row, matches, cameras).items():
-            told[key].append(fit)
+        for key, fit in _fits_of(row, matches, cameras).items():
+            fits[key].append(fit)
     pooled, listed = dict(cameras), []
     for key, names in groups.items():
         first = cameras[names[0]]
@@ -88,13 +88,13 @@ def pool(
         sizes = {cameras[name].size for name in names}
         known = 3 if first.centre_std > 0 and len(sizes) == 1 else 1
         useful = [
-            Told(fit.value[:known], fit.covariance[:known, :known], fit.weight)
-            for fit in told[key]
-            if fit.covariance[0, 0] ** 0.5 < _LEAST_TOLD * prior[0] and fit.weight > 0
+            CameraFit(fit.value[:known], fit.covariance[:known, :known], fit.weight)
+            for fit in fits[key]
+            if fit.covariance[0, 0] ** 0.5 < _MAX_STD_SHARE * prior[0] and fit.weight > 0
         ]
         value, std = pooled_fit(useful, prior[:known], len(names))
         for name in names:
-            pooled[name] = _moved(cameras[name], value, std, told=bool(useful))
+            pooled[name] = _moved(cameras[name], value, std, fitted=bool(useful))
         listed.append(PooledCamera(tuple(names), pooled[names[0]], len(useful)))
     return pooled, listed
 
@@ -103,29 +103,31 @@ def centre_moved(before: Mapping[str, Camera], after: Mapping[str, Camera]) -> b
     """Whether a pooled principal point is so far from the prior's that fits with this prior are
     off, and are better made again around the pooled camera."""
     return any(
-        np.abs(after[name].K[:2, 2] - camera.K[:2, 2]).max() > _FAR * camera.centre_std
+        np.abs(after[name].K[:2, 2] - camera.K[:2, 2]).max() > _FAR_CENTRE_STDS * camera.centre_std
         for name, camera in before.items()
         if camera.focal_std > 0
     )
 
 
-def pooled_fit(told: list[Told], prior: np.ndarray, images: int) -> tuple[np.ndarray, np.ndarray]:
+def pooled_fit(
+    fits: list[CameraFit], prior: np.ndarray, images: int
+) -> tuple[np.ndarray, np.ndarray]:
     """The parameters (D,), as differences from the prior's, and their deviations (D,).
 
-    told: of pairs whose fits contain the prior, of the deviations `prior` (D,). images: that the
+    fits: of pairs whose fits contain the prior, of the deviations `prior` (D,). images: that the
     camera took. Fits of pairs that share an image err alike: as many count as there are pairs
     without an image in common. Fits that scatter more than their covariances say widen the result.
     """
     count = len(prior)
-    if not told:
+    if not fits:
         return np.zeros(count), prior
-    told = sorted(told, key=lambda fit: tuple(fit.value))  # the same sums for any order
-    weight = np.array([fit.weight for fit in told])
+    fits = sorted(fits, key=lambda fit: tuple(fit.value))  # the same sums for any order
+    weight = np.array([fit.weight for fit in fits])
     # In deviations of the prior, whose information is then 1 along each axis.
-    values = np.array([fit.value for fit in told]) / prior
-    covariances = np.array([fit.covariance for fit in told]) / np.outer(prior, prior)
+    values = np.array([fit.value for fit in fits]) / prior
+    covariances = np.array([fit.covariance for fit in fits]) / np.outer(prior, prior)
     variances, axes = np.linalg.eigh(covariances)
-    information = 1 / np.maximum(variances, _LEAST_VARIANCE)
+    information = 1 / np.maximum(variances, _MIN_VARIANCE)
     of_matches = np.maximum(information - 1, 0)  # along the axes, without the prior
     along = np.einsum("nij,ni->nj", axes, values) * information * (of_matches > 0)
     matrices = (axes * of_matches[:, None]) @ axes.transpose(0, 2, 1)
@@ -151,15 +153,15 @@ def pooled_fit(told: list[Told], prior: np.ndarray, images: int) -> tuple[np.nda
         if np.abs(middle - before).max() < 1e-9:
             break
     scatter = max(1.0, float((robust * distance).sum() / robust.sum()))
-    alike = min(max(1.0, 2 * len(told) / images), len(told))
+    alike = min(max(1.0, 2 * len(fits) / images), len(fits))
     covariance = np.linalg.inv(total / (scatter * alike) + np.eye(count))
     return middle * prior, np.sqrt(np.diag(covariance)) * prior
 
 
-def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, told: bool) -> Camera:
+def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
     """The camera with pooled differences from it, and their deviations."""
     moved = replace(camera.with_focal(camera.focal * np.exp(value[0])), focal_std=float(std[0]))
-    if told:
+    if fitted:
         moved = replace(moved, focal_source="matches")
     if len(value) > 1:
         K = moved.K.copy()
@@ -189,17 +191,17 @@ def _key(camera: Camera, name: str) -> tuple[str, str]:
     return ("image", name) if camera.identity is None else ("camera", camera.identity)
 
 
-def _told_by(
+def _fits_of(
     row: PairRow, matches: PairMatches, cameras: Mapping[str, Camera]
-) -> dict[tuple[str, str], Told]:
-    """What a pair says of its cameras; one camera of both images once."""
-    if not row.success or matches.again is None or matches.again.cameras is None:
+) -> dict[tuple[str, str], CameraFit]:
+    """The fits of a pair's cameras; one camera of both images once."""
+    if not row.success or matches.pose_inputs is None or matches.pose_inputs.camera_fits is None:
         return {}
-    told = {}
-    for name, fit in zip((row.name1, row.name2), matches.again.cameras, strict=True):
+    fits = {}
+    for name, fit in zip((row.name1, row.name2), matches.pose_inputs.camera_fits, strict=True):
         camera = cameras[name]
         if camera.focal_std > 0:
             value = fit[0] - (np.log(camera.focal), *camera.K[:2, 2])
             weight = 1.0 if row.probability is None else row.probability
-            told[_key(camera, name)] = Told(value, fit[1:], weight)
-    return told
+            fits[_key(camera, name)] = CameraFit(value, fit[1:], weight)
+    return fits

@@ -2,7 +2,7 @@
 cameras, in the order of the pairs whatever the order in which they were done."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from dgc_pose.batch.matches_file import (
 from dgc_pose.batch.plan import Plan, read_plan
 from dgc_pose.batch.pooling import PooledCamera
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, write_rows
-from dgc_pose.batch.store import PairStore
+from dgc_pose.batch.work import Matched
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.files.json_files import read_json
@@ -42,14 +42,6 @@ class Batch:
         with open_matches(self.folder / MATCHES) as file:
             for row in self.rows:
                 yield row, read_matches(file, group_name(row.name1, row.name2))
-
-    def still_holds(self, row: PairRow, plan: Plan) -> bool:
-        """Whether a pair did not fail, and its photographs are as in this plan."""
-        return row.status != FAILED and plan.same_files((row.name1, row.name2), self.plan.states)
-
-    def holds_for(self, plan: Plan) -> bool:
-        """Whether all pairs still hold."""
-        return all(self.still_holds(row, plan) for row in self.rows)
 
 
 def is_finished(out: Path) -> bool:
@@ -74,17 +66,22 @@ def read_batch(out: Path) -> Batch:
     return Batch(out, plan, rows, summary)
 
 
-def write_pairs(out: Path, store: PairStore) -> None:
-    """Write the rows and the matches of all pairs, which the store has."""
-    # A result of before is none any more while its files are replaced one by one.
-    (out / SUMMARY).unlink(missing_ok=True)
+def write_pairs(out: Path, blocks: Iterable[Matched], size: int) -> list[PairRow]:
+    """Write the rows and the matches of all pairs, and return the rows in the order of the pairs.
+
+    size: of the matches, bytes, roughly.
+    """
     with replaced(out / PAIRS) as pairs, replaced(out / MATCHES) as matches:
-        require_room(out / MATCHES, store.byte_count)
+        require_room(out / MATCHES, size)
+        by_index: dict[int, PairRow] = {}
         with h5py.File(matches, "w") as file:
-            for block in store.blocks():
+            for block in blocks:
+                by_index |= zip(block.indices, block.rows, strict=True)
                 for row, of_pair in zip(block.rows, block.matches, strict=True):
                     write_matches(file.create_group(group_name(row.name1, row.name2)), of_pair)
-        write_rows(pairs, store.rows)
+        rows = [by_index[index] for index in sorted(by_index)]
+        write_rows(pairs, rows)
+    return rows
 
 
 def summary_of(

@@ -11,19 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.batch.local import RunTasks, Workers, local_workers
 from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
-from dgc_pose.batch.ray_engine import ray_workers
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.batch.schedule import BLOCK, block_size, blocks_of, tile_order
+from dgc_pose.batch.rows import FAILED, PairRow
+from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
-from dgc_pose.batch.store import ESTIMATED, MATCHED, PairStore
+from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Estimate, Job, Match, Matched
+from dgc_pose.batch.workers import RunTasks, local_workers, ray_workers
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, InputError
@@ -34,7 +33,6 @@ from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 
-_ENGINES: Mapping[str, Workers] = {"local": local_workers, "ray": ray_workers}
 _BLOCKS_HELD = 4  # of matches in memory, for each worker
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
@@ -49,28 +47,25 @@ def run_batch(
     matcher: MatcherOptions,
     estimation: EstimationOptions,
     options: BatchOptions,
-    start_workers: Workers | None = None,
     progress: Progress = lambda stage, done, of: None,
 ) -> Batch:
     """Match the pairs of a source and put the result into `out`.
 
     choice: how pairs are chosen; None for those of the source, or if it has none, all pairs of up
-    to 20 images, and of more each image with its 10 most similar ones. start_workers: None for
-    those of `options.engine`.
+    to 20 images, and of more each image with its 10 most similar ones.
 
     Where a focal length has a deviation, each pair fits its own, and the principal point. They are
     pooled over the pairs of a camera, and the poses are estimated again with the pooled cameras,
     from the same matches.
 
     A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
-    have changed since.
+    have changed since; all of them if photographs have changed after a result without bad pairs.
 
     Raises InputError if there is a batch in `out` already and `resume` is not asked for, if that
     one had other settings, images or cameras, or if the input is unusable; OSError if the disk is
     full.
     """
     start = time.perf_counter()
-    begin = start_workers or _ENGINES[options.engine]
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
     source = replace(source, root=source.root.resolve())
     if choice is None and source.pairs is None:
@@ -89,42 +84,39 @@ def run_batch(
     with _folder_alone(out):
         before = _plan_before(out, options.resume)
         plan = _first_plan(source, calibration, choice, settings)
-        result: Batch | None = None
         if before is not None:
             plan = continued(before, plan, out)
-            result = read_batch(out) if is_finished(out) else None
-            store = PairStore(out, MATCHED, plan)
-            if result is not None and result.holds_for(plan) and not len(store):
-                store.remove()  # what a kill left of it
-                return result
+            if is_finished(out) and plan.same_files(plan.names, before.states):
+                result = read_batch(out)
+                if all(row.status != FAILED for row in result.rows):
+                    return result
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, options.worker_bytes)
         # What a matcher cannot load is an error before anything is written.
-        with begin(job, options.worker_count) as run:
+        start_workers = ray_workers if options.engine == "ray" else local_workers
+        with start_workers(job, options.worker_count) as run:
             if before is None:
                 if choice is not None and choice.way == "auto":
                     plan = _with_similar(plan, choice.number, run, progress)
                 write_plan(out, plan)
-            matched, whole = (PairStore(out, name, plan) for name in (MATCHED, ESTIMATED))
-            if matched.left:
-                whole.remove()  # by other cameras
+            (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
+            store = PairStore(out, plan)
             poses = _Poses(run, options.worker_count, progress, len(plan.pairs))
-            if result is not None:
-                _take_over(result, matched, plan, poses)
-            worked = _match(matched, plan, run, options, progress)
+            worked = _match(store, plan, run, options, progress)
             cameras: list[PooledCamera] = []
+            blocks = store.blocks()
             if plan.uncertain:
-                plan, cameras = _estimate(matched, whole, plan, poses)
-            else:
-                whole = matched
-        write_pairs(out, whole)
+                pooled, cameras = _pool(store, plan, poses)
+                plan = replace(plan, pooled=pooled)
+                blocks = poses.estimated(store.blocks(poses.block_size), pooled, fit=False)
+            rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
         write_plan(out, plan)  # with photographs and focal lengths as they are now
-        summary = summary_of(plan, whole.rows, matched.bad, cameras)
+        summary = summary_of(plan, rows, store.bad, cameras)
         seconds = round(time.perf_counter() - start, 2)
         write_json(out / SUMMARY, summary | {"matched_now": worked, "seconds": seconds})
-        whole.remove()
-        matched.remove()
+        if not (summary["failed_pairs"] or summary["bad_pairs"]):
+            store.remove()
         return read_batch(out)
 
 
@@ -218,11 +210,16 @@ class _Poses:
     progress: Progress
     total: int  # pairs
 
+    @property
+    def block_size(self) -> int:
+        """Pairs of a block, if all are estimated."""
+        return block_size(self.total, self.workers)
+
     def estimated(
-        self, blocks: Iterator[Matched], cameras: Mapping[str, Camera], done: int, *, fit: bool
+        self, blocks: Iterator[Matched], cameras: Mapping[str, Camera], *, fit: bool
     ) -> Iterator[Matched]:
-        """The blocks with their poses by these cameras. done: pairs that need no estimate; fit:
-        whether each pair fits its cameras."""
+        """The blocks with their poses by these cameras. fit: whether each pair fits its cameras."""
+        done = 0
         while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
             tasks = []
             for block in held:
@@ -236,48 +233,19 @@ class _Poses:
                 self.progress("poses", done, self.total)
 
 
-def _take_over(result: Batch, store: PairStore, plan: Plan, poses: _Poses) -> None:
-    """Put the pairs of a result that still hold into the store, as if they had just been matched.
+def _pool(
+    store: PairStore, plan: Plan, poses: _Poses
+) -> tuple[dict[str, Camera], list[PooledCamera]]:
+    """The cameras by image name with the focal lengths of all pairs, and those one by one.
 
-    The result has the poses by the pooled cameras, so each pair fits its cameras again.
+    store: of the pairs as they are matched, each with its own focal lengths.
     """
-    left = {*store.left}
-    pairs = (
-        (index, row, matches)
-        for index, (row, matches) in enumerate(result.matches())
-        if index in left and result.still_holds(row, plan)
-    )
-
-    def blocks() -> Iterator[Matched]:
-        while block := list(islice(pairs, BLOCK)):
-            indices, rows, matches = zip(*block, strict=True)
-            yield Matched(indices, rows, matches, {})
-
-    done = blocks()
-    if plan.uncertain:
-        done = poses.estimated(done, plan.cameras, len(store), fit=True)
-    for block in done:
-        store.add(replace(block, bad=result.summary["bad_images"]))
-
-
-def _estimate(
-    store: PairStore, whole: PairStore, plan: Plan, poses: _Poses
-) -> tuple[Plan, list[PooledCamera]]:
-    """Pool the focal lengths of all pairs, and estimate the poses that `whole` lacks again.
-
-    store: of the pairs as they are matched, each with its own focal lengths. Returns the plan with
-    the pooled cameras, and those one by one.
-    """
-    size = block_size(len(plan.pairs), poses.workers)
     cameras, pooled = pool(plan.cameras, _pairs(store.blocks()))
     if centre_moved(plan.cameras, cameras):
         middle = {name: replace(c, K=cameras[name].K) for name, c in plan.cameras.items()}
-        cameras, pooled = pool(
-            middle, _pairs(poses.estimated(store.blocks(size), middle, 0, fit=True))
-        )
-    for block in poses.estimated(store.blocks(size, whole.left), cameras, len(whole), fit=False):
-        whole.add(block)
-    return replace(plan, pooled=cameras), pooled
+        blocks = poses.estimated(store.blocks(poses.block_size), middle, fit=True)
+        cameras, pooled = pool(middle, _pairs(blocks))
+    return cameras, pooled
 
 
 def _pairs(blocks: Iterable[Matched]) -> Iterator[tuple[PairRow, PairMatches]]:

@@ -1,4 +1,4 @@
-"""The pairs of a batch that are done, in two files that grow: `NAME.jsonl` and `NAME.bin`.
+"""The pairs of a batch that are matched, in two files that grow: `matched.jsonl`, `matched.bin`.
 
 A line of the first is the row of a pair, and says where its matches lie in the second. It is
 written after them, so a kill leaves every line with its matches, but for a last one cut short.
@@ -6,7 +6,7 @@ written after them, so a kill leaves every line with its matches, but for a last
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -18,8 +18,6 @@ from dgc_pose.batch.work import Matched
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import open_regular, read_as
 from dgc_pose.files.outputs import writing
-
-MATCHED, ESTIMATED = "matched", "estimated"  # each pair with its cameras; with the pooled ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,10 +33,10 @@ class _Done:
 class PairStore:
     """The pairs that are done. Raises InputError, with the path, for lines of another kind."""
 
-    def __init__(self, out: Path, name: str, plan: Plan) -> None:
+    def __init__(self, out: Path, plan: Plan) -> None:
         """Reads the pairs that are done, by photographs as the plan has them, without a failure."""
         self._plan = plan
-        self._lines, self._matches = out / f"{name}.jsonl", out / f"{name}.bin"
+        self._lines, self._matches = out / "matched.jsonl", out / "matched.bin"
         self._done: dict[int, _Done] = {}
         if self._lines.exists():
             self._read()
@@ -50,11 +48,6 @@ class PairStore:
     def left(self) -> list[int]:
         """The pairs that are not done."""
         return [index for index in range(len(self._plan.pairs)) if index not in self._done]
-
-    @property
-    def rows(self) -> list[PairRow]:
-        """The rows of the pairs that are done, in the order of the pairs."""
-        return [self._done[index].row for index in sorted(self._done)]
 
     @property
     def bad(self) -> dict[str, str]:
@@ -86,10 +79,9 @@ class PairStore:
         with writing(self._lines), self._lines.open("a", encoding="utf-8") as stream:
             stream.writelines(lines)
 
-    def blocks(self, size: int = BLOCK, indices: Iterable[int] | None = None) -> Iterator[Matched]:
-        """Pairs that are done, by default all, in their order, so many at a time."""
-        chosen = sorted(self._done if indices is None else indices)
-        for block in blocks_of(chosen, size):
+    def blocks(self, size: int = BLOCK) -> Iterator[Matched]:
+        """The pairs that are done, in their order, so many at a time."""
+        for block in blocks_of(sorted(self._done), size):
             matches = []
             with open_regular(self._matches) as file:
                 for index in block:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, pair_matches
-from dgc_pose.batch.pooling import TOLD_STD, cameras_told
+from dgc_pose.batch.pooling import KNOWN_FOCAL_STD, camera_fits
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
@@ -65,7 +65,7 @@ class Estimate:
 
     block: Matched  # a pair that cannot be estimated again keeps its row
     cameras: Mapping[str, Camera]  # of their images, by name
-    fit_cameras: bool  # whether each pair fits them anew, also those that are told already
+    fit_cameras: bool  # whether each pair fits them anew, also those that are known already
 
 
 Task = Describe | Match | Estimate
@@ -120,23 +120,27 @@ class Worker:
             if camera1.focal_std > 0 or camera2.focal_std > 0:
                 # As it will be when the pose is estimated again.
                 result = self.matcher.match(image1, image2)
-                return self._estimated(names, pair_matches(result, again=True), self.job.cameras)
+                return self._estimated(
+                    names, pair_matches(result, estimable=True), self.job.cameras
+                )
             search = self.matcher.search(image1, image2)
             pose = pose_of_pair(search, camera1, camera2, self.job.estimation)
-            stored = pair_matches(search.last, again=False)
+            stored = pair_matches(search.last, estimable=False)
             return _posed(names, stored, pose, search.last.matches.error_px)
 
         return _attempt(names, posed)
 
     def _estimate(self, task: Estimate) -> Matched:
-        def again(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
-            if stored.again is None:
+        def estimated(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
+            if stored.pose_inputs is None:
                 return row, stored
             names = (row.name1, row.name2)
-            fit = task.fit_cameras or any(task.cameras[n].focal_std > TOLD_STD for n in names)
+            fit = task.fit_cameras or any(
+                task.cameras[n].focal_std > KNOWN_FOCAL_STD for n in names
+            )
             return _attempt(names, lambda: self._estimated(names, stored, task.cameras, fit))
 
-        rows, matches = zip(*map(again, task.block.rows, task.block.matches), strict=True)
+        rows, matches = zip(*map(estimated, task.block.rows, task.block.matches), strict=True)
         return Matched(task.block.indices, rows, matches, {})
 
     def _estimated(
@@ -188,10 +192,10 @@ def _posed(
     names: tuple[str, str], stored: PairMatches, pose: RelativePose, error_px: float
 ) -> tuple[PairRow, PairMatches]:
     """The row, and the matches with the inliers of the pose; error_px: that of the matches."""
-    again = stored.again
-    if again is not None and pose.camera_covariance is not None:
-        again = replace(again, cameras=cameras_told(pose))
-    return row_of(names, pose, error_px), replace(stored, inliers=pose.inliers, again=again)
+    inputs = stored.pose_inputs
+    if inputs is not None and pose.camera_covariance is not None:
+        inputs = replace(inputs, camera_fits=camera_fits(pose))
+    return row_of(names, pose, error_px), replace(stored, inliers=pose.inliers, pose_inputs=inputs)
 
 
 def _attempt(

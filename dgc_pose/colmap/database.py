@@ -1,13 +1,11 @@
 """A COLMAP database of shared key points, matches and two-view geometries, through pycolmap."""
 
-import sqlite3
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.pooling import TOLD_STD
+from dgc_pose.batch.pooling import KNOWN_FOCAL_STD
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -22,7 +20,8 @@ from dgc_pose.system.stderr import quiet
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
-_LEAST_BYTES = 2**18  # more than an empty database takes
+# More than a database takes: empty, and for each key point and match, with SQLite's log.
+_EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32
 
 
 def write_database(
@@ -38,9 +37,12 @@ def write_database(
     `CONFIGURATIONS`.
 
     Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
-    DgcPoseError if pycolmap fails, or if the file lacks rows after it was written.
+    DgcPoseError if pycolmap fails.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    # pycolmap leaves out the system's error, and SQLite may lose its log without one.
+    key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
+    require_room(path, _EMPTY_BYTES + _KEY_POINT_BYTES * key_points + _MATCH_BYTES * matches)
     with replaced(path) as temporary:
         try:
             # Without a transaction of pycolmap, whose end terminates the process when a disk is
@@ -55,9 +57,7 @@ def write_database(
                     geometry = two_view_geometry(rows[pair], index)
                     database.write_two_view_geometry(id1, id2, geometry)
         except RuntimeError as error:
-            require_room(path, _LEAST_BYTES)  # pycolmap leaves out the system's error
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
-        _require_rows(temporary, path, keypoints=len(shared.key_points), matches=len(shared.pairs))
         for ending in ("-wal", "-shm", "-journal"):
             # SQLite would take a log of the old database for one of the new.
             Path(f"{path}{ending}").unlink(missing_ok=True)
@@ -112,7 +112,7 @@ def _write_images(
     for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
         std, identity = cameras[name].focal_std, cameras[name].identity
-        camera.has_prior_focal_length = std < TOLD_STD
+        camera.has_prior_focal_length = std < KNOWN_FOCAL_STD
         alone = name if std > 0 and identity is None else None
         size = (camera.width, camera.height)
         key = (alone, camera.model.name, *size, *camera.params.tolist())
@@ -127,18 +127,3 @@ def _write_images(
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
     return ids
-
-
-def _require_rows(temporary: Path, path: Path, keypoints: int, matches: int) -> None:
-    """Raise DgcPoseError, with `path`, if a table has fewer rows than were written into it: SQLite
-    raises nothing for a log that does not fit into the file when it is closed."""
-    expected = {"keypoints": keypoints, "matches": matches, "two_view_geometries": matches}
-    address = f"{temporary.absolute().as_uri()}?mode=ro&immutable=1"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as database:
-            for table, count in expected.items():
-                (rows,) = database.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
-                if rows != count:
-                    raise DgcPoseError(f"{path}: {rows} of {count} rows of {table} were written")
-    except sqlite3.Error as error:
-        raise DgcPoseError(f"{path}: SQLite: {reason(error)}") from error

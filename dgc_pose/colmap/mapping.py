@@ -9,7 +9,7 @@ from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.system.colmap_library import pycolmap
 
-LEAST_IMAGES = 3  # of a model
+MIN_IMAGES = 3  # of a model
 _SEED = 0
 _MAPPERS: Mapping[str, Callable[..., Any]] = {
     "incremental": pycolmap.incremental_mapping,
@@ -32,7 +32,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
             raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
     if not models:
         raise MappingError(
-            f"{database}: pycolmap's {options.mapper} mapper made no model of {LEAST_IMAGES} images"
+            f"{database}: pycolmap's {options.mapper} mapper made no model of {MIN_IMAGES} images"
         )
     return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
 
@@ -51,7 +51,7 @@ def _pipeline_options(options: MappingOptions) -> Any:
         settings.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
         settings.mapper.bundle_adjustment.ceres.use_gpu = False
         settings.mapper.global_positioning.use_gpu = False
-    settings.min_model_size = LEAST_IMAGES
+    settings.min_model_size = MIN_IMAGES
     settings.num_threads = options.mapper_threads
     settings.random_seed = settings.mapper.random_seed = _SEED
     return settings

@@ -12,13 +12,14 @@ from dgc_pose.colmap.export import Exported, share, write_shared
 from dgc_pose.colmap.mapping import map_database
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.points_file import write_model_points
-from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.errors import InputError
 from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import only_writer, replaced, replaced_folder
+from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
 from dgc_pose.system.colmap_library import pycolmap
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
+_KEY_POINT_BYTES, _POINT_BYTES = 40, 120  # more than a model and its point file take for each
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 
 
@@ -65,7 +66,7 @@ def reconstruct(
 
     Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
     model's, another process writes into `out`, or no pair has a pose; ImageError if an image cannot
-    be read any more; DgcPoseError if what was written is not whole.
+    be read any more; OSError if the disk is full.
     """
     options = options or ReconstructionOptions()
     mapping = replace(options.mapping, refine_intrinsics=refines(batch, options))
@@ -75,9 +76,11 @@ def reconstruct(
         shared, pairs = share(batch, options.sharing, progress)
         exported = write_shared(batch, shared, pairs, out / DATABASE)
         reconstruction = map_database(out / DATABASE, batch.plan.root, mapping)
+        # pycolmap raises nothing for a disk that is full.
+        points = _POINT_BYTES * reconstruction.num_points3D()
+        require_room(out / MODEL, _KEY_POINT_BYTES * exported.key_points + points)
         with replaced_folder(out / MODEL) as folder:
             reconstruction.write_binary(folder)
-            _require_model(reconstruction, folder, out / MODEL)
         with replaced(out / POINTS) as temporary:
             write_model_points(temporary, reconstruction, out / POINTS)
     return sparse_model(reconstruction), exported
@@ -86,18 +89,6 @@ def reconstruct(
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
     """Whether bundle adjustment changes the cameras."""
     return options.mapping.refine_intrinsics or batch.plan.uncertain
-
-
-def _require_model(expected: pycolmap.Reconstruction, folder: Path, path: Path) -> None:
-    """Raise DgcPoseError, with `path`, unless the folder holds the model: pycolmap raises nothing
-    for a disk that is full."""
-    try:
-        written = pycolmap.Reconstruction(folder)
-    except (RuntimeError, ValueError) as error:
-        raise DgcPoseError(f"{path}: what was written cannot be read: {reason(error)}") from error
-    counts, wanted = ((m.num_images(), m.num_points3D()) for m in (written, expected))
-    if counts != wanted:
-        raise DgcPoseError(f"{path}: {counts} images and points were written, not {wanted}")
 
 
 def require_model_folder(folder: Path) -> None:

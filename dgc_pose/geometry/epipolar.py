@@ -1,6 +1,5 @@
 """The essential matrix and distances to it. x2^T E x1 = 0 for homogeneous points x1, x2."""
 
-import cv2
 import numpy as np
 
 _TINY = 1e-300  # makes 0 / 0, at the epipoles, 0
@@ -28,6 +27,8 @@ def fundamental_from_essential(E: np.ndarray, K1: np.ndarray, K2: np.ndarray) ->
 
 def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """The four poses (R, t), |t| = 1, of an essential matrix (3, 3)."""
+    import cv2  # slow to import, and cameras need none of it
+
     R1, R2, t = cv2.decomposeEssentialMat(E)
     t = t[:, 0] / np.linalg.norm(t)
     return [(R1, t), (R2, t), (R1, -t), (R2, -t)]

@@ -172,7 +172,7 @@ class Server:
             task.cancel()
 
     async def _described(self, path: Path, name: str) -> dict[str, Any]:
-        """The image, once it is decoded and kept, as the page is told of it."""
+        """The image as the page gets it, once it is decoded and kept."""
         most, seconds = int(self.options.max_megapixels * 1e6), self.options.decode_seconds
         shown = await self._decoding.call(preview, path, most, seconds=seconds)
         return {"id": self._store.keep(StoredImage(path, name)), "name": name, **shown}

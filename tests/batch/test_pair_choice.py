@@ -59,11 +59,6 @@ def test_the_most_similar_ones_and_a_spanning_tree(most: int) -> None:
     assert nx.is_connected(nx.Graph(list(found)))
 
 
-def test_one_image_has_no_pair() -> None:
-    assert most_similar(np.zeros((1, 1)), 3) == []
-    assert most_similar(np.zeros((2, 2)), 3) == [(0, 1)]
-
-
 def _cells(rng: np.random.Generator, count: int) -> np.ndarray:
     cells = rng.standard_normal((count, 32))
     return cells / np.linalg.norm(cells, axis=1, keepdims=True)

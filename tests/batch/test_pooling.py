@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgc_pose.batch.matches_file import NO_MATCHES, Again, PairMatches
-from dgc_pose.batch.pooling import Told, centre_moved, pool, pooled_fit, write_cameras
+from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, PoseInputs
+from dgc_pose.batch.pooling import CameraFit, centre_moved, pool, pooled_fit, write_cameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -18,30 +18,13 @@ SIZE = (100, 80)
 K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
 
 
-def _told(value: float, std: float, weight: float = 1.0) -> Told:
-    return Told(np.array([value]), np.array([[std**2]]), weight)
+def _fit(value: float, std: float, weight: float = 1.0) -> CameraFit:
+    return CameraFit(np.array([value]), np.array([[std**2]]), weight)
 
 
-def _pooled(told: list[Told], images: int) -> tuple[float, float]:
-    (value,), (std,) = pooled_fit(told, np.array([PRIOR]), images)
+def _pooled(fits: list[CameraFit], images: int) -> tuple[float, float]:
+    (value,), (std,) = pooled_fit(fits, np.array([PRIOR]), images)
     return float(value), float(std)
-
-
-def test_without_a_pair_the_prior_stays() -> None:
-    assert _pooled([], 3) == (0.0, PRIOR)
-
-
-def test_one_pair_says_what_it_says() -> None:
-    """Its prior is taken out and put in again."""
-    value, std = _pooled([_told(0.1, 0.01)], 2)
-    assert value == pytest.approx(0.1, abs=1e-6) and std == pytest.approx(0.01, rel=1e-3)
-
-
-def test_the_prior_enters_once() -> None:
-    """Four pairs of a precision of 25, of which 6.25 is the prior's: 4 * 18.75 + 6.25 together."""
-    value, std = _pooled([_told(0.1, 0.2)] * 4, 8)
-    assert value == pytest.approx(4 * 0.1 * 25 / 81.25, rel=1e-3)
-    assert std == pytest.approx(81.25**-0.5, rel=1e-3)
 
 
 def test_parameters_that_are_correlated() -> None:
@@ -54,7 +37,7 @@ def test_parameters_that_are_correlated() -> None:
     covariance = np.linalg.inv(of_matches + np.diag(prior**-2))
     true = np.array([0.01, 0.3, -0.2])
     value = covariance @ of_matches @ true
-    pooled, std = pooled_fit([Told(value, covariance)] * 4, prior, 8)
+    pooled, std = pooled_fit([CameraFit(value, covariance)] * 4, prior, 8)
     together = np.linalg.inv(4 * of_matches + np.diag(prior**-2))
     np.testing.assert_allclose(pooled, together @ (4 * of_matches @ true), rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(std, np.sqrt(np.diag(together)), rtol=1e-3)
@@ -62,25 +45,25 @@ def test_parameters_that_are_correlated() -> None:
 
 @pytest.mark.parametrize("outlier", [0.5, -1.2])
 def test_outliers_do_not_move_it(outlier: float) -> None:
-    right = [_told(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
-    wrong = [_told(outlier, 0.005), _told(outlier, 0.005), _told(outlier - 0.2, 0.001, weight=0.01)]
+    right = [_fit(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
+    wrong = [_fit(outlier, 0.005), _fit(outlier, 0.005), _fit(outlier - 0.2, 0.001, weight=0.01)]
     value, std = _pooled(right + wrong, 24)
     assert abs(value - 0.1) < 0.004 and std < 0.02
 
 
 def test_errors_of_an_image_are_shared_by_its_pairs() -> None:
     """Ten pairs of five images count as two and a half."""
-    told = [_told(0.0, 0.01)] * 10
-    assert _pooled(told, 20)[1] == pytest.approx(0.01 / 10**0.5, rel=1e-3)
-    assert _pooled(told, 5)[1] == pytest.approx(0.01 / 2.5**0.5, rel=1e-3)
-    assert _pooled(told, 1)[1] == pytest.approx(0.01, rel=1e-3)
+    fits = [_fit(0.0, 0.01)] * 10
+    assert _pooled(fits, 20)[1] == pytest.approx(0.01 / 10**0.5, rel=1e-3)
+    assert _pooled(fits, 5)[1] == pytest.approx(0.01 / 2.5**0.5, rel=1e-3)
+    assert _pooled(fits, 1)[1] == pytest.approx(0.01, rel=1e-3)
 
 
 def test_scatter_widens() -> None:
     """Eight fits two deviations away: each of the weight w = 1 / (1 + 4 / 2.385^2), and 4 times
     the variance that they state."""
-    told = [_told(0.02 * sign, 0.01) for sign in (-1, 1) * 4]
-    value, std = _pooled(told, 16)
+    fits = [_fit(0.02 * sign, 0.01) for sign in (-1, 1) * 4]
+    value, std = _pooled(fits, 16)
     weight = 1 / (1 + 4 / 2.385**2)
     assert abs(value) < 1e-4
     assert std == pytest.approx(0.02 / (8 * weight) ** 0.5, rel=0.01)
@@ -100,7 +83,7 @@ def _pair(
     fit[:, 0] = [(np.log(focal), 51.5, 39.5) for focal in (focal1, focal2)]
     fit[:, 1:] = np.diag([std**2, 0.25, 0.25])
     row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
-    return row, replace(NO_MATCHES, again=Again(0.5, False, None, fit))
+    return row, replace(NO_MATCHES, pose_inputs=PoseInputs(0.5, False, None, fit))
 
 
 def test_each_camera_has_its_pairs() -> None:

@@ -50,12 +50,6 @@ def test_an_alternative_that_is_no_pose_is_refused(changed: dict[str, object], w
         parse_row(data, "rows")
 
 
-def test_alternatives_that_are_no_list_of_poses_are_refused() -> None:
-    for value in (3, None, [3], ["R"]):
-        with pytest.raises(InputError, match="rows: not a row of a batch"):
-            parse_row(asdict(ROW) | {"alternatives": value}, "rows")
-
-
 @pytest.mark.parametrize("field", ["name1", "status", "success", "num_matches", "inlier_ratio"])
 def test_a_list_in_place_of_one_value_is_refused(field: str) -> None:
     with pytest.raises(InputError, match=f"rows: {field} must be"):

@@ -148,22 +148,3 @@ def test_unusable_input(photos: tuple[Path, list[View]], whole: Path, tmp_path: 
     with pytest.raises(InputError, match="sift has no features of a network"):
         run_sift(photos[0], tmp_path / "out", pairs="auto:2")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_result_cut_short_is_named(
-    photos: tuple[Path, list[View]], whole: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    for name in ("plan.json", "summary.json", "pairs.jsonl", "matches.h5"):
-        (out / name).write_bytes((whole / name).read_bytes())
-    lines = (out / "pairs.jsonl").read_text().splitlines(keepends=True)
-    (out / "pairs.jsonl").write_text("".join(lines[:-1]))
-    with pytest.raises(InputError, match="5 rows, and the plan has 6 pairs"):
-        read_batch(out)
-    (out / "pairs.jsonl").write_text("".join(lines)[:-20])
-    with pytest.raises(InputError, match="not a whole line"):
-        read_batch(out)
-    (out / "plan.json").write_text("{}")
-    with pytest.raises(InputError, match="not the plan"):
-        read_batch(out)

@@ -18,11 +18,6 @@ def test_all_pairs_are_ordered_once() -> None:
     assert len(tile_order(np.zeros((0, 2), np.int64), 0, 4)) == 0
 
 
-def test_with_memory_for_all_each_image_is_encoded_once() -> None:
-    pairs = _shuffled(PairChoice("exhaustive").pairs(20), 20)
-    assert loads(pairs[tile_order(pairs, 20, 20)], 20) == 20
-
-
 def test_a_sequence_is_encoded_once_although_memory_holds_few() -> None:
     pairs = _shuffled(PairChoice("sequential", 3).pairs(60), 60)
     assert loads(pairs[tile_order(pairs, 60, 12)], 12) == 60

@@ -1,6 +1,5 @@
 """The images that a batch works on, and what of a folder is left out."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -51,18 +50,6 @@ def test_results_are_no_photographs(tmp_path: Path, plan: str, result: str, *, k
     source = open_source(tmp_path)
     assert source.names == ("1.png", "2.png") + (result,) * kept
     assert kept or "results, told by their plan.json" in "; ".join(source.left_out)
-
-
-def test_no_image_says_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    for name in ("1.heic", "2.heic"):
-        (tmp_path / name).write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
-    with pytest.raises(InputError) as caught:
-        open_source(tmp_path)
-    assert str(caught.value) == (
-        f"{tmp_path}: no image there, and a pair needs two; 2 files left out (first: 1.heic): "
-        "HEIC, which needs pillow-heif: pip install '.[heic]'"
-    )
 
 
 @pytest.mark.parametrize("root", ["photos/other", None])

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.curves import draw_cumulative, plot_errors, plot_pck, plot_reliability
+from dgc_pose.benchmarks.curves import draw_cumulative, plot_errors, plot_pck
 from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
-from dgc_pose.metrics import Reliability
 from dgc_pose.viz.figure import new_figure, save_figure
 
 
@@ -36,19 +35,6 @@ def test_a_panel_a_group_and_a_curve_a_method():
     assert curve.get_ydata().tolist() == pytest.approx([0, 25, 50, 75, 100])
     assert curve.get_xdata().tolist() == alphas.tolist()
     figure.canvas.draw()
-
-
-def test_shares_stand_over_the_mean_confidence_and_counts_below():
-    confidence = np.array([0.02, 0.06, 0.55, 0.57, 0.53, 0.51])
-    reliability = Reliability.of(confidence, np.array([False, False, True, True, True, False]))
-    upper, lower = plot_reliability({"net": reliability}, right="within 3 px").axes
-    _, curve = upper.lines
-    assert curve.get_xdata().tolist() == pytest.approx([0.04, 0.54])  # empty bins are left out
-    assert curve.get_ydata().tolist() == pytest.approx([0, 0.75])
-    error = 100 * (2 * 0.04 + 4 * 0.21) / 6
-    assert curve.get_label() == f"net, calibration error {error:.1f} %"
-    values, _, _ = lower.patches[0].get_data()
-    assert values[0] == pytest.approx(100 / 3) and values[5] == pytest.approx(200 / 3)
 
 
 def test_a_row_a_pair_with_the_warped_source_and_its_errors():

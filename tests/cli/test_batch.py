@@ -6,9 +6,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import pytest
-from batch_runs import run_sift, view_folder
+from batch_runs import view_folder
 from command_line import assert_refused, run
 from multi_view import K_text
 
@@ -22,24 +21,6 @@ SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", 
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("photos")
     view_folder(folder, 3)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def finished(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a finished batch."""
-    out = tmp_path_factory.mktemp("finished") / "out"
-    run_sift(photos, out)
-    return out
-
-
-@pytest.fixture
-def copied(finished: Path, tmp_path: Path) -> Path:
-    """A copy of a finished batch, to break."""
-    folder = tmp_path / "copied"
-    folder.mkdir()
-    for path in finished.iterdir():
-        (folder / path.name).write_bytes(path.read_bytes())
     return folder
 
 
@@ -84,42 +65,6 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     assert done.exit_code == 3, done.output  # the images are the same
     left_out = "1 file left out (first: notes.txt): not an image of a known format"
     assert f"warning: {left_out}\n" in done.stderr
-
-
-def test_a_K_for_another_size(photos: Path, tmp_path: Path) -> None:
-    """Twice the size, which the file says: the image that it does not fit is named."""
-    path, out = tmp_path / "cameras.txt", tmp_path / "out"
-    path.write_text("1 PINHOLE 480 360 400 400 240 180\n")
-    options = ["--out", out, "--pairs", "exhaustive", "--K", path, *SIFT]
-    assert_refused(run("batch", photos, *options), str(path), "view0.png", "480 x 360", "240 x 180")
-    assert not out.exists()
-
-
-def test_a_database_that_is_there_is_not_written_to(finished: Path, tmp_path: Path) -> None:
-    """`--overwrite` replaces it."""
-    path = tmp_path / "old.db"
-    path.write_text("of the user")
-    before = path.read_bytes()
-    arguments = ["export-colmap", finished, "--database", path, "--sharing", "cells"]
-    assert_refused(run(*arguments), f"{path} is there already", "--overwrite")
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-    done = run(*arguments, "--overwrite")
-    assert done.exit_code == 0, done.output
-    with pycolmap.Database.open(path) as database:
-        names = {image.name for image in database.read_all_images()}
-    assert names == {"view0.png", "view1.png", "view2.png"}
-    assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("length", [0, 5000])
-def test_matches_cut_short(copied: Path, tmp_path: Path, length: int) -> None:
-    path = copied / "matches.h5"
-    path.write_bytes(path.read_bytes()[:length])
-    database, hloc = tmp_path / "x.db", tmp_path / "hloc"
-    for target in (["--database", database], ["--hloc", hloc]):
-        assert_refused(run("export-colmap", copied, *target), str(path))
-    assert not database.exists() and not hloc.exists()
 
 
 def test_failed_pairs_are_told(

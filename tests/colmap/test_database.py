@@ -13,7 +13,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
 from dgc_pose.colmap.shared import SharedMatches
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
 
 NAMES = ("b.png", "a.png")
@@ -124,32 +124,3 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         write_database(path, ["a"], {"a": skewed}, SharedMatches({}, {}), {})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("name", ["shoot #3", "herz?", "100%20real", "with blank", "mode=ro&x"])
-def test_the_name_of_a_folder_is_no_address(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name / "database.db"
-    _write(path)
-    with pycolmap.Database.open(path) as database:
-        assert database.num_images() == 3
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_rows_that_are_missing_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A log that does not fit into the file when SQLite closes it is lost without an error."""
-    path = tmp_path / "database.db"
-    monkeypatch.setattr(pycolmap.Database, "write_matches", lambda *arguments: None)
-    with pytest.raises(DgcPoseError, match=f"^{path}: 0 of 1 rows of matches were written$"):
-        _write(path)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_what_pycolmap_raises_goes_through(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where it holds words of a full disk."""
-
-    def fail(*arguments: object) -> None:
-        raise RuntimeError("the factory is full of I/O")
-
-    monkeypatch.setattr(pycolmap.Database, "write_keypoints", fail)
-    with pytest.raises(DgcPoseError, match="database.db: pycolmap: the factory is full of I/O$"):
-        _write(tmp_path / "database.db")

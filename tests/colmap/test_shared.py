@@ -66,12 +66,6 @@ def test_merging_makes_tracks_of_matches_at_fresh_places(noise_px: float) -> Non
             assert nearest.max() <= 2
 
 
-def test_the_best_cells_are_kept() -> None:
-    pairs = cloud_pairs([(v.R, v.t) for v in render_views(3)], count=80, noise_px=0.01)
-    shared = merge_by_cells(pairs, SharingOptions(per_image=30))
-    assert {len(points) for points in shared.key_points.values()} == {30}
-
-
 def test_matches_far_from_the_pose_do_not_fit() -> None:
     views = render_views(2)
     (pair,) = cloud_pairs([(v.R, v.t) for v in views], count=50, noise_px=0)

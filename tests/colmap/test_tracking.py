@@ -66,9 +66,3 @@ def test_wrong_matches_give_no_key_points() -> None:
         right = cKDTree(pair.points1[100:]).query(first)[1] + 100
         far = np.linalg.norm(second - pair.points2[right], axis=1) > 15
         assert far.mean() < 0.02
-
-
-def test_nothing_to_share() -> None:
-    shared = track_corners([], {}, lambda name: Image(np.zeros((4, 4, 3), np.uint8)))
-    assert not shared.key_points
-    assert not shared.pairs

@@ -13,11 +13,11 @@ import pycolmap
 import torch
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.batch.matches_file import Again, PairMatches
+from dgc_pose.batch.matches_file import PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan, read_plan, write_plan
 from dgc_pose.batch.result import read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import BAD_INPUT, HypothesisRow, PairRow
-from dgc_pose.batch.store import MATCHED, PairStore
+from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import Matched
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
@@ -185,9 +185,9 @@ def _read_matches(folder: Path, path: Path) -> None:
 def make_batch(folder: Path) -> None:
     """A finished batch: a pose of two images, and a pair with a bad image."""
     plan, store = make_unfinished_batch(folder)
-    write_pairs(folder, store)
+    rows = write_pairs(folder, store.blocks(), store.byte_count)
+    summary = summary_of(plan, rows, store.bad, []) | {"matched_now": 2, "seconds": 0.5}
     store.remove()
-    summary = summary_of(plan, store.rows, store.bad, []) | {"matched_now": 2, "seconds": 0.5}
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
@@ -204,7 +204,7 @@ def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
     indices = np.array([[0, 1], [1, 2]])
     plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
     write_plan(folder, plan)
-    store = PairStore(folder, MATCHED, plan)
+    store = PairStore(folder, plan)
     values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
     values |= {"alternatives": (HypothesisRow(values["R"], (0, 0, 1), 7, 0.25),)}
     values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
@@ -217,13 +217,13 @@ def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
 def _matches(count: int) -> PairMatches:
     points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
     scores, every = np.ones(count, np.float32), np.ones(count, bool)
-    again = Again(0.5, False, Matches(points, points + 1, scores, 2.0), np.zeros((2, 4, 3)))
+    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0), np.zeros((2, 4, 3)))
     return PairMatches(points, points + 1, scores, every, again)
 
 
 def _read_store(folder: Path, path: Path) -> None:
-    if path.stem == MATCHED:
-        list(PairStore(folder, MATCHED, read_plan(folder)).blocks())
+    if path.stem == "matched":
+        list(PairStore(folder, read_plan(folder)).blocks())
 
 
 READERS: dict[str, tuple[Make, Read]] = {

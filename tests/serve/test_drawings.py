@@ -6,7 +6,6 @@ import re
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
 
 pytestmark = pytest.mark.slow
 
@@ -26,21 +25,8 @@ def test_everything_fits_into_the_window(map_page, width):
             page.click(f"[value={kind}]")
             assert page.evaluate(OUTSIDE) == []
             assert page.evaluate("document.scrollingElement.scrollWidth") <= width
-        two = json.dumps([list(map(np.ndarray.tolist, (pose.R, pose.t))) for pose in both()])
-        page.evaluate(
-            f"import('/static/result.js').then(({{ describe }}) => describe({{ reason: 'x',"
-            f" pose: {{ status: 'ambiguous', num_inliers: 9, num_matches: 9, camera1: null,"
-            f" warnings: ['w'.repeat(200)], alternatives: {two}.map(([R, t]) =>"
-            f" ({{ R, t, num_inliers: 9, probability: 0.5 }})) }} }}, 'k'))"
-        )
-        assert len(re.findall("Pose [12]:", page.text("#poses"))) == 2
-        assert page.evaluate(OUTSIDE) == []
     finally:
         page.resize(1400, 1600)
-
-
-def both():
-    return ambiguous_pose().alternatives
 
 
 def pointed(page):
@@ -69,36 +55,6 @@ def test_the_maps_point_stands_in_the_other_image(map_page, way, place):
     np.testing.assert_allclose(dense_scene.points_in_image1(x2), x1, atol=1.2)
     distance = re.search(r"([.\d]+) px from the epipolar line", map_page.text("#pointed"))
     assert distance is not None and float(distance[1]) < 1.2
-
-
-def test_the_keyboard_points_too(map_page):
-    clear(map_page)
-    map_page.press("ArrowLeft")
-    image, middle = pointed(map_page)[0]
-    assert image == 1
-    np.testing.assert_allclose(middle, (np.array(dense_scene.SIZE) - 1) / 2, atol=0.1)
-    map_page.press("ArrowDown")
-    _, lower = pointed(map_page)[0]
-    assert lower[0] == middle[0] and lower[1] > middle[1]
-    for _ in range(60):  # across the gap
-        map_page.press("ArrowRight")
-    assert map_page.text("#pointed").startswith("image 2 (")
-
-
-def test_the_scene_turns(map_page):
-    page = map_page
-    aslant = page.drawn("#scene")
-    page.drag("#scene", (0.4, 0.5), (0.7, 0.6))
-    dragged = page.redrawn("#scene", aslant)
-    page.evaluate("document.querySelector('#scene').focus()")
-    for key in ("ArrowLeft", "ArrowUp", "+", "-"):
-        page.press(key)
-        dragged = page.redrawn("#scene", dragged)
-    page.click("[data-from=above]")
-    page.redrawn("#scene", dragged)
-    page.click("[data-from=aslant]")
-    page.wait("true")
-    assert page.drawn("#scene") == aslant
 
 
 def test_the_scene_projects_points_as_a_camera_behind_camera_1_does(map_page):

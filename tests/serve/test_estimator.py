@@ -2,7 +2,6 @@
 
 import base64
 import io
-from dataclasses import replace
 
 import cv2
 import dense_scene
@@ -11,10 +10,8 @@ import pytest
 import serve_parts
 from PIL import Image
 
-from dgc_pose import estimate_relative_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.serve.cameras import CameraRequest
-from dgc_pose.serve.estimator import _map
 from dgc_pose.serve.images import StoredImage
 
 
@@ -73,16 +70,6 @@ def test_the_map_is_sent_at_a_grid(result):
     )
     expected = dense_scene.points_in_image1(np.stack(np.meshgrid(x, y), -1)).reshape(-1, 2)
     assert np.abs(np.array(sent["points"]) - expected).mean() < 0.3  # the map's error is 0.2
-
-
-def test_a_map_that_covers_nothing_is_no_picture():
-    trace = estimate_relative_pose(
-        *dense_scene.pictures(), dense_scene.K, matcher=serve_parts.map_matcher(), trace=True
-    )
-    dense_map = trace.correspondence_map
-    blank = replace(dense_map, matchability=np.full_like(dense_map.matchability, 0.02))
-    assert _map(replace(trace, correspondence_map=blank)) == {"covered": 0.0}
-    assert _map(trace)["covered"] == pytest.approx((dense_map.matchability > 0.5).mean(), abs=0.03)
 
 
 def test_the_warp_shows_image_2_where_it_is_opaque(result):

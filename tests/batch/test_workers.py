@@ -1,4 +1,4 @@
-"""Workers of this machine: what they raise, and how their end is told."""
+"""Workers of this machine and of Ray: the same result, what they raise, and how they end."""
 
 import multiprocessing
 import os
@@ -9,47 +9,22 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from batch_runs import run_sift, view_folder
+from batch_runs import assert_same_result, run_sift
 
-from dgc_pose.batch.local import RunTasks, in_spans, local_workers
 from dgc_pose.batch.work import Describe, Job, Outcome, Task
-from dgc_pose.errors import DgcPoseError, InputError, WeightsError
+from dgc_pose.batch.workers import CoreWorker, RunTasks, in_spans, local_workers, ray_workers
+from dgc_pose.errors import DgcPoseError, WeightsError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
 
-@pytest.fixture(scope="module")
-def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("photos")
-    view_folder(folder, 4)
-    return folder
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-@pytest.mark.parametrize(
-    ("weights", "device", "error", "words"),
-    [
-        ("none.safetensors", "auto", WeightsError, "none.safetensors"),
-        ("damaged.safetensors", "auto", WeightsError, "damaged.safetensors"),
-        ("dgcm-lite0", "cuda:99", InputError, "cuda"),
-    ],
-)
-def test_what_cannot_be_loaded_is_said_as_by_the_matcher(
-    photos: Path,
-    tmp_path: Path,
-    workers: int,
-    weights: str,
-    device: str,
-    error: type[DgcPoseError],
-    words: str,
-    capfd: pytest.CaptureFixture[str],
+def test_a_matcher_that_cannot_be_loaded_leaves_nothing(
+    views: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Before a process starts, and nothing is left."""
-    (tmp_path / "damaged.safetensors").write_bytes(b"\x08\0\0\0\0\0\0\0{}")
-    path = tmp_path / weights if weights.startswith("damaged") else weights
-    with pytest.raises(error, match=words):
-        options = MatcherOptions(str(path), device=device)
-        run_sift(photos, tmp_path / "out", matcher=options, workers=workers)
+    """Before a process starts."""
+    with pytest.raises(WeightsError, match="none.safetensors"):
+        options = MatcherOptions("none.safetensors")
+        run_sift(views, tmp_path / "out", matcher=options, workers=2)
     assert not (tmp_path / "out").exists()
     assert capfd.readouterr() == ("", "")
 
@@ -70,18 +45,18 @@ def _killing(job: Job, workers: int) -> Iterator[RunTasks]:
         yield some
 
 
-def test_a_worker_that_is_killed_is_told_by_its_signal(photos: Path, tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_is_told_by_its_signal(views: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with pytest.raises(DgcPoseError, match=r"^a worker process ended \(SIGKILL\): resume goes on"):
-        run_sift(photos, out, workers=2, start_workers=_killing)
+        run_sift(views, out, workers=2, start_workers=_killing)
     assert (out / "matched.jsonl").exists()
 
 
-def test_what_a_worker_raises_is_raised_here(photos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_worker_raises_is_raised_here(views: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not the end of a process: here the weights are gone once the processes start."""
     monkeypatch.setattr(MatcherOptions, "load", lambda self, caches=None: None)  # in this process
     settings = MatcherOptions("gone.safetensors")
-    job = Job(photos, {}, {}, settings, EstimationOptions(), 2**20)
+    job = Job(views, {}, {}, settings, EstimationOptions(), 2**20)
     with (
         pytest.raises(WeightsError, match="gone.safetensors"),
         local_workers(job, 2) as run,
@@ -105,3 +80,36 @@ def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run() -> Non
 
     assert sorted(in_spans(range(10), 2, submit)) == list(range(10))
     assert dealt == [(0, 0), (1, 5), *((0, task) for task in (1, 2, 3, 4, 9, 8, 7, 6))]
+
+
+def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
+    views: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The batch resumes after that. A cluster that was there before stays."""
+    ray = pytest.importorskip("ray")
+
+    class Ending:
+        """An actor that ends at its second task."""
+
+        def __init__(self, job: Job) -> None:
+            self.worker, self.done = CoreWorker(job), 0
+
+        def do(self, task: Task) -> Outcome:
+            if self.done:
+                os._exit(1)
+            self.done = 1
+            return self.worker.do(task)
+
+    run_sift(views, tmp_path / "local", workers=2)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        out = tmp_path / "ray"
+        with monkeypatch.context() as patch, pytest.raises(DgcPoseError, match="worker of Ray end"):
+            patch.setattr("dgc_pose.batch.workers.CoreWorker", Ending)
+            run_sift(views, out, workers=2, start_workers=ray_workers)
+        batch = run_sift(views, out, workers=2, start_workers=ray_workers, resume=True)
+        assert 0 < batch.summary["matched_now"] < 6
+        assert_same_result(tmp_path / "local", out)
+        assert ray.is_initialized()
+    finally:
+        ray.shutdown()
