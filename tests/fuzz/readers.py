@@ -179,7 +179,7 @@ def _make_matches(folder: Path) -> None:
 
 def _read_matches(folder: Path, path: Path) -> None:
     images = [Image(_pixels(), name) for name in ("one", "two")]
-    FileMatcher(path.parent, lambda *_: "pair").match(*images)
+    FileMatcher("files", {("one", "two"): path}).match(*images)
 
 
 def make_batch(folder: Path) -> None:
