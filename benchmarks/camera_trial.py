@@ -1,4 +1,4 @@
-"""What methods are told of the cameras of a list: its K, a wrong K, or none."""
+"""The cameras that methods have of a list: its K, a wrong K, or none."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,7 +16,7 @@ ToldCameras = Literal["list", WithheldCameras]
 
 @dataclass(frozen=True)
 class CameraTrial:
-    """What the methods are told of the cameras; errors are of the list's K, whatever they are told.
+    """The cameras that methods have; errors are those of the list's K, whatever they have.
 
     Raises InputError, naming the field, on a value out of range, and for a K that is withheld and
     changed.

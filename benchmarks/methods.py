@@ -86,7 +86,7 @@ def parse_methods(
         specifications: as described at the top of this file.
         matcher, estimation: what a specification leaves open; only networks are refined then.
         stored: names of stored matches; those that no specification names become methods, last.
-        cameras: what a specification leaves open of what the method is told of the cameras.
+        cameras: for what a specification leaves open of the method's cameras.
 
     Raises InputError for none, for one that is given twice, that is malformed or has an option out
     of range, for `/all` of key points, and for a name of `stored` that is taken.

@@ -129,7 +129,7 @@ def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
         if camera["focal_source"] == "matches":
             source = f"from {counted(camera['pairs'], 'pair')}"
         else:
-            source = f"from the {_SOURCES[camera['focal_source']]}: no pair tells it"
+            source = f"from the {_SOURCES[camera['focal_source']]}: no pair determines it"
         lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}"))
     echo_each_camera(lines, "cameras.csv")
 
@@ -194,7 +194,7 @@ def batch(
 
     Writes pairs.jsonl, a row for each pair: status, R, t, expected errors, counts;
     matches.h5, the matches in hloc's layout; and summary.json. With --K auto also cameras.csv, the
-    cameras that all pairs together tell, which --K reads. A bad image is reported and does
+    cameras that all pairs together determine, which --K reads. A bad image is reported and does
     not stop the batch. A batch that was stopped continues with --resume. Exits with 3 if no pair
     has a pose.
     """

@@ -73,7 +73,7 @@ def _options(
 
 
 def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
-    """What click needs of an option; without a default it is required."""
+    """The settings that click needs of an option; without a default it is required."""
     settings: dict[str, Any] = {"help": info.help, "metavar": info.metavar}
     settings |= {"cls": SectionedOption, "section": info.section, "required": default is MISSING}
     if default is not MISSING:
@@ -101,7 +101,7 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
 
 
 class _Parsed(click.types.FuncParamType):
-    """What the option's function makes of its text. Its InputError reaches the user as it is."""
+    """Parses a text by the option's function, whose InputError reaches the user as it is."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         return self.func(value) if isinstance(value, str) else value

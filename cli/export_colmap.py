@@ -22,7 +22,7 @@ HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
 
 
 def described(exported: Exported) -> str:
-    """What was written, in one line."""
+    """A line on what was written."""
     longer = sum(count for views, count in exported.tracks_by_length.items() if views > 2)
     tracks = sum(exported.tracks_by_length.values())
     return (

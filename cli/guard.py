@@ -167,7 +167,7 @@ def _check_outputs(context: click.Context) -> None:
 
 
 def _inputs(context: click.Context) -> Iterator[str]:
-    """What the values of the other options and arguments may name."""
+    """The files that the values of the other options and arguments may name."""
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         if not isinstance(parameter.type, OutputFile | OutputFolder):

@@ -128,7 +128,7 @@ class LazyGroup(click.Group):
 
 
 def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str | None, int]:
-    """What is printed of an error, None for nothing, and the exit code."""
+    """The message of an error, None for nothing, and the exit code."""
     match error:
         case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
             return "interrupted", 128 + signal.SIGINT

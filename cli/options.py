@@ -35,7 +35,7 @@ def parse_deviations(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class KChoice:
-    """What the user said of K, for all images."""
+    """The options of K, for all images."""
 
     k: str | None = option(
         None,
@@ -65,13 +65,13 @@ class KChoice:
 
     @property
     def details(self) -> KDetails:
-        """What is said of K besides its numbers."""
+        """The facts about K besides its numbers."""
         return KDetails(self.k_size, *(self.k_std or ()))
 
 
 @dataclass(frozen=True)
 class CameraChoice(KChoice):
-    """What the user said about the cameras of two images. --K1 and --K2 override --K."""
+    """The options of the cameras of two images. --K1 and --K2 override --K."""
 
     k1: str | None = option(
         None, "Camera of image 1 alone.", flag="--K1", metavar="K|FILE|auto", section="cameras"

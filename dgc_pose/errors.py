@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from importlib.util import find_spec
 
-_REASON = 160  # characters of a library's message that are told
+_REASON = 160  # characters of a library's message that an error has
 
 
 class ArgumentName(str):
@@ -67,7 +67,7 @@ def require(needs: Mapping[str, str]) -> None:
 
 
 def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | None:
-    """What a person is told of an import that failed; None if the module is never absent.
+    """The message for an import that failed; None if the module is never absent.
 
     what: the command or option that needed it.
     """
@@ -77,7 +77,7 @@ def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | N
 
 
 def _missing(needs: Mapping[str, str]) -> str | None:
-    """What the first of the needs lacks; None if there is all."""
+    """The packages that the first unmet need lacks, as a message; None if all are there."""
     for what, extra in needs.items():
         lacks = {name for module, name in EXTRAS[extra].items() if not is_installed(module)}
         if lacks:

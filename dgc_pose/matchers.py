@@ -28,7 +28,7 @@ from dgc_pose.system.options import check_options, check_type, option
 
 @dataclass(frozen=True)
 class MatcherCaches:
-    """What one matcher computes of an image, kept for the next pair of that image.
+    """Features of images that one matcher has computed, kept for the next pair of that image.
 
     Features belong to the network that made them: two matchers never share an instance. `asked` and
     `made` of each count the look-ups and the computations.

@@ -12,7 +12,7 @@ from dgc_pose.viz.figure import new_figure
 
 EPIPOLAR_LIMITS = (5.0, 10.0, 20.0, 50.0, 100.0)  # where an axis may end, pixels
 WORST = 180.0  # degrees; where a pair without a pose is drawn
-_LEAST = 0.01  # degrees; where smaller errors are drawn
+_SMALLEST_DRAWN_DEG = 0.01  # degrees; where smaller errors are drawn
 _BINS = 8
 _LEAST_PER_BIN = 5  # pairs
 
@@ -81,7 +81,7 @@ def plot_against_motion(methods: Columns) -> Figure:
 
 def _draw_against(axes: Axes, methods: Columns, motion: str, error: str) -> None:
     for method, style in method_styles(list(methods)).items():
-        x, y = methods[method][motion], np.clip(methods[method][error], _LEAST, WORST)
+        x, y = methods[method][motion], np.clip(methods[method][error], _SMALLEST_DRAWN_DEG, WORST)
         axes.scatter(x, y, s=8, alpha=0.35, color=style["color"], linewidths=0)
         axes.plot(*binned_medians(x, y), marker="o", markersize=3, label=method, **style)
     axes.set_yscale("log")

@@ -28,7 +28,7 @@ _ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
 # two images of a sparse model have in common. The pairs of the first bin are hopeless.
 _OVERLAPS = (0.0, 0.1, 0.25, 0.5, 1.01)
 _COMMON = (0, 5, 25, 80, 10**9)
-_HOPELESS = 0.15  # share of the pairs drawn that are
+_NO_OVERLAP_SHARE = 0.15  # share of the pairs drawn that are
 _LEAST_BASELINE = 0.08  # of the depth
 _PROBE = 24  # depths along the longer side by which overlap is counted
 _FRAMES = 60  # of a sequence, evenly chosen; all pairs of them are looked at
@@ -105,7 +105,7 @@ def _chosen(
     rng = np.random.default_rng(seed)
     rotations = np.array([rotation_error_deg(pair.R, np.eye(3)) for pair in pairs])
     rotation, overlap = np.digitize(rotations, _ROTATIONS), np.digitize(overlaps, edges)
-    apart = rng.permutation(np.flatnonzero(overlap == 1))[: round(_HOPELESS * count)]
+    apart = rng.permutation(np.flatnonzero(overlap == 1))[: round(_NO_OVERLAP_SHARE * count)]
     bins = [
         list(rng.permutation(np.flatnonzero((rotation == r) & (overlap == o))))
         for r in range(1, len(_ROTATIONS))

@@ -27,8 +27,8 @@ from dgc_pose.estimation.probability import (
 )
 
 _STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # inverse regularisation, of standardised features
-_LEAST = 20  # right poses and wrong ones that a fit needs
-_LEAST_SCENES = 3
+_MIN_POSES = 20  # right poses and wrong ones that a fit needs
+_MIN_SCENES = 3
 _WITHIN = 0.9  # share of right poses whose error is to be within the expected one
 _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
 _ALTOGETHER_WRONG_DEG = 30.0  # a pose whose cameras say nothing
@@ -46,10 +46,10 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
-    if min(counts) < _LEAST or places < _LEAST_SCENES:
+    if min(counts) < _MIN_POSES or places < _MIN_SCENES:
         raise InputError(
             f"{kind}: {counts[0]} right and {counts[1]} wrong poses of {places} scenes to fit on; "
-            f"at least {_LEAST} of each and {_LEAST_SCENES} scenes are needed"
+            f"at least {_MIN_POSES} of each and {_MIN_SCENES} scenes are needed"
         )
     left_out = (
         *(() if kind.startswith("network") else OF_MAPS),
@@ -117,7 +117,7 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
         and row.rotation_error_deg < _ALTOGETHER_WRONG_DEG
         and folded(row.translation_error_deg) < _ALTOGETHER_WRONG_DEG
     ]
-    if len(samples) < _LEAST:
+    if len(samples) < _MIN_POSES:
         return {"slope": 0.0, "intercept": 0.0}
     return _error_model(samples, "focal")
 

@@ -1,4 +1,4 @@
-"""What the pose benchmarks share: --workers and --resume, and the run."""
+"""The common part of the pose benchmarks: --workers and --resume, and the run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -28,7 +28,7 @@ class SpeedOptions:
     """What is timed."""
 
     k: str = option("auto", "Camera of both images, as for estimate.", flag="--K", metavar="K|FILE")
-    repeat: int = option(7, "Times that each is measured, in turn.", min=1, max=10**6)
+    repetitions: int = option(7, "Times that each is measured, in turn.", min=1, max=10**6)
 
 
 @click.command()
@@ -49,7 +49,7 @@ def bench_speed(image1: Path, image2: Path, speed: SpeedOptions, matcher: Matche
     ways = {effort: (loaded, EstimationOptions(effort=effort)) for effort in get_args(Effort)}
     ways[SIFT] = sift, EstimationOptions()
     timed: dict[str, list[Mapping[str, float]]] = {name: [] for name in ways}
-    for repetition in range(1 + speed.repeat):
+    for repetition in range(1 + speed.repetitions):
         for name, (used, options) in ways.items():
             start = time.perf_counter()
             images = load_image(image1), load_image(image2)

@@ -1,4 +1,4 @@
-"""What bench-hpatches and bench-synthetic share: options, the run, and the files of --out."""
+"""Common parts of bench-hpatches and bench-synthetic: options, the run, the files of --out."""
 
 from __future__ import annotations
 

@@ -49,6 +49,6 @@ class BatchOptions:
 
     @property
     def worker_bytes(self) -> int:
-        """Of images and features, of one worker."""
+        """Memory for images and features of one worker, bytes."""
         memory = _WORKER_GIB * self.worker_count if self.memory is None else self.memory
         return int(memory * _GIB) // self.worker_count

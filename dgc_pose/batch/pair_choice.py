@@ -36,7 +36,7 @@ class PairChoice:
 
 
 def default_pair_choice(count: int) -> PairChoice:
-    """How the pairs of so many images are chosen, if nothing else is said."""
+    """The default choice of the pairs of so many images."""
     return PairChoice("exhaustive") if count <= _EXHAUSTIVE_UP_TO else PairChoice("auto", 10)
 
 

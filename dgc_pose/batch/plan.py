@@ -22,7 +22,7 @@ _RESUME = ArgumentName("resume")
 
 @dataclass(frozen=True)
 class Plan:
-    """What a batch works through."""
+    """The work of a batch."""
 
     root: Path  # of the image names
     cameras: Mapping[str, Camera]  # by name, with the image's size; absent for bad images
@@ -32,8 +32,8 @@ class Plan:
     pairs: np.ndarray  # (P, 2) int64, indices of `names`
     settings: Mapping[str, Any]  # all that the result depends on besides; JSON
 
-    # The cameras with the focal lengths that all pairs tell; None before the result is there, and
-    # where all focal lengths are exact.
+    # The cameras with the focal lengths that all pairs determine; None before the result is there,
+    # and where all focal lengths are exact.
     pooled: Mapping[str, Camera] | None = None
 
     @property
@@ -143,7 +143,7 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
 
 
 def _facts(plan: Plan, names: Iterable[str], *, pairs: bool) -> dict[str, Any]:
-    """What must be the same to go on with a batch, by what an error calls it.
+    """The facts that must be the same to go on with a batch, by their names in an error.
 
     names: of the images whose cameras count; pairs: whether the pairs do.
     """

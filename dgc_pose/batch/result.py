@@ -87,7 +87,7 @@ def write_pairs(out: Path, blocks: Iterable[Matched], size: int) -> list[PairRow
 def summary_of(
     plan: Plan, rows: Sequence[PairRow], bad: Mapping[str, str], cameras: Sequence[PooledCamera]
 ) -> dict[str, Any]:
-    """What `summary.json` has of a result. bad: the reasons by image; cameras: the pooled ones."""
+    """The content of `summary.json`. bad: the reasons by image; cameras: the pooled ones."""
     by_status = Counter(row.status for row in rows)
     return {
         "images": len(plan.names),

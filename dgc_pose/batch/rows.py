@@ -1,4 +1,4 @@
-"""One row a pair: what a batch says of it, as a line of JSON."""
+"""The row of a pair in a batch, a line of JSON."""
 
 import json
 from collections.abc import Iterable, Iterator

@@ -1,4 +1,4 @@
-"""What a batch works on: photographs, their cameras and sizes, and the pairs if they are given."""
+"""The source of a batch: photographs, their cameras and sizes, and the pairs if they are given."""
 
 import os
 from collections.abc import Mapping

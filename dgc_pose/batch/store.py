@@ -1,6 +1,6 @@
 """The pairs of a batch that are matched, in two files that grow: `matched.jsonl`, `matched.bin`.
 
-A line of the first is the row of a pair, and says where its matches lie in the second. It is
+A line of the first is the row of a pair, with the place of its matches in the second. It is
 written after them, so a kill leaves every line with its matches, but for a last one cut short.
 """
 
@@ -59,7 +59,7 @@ class PairStore:
 
     @property
     def byte_count(self) -> int:
-        """Of the matches."""
+        """Size of the matches, bytes."""
         return self._matches.stat().st_size if self._matches.exists() else 0
 
     def add(self, block: Matched) -> None:

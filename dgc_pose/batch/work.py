@@ -1,4 +1,4 @@
-"""What a worker does: it holds a matcher and images, and matches blocks of pairs."""
+"""The work of a worker: it holds a matcher and images, and matches blocks of pairs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ FEATURE_BYTES = 24 * 2**20
 
 @dataclass(frozen=True)
 class Job:
-    """What all pairs of a batch share; it is sent to each worker once."""
+    """The settings that all pairs of a batch share; it is sent to each worker once."""
 
     root: Path  # of the image names
     cameras: Mapping[str, Camera]  # by name, with the size of the image
@@ -180,7 +180,7 @@ class Worker:
             return str(error)
         size = self.job.cameras[name].size
         if size is not None and tuple(size) != image.size:
-            return f"{self.job.root / name}: its header says another size than its pixels"
+            return f"{self.job.root / name}: the size in its header is not that of its pixels"
         return image
 
 
@@ -201,7 +201,7 @@ def _posed(
 def _attempt(
     names: tuple[str, str], work: Callable[[], tuple[PairRow, PairMatches]]
 ) -> tuple[PairRow, PairMatches]:
-    """What `work` returns, or the row of a pair whose input is unusable or that failed."""
+    """The result of `work`, or the row of a pair whose input is unusable or that failed."""
     try:
         return work()
     except DgcPoseError as error:

@@ -22,7 +22,7 @@ _IMAGE_BYTES = 2**29  # of images in memory
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """The counts of what was written."""
 
     images: int  # with key points
     key_points: int

@@ -107,7 +107,7 @@ def pairs_by_image(pairs: Iterable[PairGeometry]) -> dict[str, list[PairGeometry
 
 
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """Of matches (M, 2) those in which no key point occurs twice: the best scored ones, in their
+    """Matches among (M, 2) in which no key point occurs twice: the best scored ones, in their
     order."""
     best = np.ones(len(index), dtype=bool)
     order = np.argsort(-scores, kind="stable")

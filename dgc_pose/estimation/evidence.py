@@ -122,12 +122,12 @@ class Evidence:
 
     @property
     def log10_rarity(self) -> float:
-        """How rare so many inliers are in random matches."""
+        """Rarity of so many inliers in random matches."""
         return -self.log10_false_alarms
 
     @property
     def map_over_chance(self) -> float:
-        """How much more of the dense map agrees with the pose than by chance."""
+        """Share of the dense map that agrees with the pose beyond chance."""
         return (self.map_agreement or 0.0) - (self.map_chance or 0.0)
 
 

@@ -1,4 +1,4 @@
-"""What a homography explains: the poses of a plane, and a camera that did not move.
+"""Motions that a homography explains: the poses of a plane, and a camera that did not move.
 
 A crop or a zoom of image 1, or a camera that turned and zoomed, gives a homography. An essential
 matrix explains it as well: that of a plane before a camera that moved.

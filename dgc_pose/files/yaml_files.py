@@ -16,7 +16,7 @@ def yaml_data(text: str, path: Path) -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """Of YAML that OpenCV writes, too."""
+        """A loader that also reads OpenCV's YAML."""
 
     for tag in ("opencv-matrix", "opencv-nd-matrix"):
         Loader.add_constructor(

@@ -12,7 +12,7 @@ from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_for
 
 @dataclass(frozen=True)
 class FolderImages:
-    """What a folder holds."""
+    """The images of a folder, and the files that are left out."""
 
     names: tuple[str, ...]  # of the images, relative to the folder, sorted
     left_out: tuple[str, ...]  # a line for each reason: how many, the first of them, and the reason

@@ -56,7 +56,7 @@ class DenseMatcher(Matcher):
 
     @property
     def fingerprint(self) -> str:
-        """Of the weights: different weights of one network have different fingerprints."""
+        """Fingerprint of the weights: different weights of one network have different ones."""
         return self.engine.fingerprint
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:

@@ -168,7 +168,7 @@ def matching_distribution(
 
 
 def mean_entropy(logarithms: np.ndarray) -> float:
-    """Of log-probabilities (n1, n2), over the n2 columns: 0 for certain matches, 1 for none."""
+    """Mean entropy of log-probabilities (n1, n2) over columns: 0 if certain, 1 without a match."""
     cells, columns = logarithms.shape
     if cells < 2 or columns == 0:
         return 1.0

@@ -32,7 +32,7 @@ _NOISE_GRADIENT = 1 / (8 * np.pi * _GRADIENT**4)
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Where an image has structure, on the image or on a shrunk copy of it."""
+    """The places where an image has structure, on the image or on a shrunk copy of it."""
 
     mask: np.ndarray  # (h, w) bool
     size: tuple[int, int]  # (width, height) of the image itself
@@ -57,14 +57,14 @@ def textured(matches: Matches, first: Texture, second: Texture) -> Matches:
 
 
 def texture(image: Image) -> Texture:
-    """Where an image has structure."""
+    """Find the places where an image has structure."""
     shrunk = resize_by(image.pixels, min(1.0, LONG_SIDE / max(image.size)))
     grey = cv2.cvtColor(shrunk, cv2.COLOR_RGB2GRAY).astype(np.float32)
     return Texture(structured(grey), image.size)
 
 
 def structured(grey: np.ndarray) -> np.ndarray:
-    """Where an image (H, W) float32, in grey levels, has structure in every direction: (H, W)."""
+    """Find where a grey image (H, W) float32 has structure in every direction: (H, W)."""
     mask = np.zeros(grey.shape, dtype=bool)
     rows = _content(grey)
     columns = _content(grey[rows].T)

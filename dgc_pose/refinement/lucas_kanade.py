@@ -97,7 +97,7 @@ def _align(
 
 @dataclass(frozen=True)
 class _Template:
-    """Patches of image 2 and what a difference from them says about where they moved."""
+    """Patches of image 2, and the motion that a difference from them stands for."""
 
     offsets: np.ndarray  # (P, 2) of a patch's samples from its centre, pixels
     weights: np.ndarray  # (P,) of the samples, their sum 1

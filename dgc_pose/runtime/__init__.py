@@ -1,1 +1,1 @@
-"""What runs the network: images to features, features to maps."""
+"""The runtimes of the network: images to features, features to maps."""

@@ -54,7 +54,7 @@ def load_engine(
 
 
 def default_runtime() -> RuntimeName:
-    """What "auto" is here for the default weights."""
+    """The runtime that "auto" is here for the default weights."""
     onnx = _prefers_onnx(DEFAULT_WEIGHTS, find_weights(DEFAULT_WEIGHTS), "auto")
     return "onnx" if onnx else "torch"
 

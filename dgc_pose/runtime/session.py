@@ -25,7 +25,7 @@ class Session:
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
-        require_regular(path, WeightsError)  # ONNX Runtime does not tell what the system said
+        require_regular(path, WeightsError)  # ONNX Runtime hides the system's message
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = session_threads()
         options.inter_op_num_threads = 1

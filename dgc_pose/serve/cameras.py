@@ -26,7 +26,7 @@ _MAX_TEXT = 300  # characters of a K
 
 @dataclass(frozen=True)
 class CameraRequest:
-    """What the client said of both cameras. Raises InputError for anything else."""
+    """The client's choice of both cameras. Raises InputError for anything else."""
 
     kind: Kind
     k1: str = ""  # of image 1, or of both: fx,fy,cx,cy or MODEL,width,height,parameters, or auto
@@ -80,7 +80,7 @@ class CameraRequest:
 
     def _of_file(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         with scratch_folder() as folder:
-            # A name without a folder, which keeps the ending: that may tell the format.
+            # A name without a folder, which keeps the ending: the format may depend on it.
             path = folder / (re.sub(r"[^\w.-]", "_", self.file_name)[-50:].lstrip(".") or "K")
             path.write_bytes(self.content)
 

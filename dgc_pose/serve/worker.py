@@ -72,7 +72,7 @@ class Worker:
 
 
 def _outcome(function: Callable[..., Value], *arguments: Any) -> Value:
-    """What the function returns. Raises WorkError, with one line for the client."""
+    """The result of the function. Raises WorkError, with one line for the client."""
     try:
         return function(*arguments)
     except (DgcPoseError, OSError) as error:

@@ -28,7 +28,7 @@ _TYPE_NAMES = {int: "an integer", float: "a number", bool: "true or false", str:
 
 @dataclass(frozen=True)
 class OptionInfo:
-    """What an option has beside its type and default."""
+    """The facts of an option beside its type and default."""
 
     help: str = ""  # empty: not on the command line
     flag: str | None = None  # as on the command line; None: made of the field's name

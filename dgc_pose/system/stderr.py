@@ -1,4 +1,4 @@
-"""What C libraries print to stderr while they decode, kept from the user's terminal."""
+"""Output of C libraries on stderr while they decode, kept from the user's terminal."""
 
 import os
 import threading

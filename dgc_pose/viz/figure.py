@@ -66,7 +66,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 @dataclass(frozen=True)
 class Panel:
-    """What a panel needs of the layout."""
+    """The space that a panel needs."""
 
     aspect: float  # width over height of what is drawn
     title: str

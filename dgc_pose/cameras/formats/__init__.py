@@ -1,1 +1,1 @@
-"""What cameras are read from: a module for each format."""
+"""Formats of files that cameras are read from."""

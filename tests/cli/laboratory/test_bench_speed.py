@@ -14,7 +14,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_steps_of_every_effort_add_up() -> None:
-    result = run("bench-speed", "one.png", "two.png", "--K", dense_scene.K_TEXT, "--repeat", 1)
+    result = run("bench-speed", "one.png", "two.png", "--K", dense_scene.K_TEXT, "--repetitions", 1)
     assert result.exit_code == 0, result.output
     heading, *lines = (line.split(maxsplit=2) for line in result.stdout.splitlines())
     assert heading == ["effort", "step", "ms"]
