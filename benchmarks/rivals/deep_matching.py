@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
-from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.geometry.pixels import pixel_grid
@@ -68,6 +67,8 @@ class DeepMatcher(Matcher):
 
 def _interpolated(points: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Values (N, 2) at points (N, 2), interpolated at (..., 2); zero without points."""
+    from matplotlib.tri import LinearTriInterpolator, Triangulation  # slow to import
+
     if len(points) == 0:
         return np.zeros(at.shape)
     _, index = nearest_to(at.reshape(-1, 2), points)

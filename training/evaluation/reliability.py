@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from dgc_pose.viz.figure import new_figure
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,8 @@ def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) ->
 
     right: which matches are right, for the label, such as "within 3 px".
     """
+    from dgc_pose.viz.figure import new_figure  # slow to import, and most commands draw nothing
+
     figure = new_figure(5.5, 6.5)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     draw_reliability(upper, reliabilities, right=right)
