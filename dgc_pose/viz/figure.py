@@ -24,6 +24,7 @@ GAP = 0.1  # inches, between the panels of a row
 _MARGIN = 0.08  # inches, around the figure
 _LINE = 0.19  # inches, of a line of text
 _CHARACTER = 0.078  # inches, the mean width in a title
+_BAR = 2.4  # inches that a colour bar and its label take beside a title
 _BAR_LINE = 0.24  # inches, of a colour bar below a title
 _MAX_PANEL = 20.0  # inches; the height of a row at most
 
@@ -70,7 +71,7 @@ class Panel:
 
     aspect: float  # width over height of what is drawn
     title: str
-    bar: bool = False  # whether a colour bar stands below its title
+    bar: bool = False  # whether a colour bar stands beside its title, or below a long one
 
 
 def row_height(row: Sequence[Panel], width: float) -> float:
@@ -90,8 +91,7 @@ def panel_rows(
     heights = [row_height(row, width) for row in rows]
     strips = []  # heights of titles, and of the colour bars below them
     for row, h in zip(rows, heights, strict=True):
-        lines = (len(_wrapped(p.title, p.aspect * h)) * _LINE + _BAR_LINE * p.bar for p in row)
-        strips.append(0.14 + max(lines))
+        strips.append(0.14 + max(_strip(panel, panel.aspect * h) for panel in row))
     top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
     total = top + sum(heights) + sum(strips) + _MARGIN
     figure = new_figure(width, total, layout=None)
@@ -111,11 +111,22 @@ def panel_rows(
                 fontsize=10,
                 loc="left",
                 y=1.0,  # or matplotlib would lift it above the colour bar
-                pad=72 * (0.05 + _BAR_LINE * panel.bar),
+                pad=72 * (0.05 + _bar_below(panel, size)),
             )
             axes_of_rows[-1].append(axes)
             left += size + GAP
     return figure, axes_of_rows
+
+
+def _bar_below(panel: Panel, width: float) -> float:
+    """Height in inches of a colour bar that has no room beside the title."""
+    room = width - len(panel.title) * _CHARACTER
+    return _BAR_LINE if panel.bar and room < _BAR else 0.0
+
+
+def _strip(panel: Panel, width: float) -> float:
+    """Height in inches of the title, and of the colour bar below it."""
+    return _LINE * len(_wrapped(panel.title, width)) + _bar_below(panel, width)
 
 
 def _wrapped(text: str, width: float) -> list[str]:

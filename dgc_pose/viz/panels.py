@@ -110,8 +110,8 @@ def draw_warp(
 
 
 def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
-    """Draw a colour bar below the title, at its right end, between its least and largest value. The
-    axes must have their place in the figure."""
+    """Draw a colour bar above the axes, at their right end, between its least and largest value.
+    The axes must have their place in the figure."""
     figure, box = axes.figure, axes.get_window_extent()
     width, height = box.width / figure.dpi, box.height / figure.dpi
     right, above = 1 - 0.35 / width, 1 + 0.07 / height
