@@ -189,7 +189,7 @@ class JointFit:
         return normaliser(deviations[:3]), normaliser(deviations[3:])
 
 
-def fit_cameras(
+def cameras_fitted_to(
     problem: TwoViewProblem, camera1: Camera, camera2: Camera, options: EstimationOptions
 ) -> tuple[JointPose, Camera, Camera] | None:
     """The most probable pose, and the cameras that it is of, with the standard deviations of the

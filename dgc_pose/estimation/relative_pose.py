@@ -14,8 +14,8 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import (
     SEARCH_RUNS,
+    cameras_fitted_to,
     check_focals,
-    fit_cameras,
     focal_warnings,
 )
 from dgc_pose.estimation.camera_spread import CameraSpread
@@ -179,7 +179,7 @@ def _sample(
     """
     if not fitted:
         return problem, stated, sample(problem, options)
-    fit = fit_cameras(problem, *stated, options)
+    fit = cameras_fitted_to(problem, *stated, options)
     if fit is None:
         return problem, stated, []
     pose, camera1, camera2 = fit
