@@ -175,6 +175,8 @@ def _decoded(path: Path, flags: int) -> tuple[np.ndarray, Header]:
         with quiet():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
+        if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
+            raise MemoryError from None
         raise ImageError(f"{path} cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
         raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
