@@ -64,13 +64,13 @@ class DenseMatcher(Matcher):
         dense = self.correspondence_map(image1, image2)
         return MatchResult(select_matches(dense, self.options), dense)
 
-    def coarser(self) -> DenseMatcher | None:
-        """The matcher of the coarsest map, of upright images of one scale, for a quick pass; None
-        for a mask network, which needs the finest map."""
+    def coarse_map(self, image1: Image, image2: Image) -> CorrespondenceMap | None:
+        """As `Matcher`; None for a mask network, which needs the finest map."""
         if self.engine.config.matchability == "network":
             return None
         options = replace(self.options, finest=60, cycle_px=None)
-        return DenseMatcher(self.engine, options, self.cache, search_below=0.0)
+        coarser = DenseMatcher(self.engine, options, self.cache, search_below=0.0)
+        return coarser.correspondence_map(image1, image2)
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""

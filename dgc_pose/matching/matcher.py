@@ -126,6 +126,11 @@ class Matcher:
         """
         raise InputError(f"{self.name} has no features of a network, which choose pairs")
 
+    def coarse_map(self, image1: Image, image2: Image) -> CorrespondenceMap | None:
+        """A dense map for a quick pass, of upright images of one scale; None for a matcher that has
+        none."""
+        return None
+
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, also where an image has no structure: what a subclass defines."""
         raise NotImplementedError

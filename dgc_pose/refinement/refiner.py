@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -14,7 +14,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import ImageCache
-from dgc_pose.matching.dense import DenseMatcher
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult, PairSearch
 from dgc_pose.matching.selection import WEAK
 from dgc_pose.refinement.align import CORNER_RADIUS, MIN_ZNCC, align, spread
@@ -72,16 +71,12 @@ class Refiner(Matcher):
         self.matcher, self.name, self.engine = matcher, matcher.name, matcher.engine
         self.source, self.max_matches = source, max_matches
         self.features: FeatureMatches | None = None
-        self.coarser: DenseMatcher | None = None  # makes the map of the quick pass
+        self.quick_features: FeatureMatches | None = None
         if source in ("auto", "features"):
             if matcher.engine is None:
                 raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
             self.features = FeatureMatches(matcher.engine, cache=cache)
-            if isinstance(matcher, DenseMatcher):
-                self.coarser = matcher.coarser()
-                self.quick_features = FeatureMatches(
-                    matcher.engine, QUICK_SIDE, self.features.cache
-                )
+            self.quick_features = FeatureMatches(matcher.engine, QUICK_SIDE, self.features.cache)
 
     @property
     def fingerprint(self) -> str | None:
@@ -110,12 +105,13 @@ class RefinedSearch(PairSearch):
     def quick(self) -> MatchResult | None:
         """As `PairSearch`; None too if the quick pass leaves too few matches, and if the images may
         be rotated or of different scales, which it does not search."""
-        if self.matcher.coarser is None:
+        features = self.matcher.quick_features
+        if features is None:
             return None
-        dense = self.matcher.coarser.correspondence_map(self.image1, self.image2)
-        if dense.matchability.mean() < WEAK:
+        dense = self.matcher.matcher.coarse_map(self.image1, self.image2)
+        if dense is None or dense.matchability.mean() < WEAK:
             return None
-        matches = self.matcher.quick_features.at_scale(self.image1, self.image2, dense)
+        matches = features.at_scale(self.image1, self.image2, dense)
         return self._keep(self._final(*self._aligned(matches, QUICK_CORNER_RADIUS), dense))
 
     def fine(self) -> MatchResult | None:
@@ -127,16 +123,29 @@ class RefinedSearch(PairSearch):
         return self.result
 
     def squeezed(self) -> MatchResult | None:
-        return self._add(FeatureMatches.squeezed)
+        features, dense = self.matcher.features, self._refined_map
+        if features is None or dense is None:
+            return None
+        return self._add(features.squeezed(self.image1, self.image2, dense))
 
     def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
         """As `PairSearch`. The matches of all hypotheses go together: those near the lines of a
         single pose would agree with it, right or wrong."""
-        return self._add(FeatureMatches.near, hypotheses)
+        features, dense = self.matcher.features, self._refined_map
+        if features is None or dense is None:
+            return None
+        return self._add(features.near(self.image1, self.image2, dense, hypotheses))
 
     @cached_property
     def _whole(self) -> MatchResult:
         return self._refined(self.unrefined) or self.unrefined
+
+    @property
+    def _refined_map(self) -> CorrespondenceMap | None:
+        """The map of the matches that are there; None if they are not refined."""
+        if self.result is None or self.result.aligned is None:
+            return None
+        return self.result.correspondence_map
 
     def _keep(self, result: MatchResult | None) -> MatchResult | None:
         self.result = result or self.result
@@ -153,22 +162,15 @@ class RefinedSearch(PairSearch):
             return None
         return self._final(*self._aligned(result.matches), dense)
 
-    def _add(
-        self, match: Callable[..., list[Matches]], *arguments: Sequence[TwoViews]
-    ) -> MatchResult | None:
-        """The refined matches that are there with those of further parts by the features, each
-        refined by itself."""
-        features, result = self.matcher.features, self.result
-        if features is None or result is None or result.aligned is None:
-            return None
-        dense = result.correspondence_map
-        parts = match(features, self.image1, self.image2, dense, *arguments)
-        if not parts:
+    def _add(self, parts: Sequence[Matches]) -> MatchResult | None:
+        """The refined matches that are there with further parts, each refined by itself."""
+        result = self.result
+        if not parts or result is None or result.aligned is None:
             return None
         refined = [self._aligned(matches) for matches in parts]
         aligned = Matches.joined([result.aligned, *(part for part, _ in refined)])
         agreeing = Matches.joined([result.matches, *(part for _, part in refined)])
-        return self._keep(self._final(aligned, agreeing, dense))
+        return self._keep(self._final(aligned, agreeing, result.correspondence_map))
 
     def _aligned(
         self, matches: Matches, corner_radius: int = CORNER_RADIUS

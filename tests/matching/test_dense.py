@@ -74,6 +74,8 @@ def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
 
 
 def test_a_mask_network_has_no_coarser_level() -> None:
+    masked = DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))))
+    assert masked.coarse_map(_image(100, 100), _image(100, 100)) is None
     with pytest.raises(InputError, match="finest"):
         DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))), MatchingOptions(finest=120))
     with pytest.raises(InputError, match="finest"):
