@@ -35,16 +35,17 @@ if TYPE_CHECKING:
 # - fine: more accurate matches by the map of the quick pass, for a pose that is certain
 # - match: all that `Matcher.match` does
 # - mirrored: a quick pass over image 1 and the mirror image of image 2, which may end the search
-# - squeezed: matches of images that are squeezed, pooled with those that are there
-# - near: those near the epipolar lines of all hypotheses, likewise
-Step = Literal["quick", "fine", "match", "mirrored", "squeezed", "near"]
+# - more: matches of squeezed images and near the epipolar lines of the hypotheses, pooled with
+#   those that are there
+Step = Literal["quick", "fine", "match", "mirrored", "more"]
 _STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("quick", "match", "mirrored"),
-    "auto": ("quick", "fine", "match", "mirrored", "squeezed", "near"),
-    "thorough": ("match", "mirrored", "squeezed", "near"),
+    "auto": ("quick", "fine", "match", "mirrored", "more"),
+    "thorough": ("match", "mirrored", "more"),
 }
 _MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
-_LIKELY = 0.95  # probability of a pose of the mirror image that counts
+_UNLIKELY = 0.75  # probability of a pose below which image 2 may be mirrored
+_LIKELY = 0.95  # and of that of its mirror image that shows it
 _FOCAL_AGREES_STD = 1.5  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
@@ -173,9 +174,7 @@ def _matches_of(
         return search.fine()
     if step == "match" or pose is None:
         return search.whole()
-    if step == "squeezed":
-        return search.squeezed()
-    return search.near([TwoViews(camera1, camera2, h.R, h.t) for h in pose.hypotheses])
+    return search.more([TwoViews(camera1, camera2, h.R, h.t) for h in pose.hypotheses])
 
 
 def _mirror_image_probability(
@@ -213,7 +212,7 @@ def _may_change(
     if step == "match":
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
-        return (pose.probability or 0.0) < _LIKELY and pose.status != "rotation_only"
+        return (pose.probability or 0.0) < _UNLIKELY and pose.status != "rotation_only"
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 

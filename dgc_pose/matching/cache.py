@@ -78,3 +78,16 @@ ImageCache = BoundedCache[tuple[Any, ...], Any]
 def image_cache(limit_bytes: int = 2 * 2**30) -> ImageCache:
     """A cache of this size of values with `nbytes`. The images that it keeps alive count, too."""
     return BoundedCache(lambda key, value: key[0].pixels.nbytes + value.nbytes, limit_bytes)
+
+
+class LastImages(ImageCache):
+    """What is computed of the last three images: of a pair, and of the mirror image of one."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda key, value: value.nbytes)
+
+    def get(self, key: tuple[Any, ...], make: Callable[[], Any]) -> Any:
+        value = super().get(key, make)
+        images = list(dict.fromkeys(kept[0] for kept in reversed(self._kept)))
+        self.drop(lambda kept: kept[0] not in images[:3])
+        return value

@@ -12,7 +12,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import cell_centres, rescale, within
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image
-from dgc_pose.matching.cache import ImageCache, image_cache
+from dgc_pose.matching.cache import ImageCache, LastImages
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.matching.search import search_views
 from dgc_pose.matching.selection import WEAK, MatchingOptions, select_matches
@@ -21,13 +21,11 @@ from dgc_pose.network.config import DEFAULT_WEIGHTS, INPUT_SIZE
 from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures
 from dgc_pose.runtime.load import RuntimeName, load_engine
 
-_PAIR_BYTES = 2**27  # enough for a pair
-
 
 class DenseMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    cache: of the encoder's features, by view; None to keep those of the last pair or a few.
+    cache: of the encoder's features, by view; None to keep those of the last three images.
     search_below: the network is trained on upright photographs of similar scale; if the mean
     matchability is below this, other rotations of image 2 and other scales are searched.
 
@@ -52,7 +50,7 @@ class DenseMatcher(Matcher):
                 f"the mask network of {self.name} works at {INPUT_SIZE} cells alone: finest must "
                 f"be {INPUT_SIZE}, not {self.options.finest}"
             )
-        self.cache = cache or image_cache(_PAIR_BYTES)
+        self.cache = cache or LastImages()
 
     @property
     def fingerprint(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.cache import ImageCache, LastImages
 from dgc_pose.matching.texture import Texture, texture, textured
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.system.threads import in_threads
 
 # Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.
 ERROR_CELLS = 0.5
@@ -103,6 +103,7 @@ class Matcher:
     """Anything that matches two images: the network, SIFT, optical flow, or files."""
 
     engine: Engine | None = None  # of a network of ours, whose features may refine the matches
+    cache: ImageCache | None = None  # of what is computed of an image
     name: str  # in results and tables
 
     @property
@@ -169,12 +170,8 @@ class PairSearch:
         self.result = self.unrefined
         return self.result
 
-    def squeezed(self) -> MatchResult | None:
-        """Add the matches of images that are made narrower or lower."""
-        return None
-
-    def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
-        """Add the matches near the epipolar lines of each hypothesis of the pose."""
+    def more(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
+        """Add matches of a pose in doubt, whose hypotheses are known."""
         return None
 
     @cached_property
@@ -189,5 +186,9 @@ class PairSearch:
 
     @cached_property
     def _textures(self) -> tuple[Texture, Texture]:
-        first, second = in_threads(texture, [self.image1, self.image2])
+        cache = self.matcher.cache or LastImages()
+        made = [
+            ((image, "texture"), partial(texture, image)) for image in (self.image1, self.image2)
+        ]
+        first, second = cache.get_all(made, in_turn=False)
         return first, second

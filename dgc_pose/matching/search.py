@@ -2,9 +2,9 @@
 
 The network is trained on upright pairs of similar scale. Small copies of an image, rotated by
 twelve angles, are compared with the other image, at equal fields of view and at fields that differ
-by 2 and by 4. The copy with the lowest mean entropy of the coarse matching distribution is taken,
-as REDI-Match does for quarter turns; nothing is trained for it. Its most probable matches give the
-similarity that the views of both images are cut by.
+by 2, and by 4 where 2 matches best. The copy with the lowest mean entropy of the coarse matching
+distribution is taken, as REDI-Match does for quarter turns; nothing is trained for it. Its most
+probable matches give the similarity that the views of both images are cut by.
 
 Entropies are relative to each other within a pair, so that no bound depends on the weights'
 temperature.
@@ -13,6 +13,7 @@ temperature.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -23,11 +24,12 @@ from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
 from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, NativeFeatures
+from dgc_pose.system.threads import in_threads
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
 _ANGLES = range(0, 360, 30)  # degrees, at equal fields of view
 _FEWER_ANGLES = range(0, 360, 45)  # at other fields of view
-_OCTAVES = (1, 2)  # of the ratio between the fields of view
+_LARGEST = 4  # ratio between the fields of view
 # Entropy of a copy, relative to that of the upright pair and to the median of all copies, below
 # which it is taken.
 _LOWER = 0.92
@@ -83,17 +85,17 @@ def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
     if any(max(image.size) > LONGEST * min(image.size) for image in (image1, image2)):
         return None
     thumbnails = _Thumbnails(engine, image1, image2)
-    candidates = [thumbnails.compare(angle, 0) for angle in _ANGLES]
+    candidates = thumbnails.compared([(angle, 0) for angle in _ANGLES])
     upright = candidates[0]
     best, median = _lowest(candidates)
     if best.entropy > _CLEAR * median:
-        candidates += [
-            thumbnails.compare(angle, sign * octave)
-            for octave in _OCTAVES
-            for angle in _FEWER_ANGLES
-            for sign in (1, -1)
-        ]
+        others = [(angle, octave) for octave in (1, -1) for angle in _FEWER_ANGLES]
+        candidates += thumbnails.compared(others)
         best, median = _lowest(candidates)
+        if best.octave:  # the fields of view may differ by more
+            others = [(angle, 2 * best.octave) for angle in _FEWER_ANGLES]
+            candidates += thumbnails.compared(others)
+            best, median = _lowest(candidates)
     if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
     return _views(best, image1.size, image2.size)
@@ -111,7 +113,7 @@ class _Thumbnails:
     def __init__(self, engine: Engine, image1: Image, image2: Image) -> None:
         self.engine = engine
         # No copy is larger than this one.
-        largest = 2 ** _OCTAVES[-1] * STRIDE * math.sqrt(_CELLS)
+        largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
         self._pixels = [
             resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
             for image in (image1, image2)
@@ -119,29 +121,41 @@ class _Thumbnails:
         self._sizes = (image1.size, image2.size)
         self._made: dict[tuple[int, int, int], _Thumbnail] = {}
 
-    def compare(self, angle_deg: int, octave: int) -> _Candidate:
-        """The image of the smaller field of view is rotated, and shrunk to the other's scale."""
-        small = 1 if octave >= 0 else 0
-        rotated = self._thumbnail(small, angle_deg if small == 1 else -angle_deg, 0)
-        wide = self._thumbnail(1 - small, 0, abs(octave))
-        logarithms = matching_distribution(
-            wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
-        )
-        entropy = mean_entropy(logarithms)
-        return _Candidate(angle_deg, octave, wide, rotated, logarithms, entropy)
+    def compared(self, motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
+        """A candidate for each angle and octave. The image of the smaller field of view is rotated,
+        and shrunk to the other's scale."""
+        sides = [
+            ((0, 0, octave), (1, angle, 0))
+            if octave >= 0
+            else ((1, 0, -octave), (0, -angle % 360, 0))
+            for angle, octave in motions
+        ]
+        missing = [key for key in dict.fromkeys(chain(*sides)) if key not in self._made]
+        self._made.update(zip(missing, in_threads(self._thumbnail, missing), strict=True))
+        return [
+            self._candidate(*motion, *(self._made[key] for key in keys))
+            for motion, keys in zip(motions, sides, strict=True)
+        ]
 
-    def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
-        key = (image, angle_deg % 360, octave)
-        if key not in self._made:
-            pixels = self._pixels[image]
-            size = (pixels.shape[1], pixels.shape[0])
-            scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
-            view = View.whole(size, float(angle_deg % 360), scale)
-            columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
-            features = self.engine.native(view.cut(pixels), (columns, rows))
-            inside = view.inside(size, (columns, rows))
-            self._made[key] = _Thumbnail(self._sizes[image], size, view, features, inside)
-        return self._made[key]
+    def _candidate(
+        self, angle_deg: int, octave: int, wide: _Thumbnail, narrow: _Thumbnail
+    ) -> _Candidate:
+        logarithms = matching_distribution(
+            wide.features, narrow.features, narrow.inside, self.engine.correlation_scales
+        )
+        return _Candidate(angle_deg, octave, wide, narrow, logarithms, mean_entropy(logarithms))
+
+    def _thumbnail(self, key: tuple[int, int, int]) -> _Thumbnail:
+        """The copy of an image, rotated by an angle, at an octave."""
+        image, angle_deg, octave = key
+        pixels = self._pixels[image]
+        size = (pixels.shape[1], pixels.shape[0])
+        scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
+        view = View.whole(size, float(angle_deg), scale)
+        columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
+        features = self.engine.native(view.cut(pixels), (columns, rows))
+        inside = view.inside(size, (columns, rows))
+        return _Thumbnail(self._sizes[image], size, view, features, inside)
 
 
 def matching_distribution(

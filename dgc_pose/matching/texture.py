@@ -37,6 +37,10 @@ class Texture:
     mask: np.ndarray  # (h, w) bool
     size: tuple[int, int]  # (width, height) of the image itself
 
+    @property
+    def nbytes(self) -> int:
+        return self.mask.nbytes
+
     def at(self, points: np.ndarray) -> np.ndarray:
         """Whether the image has structure at points (N, 2), pixels of the image: (N,) bool.
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache, image_cache
+from dgc_pose.matching.cache import ImageCache, LastImages
 from dgc_pose.matching.matcher import CorrespondenceMap
 from dgc_pose.matching.selection import WEAK
 from dgc_pose.matching.view import View
@@ -40,8 +41,8 @@ from dgc_pose.system.threads import in_threads, slices
 LONG_SIDE = 800  # most pixels of the images that features are computed on
 SIMILAR_CELLS = 12  # most similar cells of stride 16, for the consensus
 LIKELY_CELLS = 4  # of them and of the map's, that are searched besides the map's
-MOST_HYPOTHESES = 4  # near whose epipolar lines matches are searched
-_SQUEEZES = (0.6, 0.45)  # of the width or the height of one image
+MOST_HYPOTHESES = 2  # near whose epipolar lines matches are searched
+_SQUEEZE = 0.6  # of the width or the height of one image; see docs/experiments.md
 ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
 _WIDER = 1.6  # ratio of the fields of view, along a side
 _ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
@@ -53,14 +54,12 @@ _WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
-_PAIR_BYTES = 2**28  # enough for a pair and what is squeezed of it
-
 
 class FeatureMatches:
     """Matches of the features of a frozen network, guided by a map.
 
     long_side: most pixels of the images that features are computed on. cache: of the features, by
-    view and columns and rows of stride 16; None to keep those of the last pair or a few.
+    view and columns and rows of stride 16; None to keep those of the last three images.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class FeatureMatches:
     ) -> None:
         self.engine = engine
         self.long_side = long_side
-        self.cache = cache or image_cache(_PAIR_BYTES)
+        self.cache = cache or LastImages()
 
     def at_scale(
         self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
@@ -79,58 +78,58 @@ class FeatureMatches:
         map shows to match, are resized to one scale, with long sides of about `long_side` pixels,
         and image 2 is rotated as the map shows.
         """
-        views = _views(correspondence_map, self.long_side)
-        return self._matches(image1, image2, correspondence_map, views)
+        first, second = _views(image1, image2, correspondence_map, self.long_side)
+        return self._matches(correspondence_map, [(first, second, None)])[0]
 
-    def near(
+    def more(
         self,
         image1: Image,
         image2: Image,
         correspondence_map: CorrespondenceMap,
         hypotheses: Sequence[TwoViews],
     ) -> list[Matches]:
-        """As `at_scale`, of each of the first hypotheses the matches near its epipolar lines."""
-        views = _views(correspondence_map, self.long_side)
-        return [
-            self._matches(image1, image2, correspondence_map, views, hypothesis)
-            for hypothesis in hypotheses[:MOST_HYPOTHESES]
-        ]
+        """As `at_scale`, further matches by each of several comparisons:
 
-    def squeezed(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
-    ) -> list[Matches]:
-        """As `at_scale`, with one image narrower or lower than it is: a surface that one camera
-        sees from the side and the other from the front becomes alike."""
-        views, matches = _views(correspondence_map, self.long_side), []
-        for factor, axis, number in product(_SQUEEZES, (0, 1), (0, 1)):
-            changed = list(views)
-            view, (columns, rows) = views[number]
-            if axis == 0:
-                columns = max(1, round(factor * columns))
-            else:
-                rows = max(1, round(factor * rows))
-            changed[number] = view, (columns, rows)
-            matches.append(self._matches(image1, image2, correspondence_map, changed))
-        return matches
+        - with one image narrower or lower than it is: a surface that one camera sees from the side
+          and the other from the front becomes alike;
+        - for each of the first hypotheses of the pose, those near its epipolar lines.
+        """
+        first, second = _views(image1, image2, correspondence_map, self.long_side)
+        comparisons: list[_Comparison] = []
+        for axis in (0, 1):
+            comparisons.append((first.squeezed(axis), second, None))
+            comparisons.append((first, second.squeezed(axis), None))
+        comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
+        return self._matches(correspondence_map, comparisons)
 
     def _matches(
+        self, correspondence_map: CorrespondenceMap, comparisons: Sequence[_Comparison]
+    ) -> list[Matches]:
+        """The matches of each comparison, in pixels of the images."""
+        views = dict.fromkeys(chain(*((first, second) for first, second, _ in comparisons)))
+        # In turn: one image occupies all processors, and memory for one is enough.
+        features = {
+            view: self.cache.get(view, partial(view.encoded, self.engine)) for view in views
+        }
+
+        def compare(comparison: _Comparison) -> Matches:
+            first, second, hypothesis = comparison
+            seen = (first, features[first]), (second, features[second])
+            return self._compared(correspondence_map, *seen, hypothesis)
+
+        return in_threads(compare, comparisons)
+
+    def _compared(
         self,
-        image1: Image,
-        image2: Image,
         correspondence_map: CorrespondenceMap,
-        views: Sequence[tuple[View, Size]],
-        hypothesis: TwoViews | None = None,
+        first: tuple[_Encoded, NativeFeatures],
+        second: tuple[_Encoded, NativeFeatures],
+        hypothesis: TwoViews | None,
     ) -> Matches:
-        """Mutual nearest neighbours, with a hypothesis those near its epipolar lines, in pixels of
-        the images."""
-        engine, (view1, view2) = self.engine, (view for view, _ in views)
-        source, target = self.cache.get_all(
-            [
-                ((image, view, cells), partial(_features, engine, image, view, cells))
-                for image, (view, cells) in zip((image1, image2), views, strict=True)
-            ],
-            in_turn=not engine.concurrent,
-        )
+        """Mutual nearest neighbours of two views, with a hypothesis those near its epipolar
+        lines."""
+        (image1, view1, _), source = first
+        (image2, view2, _), target = second
         guided = _guided_cells(correspondence_map, source, target, view1, view2)
         coarse, middle = None, None
         if hypothesis is not None:
@@ -141,7 +140,7 @@ class FeatureMatches:
             source,
             target,
             guided,
-            engine.correlation_scales,
+            self.engine.correlation_scales,
             similar=SIMILAR_CELLS,
             likely=LIKELY_CELLS,
             allowed=coarse,
@@ -164,7 +163,29 @@ class FeatureMatches:
         )
 
 
-def _views(correspondence_map: CorrespondenceMap, long_side: int) -> list[tuple[View, Size]]:
+class _Encoded(NamedTuple):
+    """What is encoded of an image: the key of its features."""
+
+    image: Image
+    view: View
+    cells: Size  # columns and rows of stride 16 that the view is resized to
+
+    def encoded(self, engine: Engine) -> NativeFeatures:
+        return engine.native(self.view.cut(self.image.pixels), self.cells)
+
+    def squeezed(self, axis: int) -> _Encoded:
+        """The view made narrower (axis 0) or lower (1)."""
+        sides = [round(_SQUEEZE * n) if k == axis else n for k, n in enumerate(self.cells)]
+        return self._replace(cells=(max(1, sides[0]), max(1, sides[1])))
+
+
+# Two views, and the hypothesis near whose epipolar lines they match, if there is one.
+_Comparison = tuple[_Encoded, _Encoded, TwoViews | None]
+
+
+def _views(
+    image1: Image, image2: Image, correspondence_map: CorrespondenceMap, long_side: int
+) -> tuple[_Encoded, _Encoded]:
     """Views of the parts of both images that the map shows to match, at one orientation; and the
     columns and rows of stride 16 at one scale: that of the map, to the octave, as features tolerate
     half of one."""
@@ -180,18 +201,18 @@ def _views(correspondence_map: CorrespondenceMap, long_side: int) -> list[tuple[
     window2 = window_shown(points2, size2)
     angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
-    views = []
-    for window, turn, factor in ((window1, 0.0, factors[0]), (window2, angle, factors[1])):
+
+    def encoded(
+        image: Image, window: tuple[Size, tuple[float, float]], turn: float, factor: float
+    ) -> _Encoded:
         # Before a rotation by other than quarter turns the image is resized: mostly it is shrunk.
         view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
         # Sides become the nearest multiples of 16, so the actual scale differs a little.
         columns, rows = (max(1, round(side * (factor / view.scale) / STRIDE)) for side in view.size)
-        views.append((view, (columns, rows)))
-    return views
+        return _Encoded(image, view, (columns, rows))
 
-
-def _features(engine: Engine, image: Image, view: View, cells: Size) -> NativeFeatures:
-    return engine.native(view.cut(image.pixels), cells)
+    first = encoded(image1, window1, 0.0, factors[0])
+    return first, encoded(image2, window2, angle, factors[1])
 
 
 def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from dgc_pose.refinement.align import CORNER_RADIUS, MIN_ZNCC, align, spread
 from dgc_pose.refinement.consistency import consistent
 from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.system.options import check_options, option
+from dgc_pose.system.threads import in_threads
 
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
@@ -56,7 +57,7 @@ class Refiner(Matcher):
     """A matcher of a dense map with more accurate matches. The dense map is the matcher's.
 
     source: of the matches that are aligned, see `RefinementOptions`. max_matches: an even subsample
-    of at most so many. cache: of the features; None to keep those of the last pair or a few.
+    of at most so many. cache: of the features; None to keep those of the last three images.
 
     Raises InputError if the source is features, and the matcher has no network.
     """
@@ -76,6 +77,7 @@ class Refiner(Matcher):
             if matcher.engine is None:
                 raise InputError(f"{matcher.name}: refine={source} needs the features of a network")
             self.features = FeatureMatches(matcher.engine, cache=cache)
+            self.cache = self.features.cache
             self.quick_features = FeatureMatches(matcher.engine, QUICK_SIDE, self.features.cache)
 
     @property
@@ -96,8 +98,8 @@ class RefinedSearch(PairSearch):
     """The steps of a refiner for one pair.
 
     `quick` has the coarsest map and the features of small images, `fine` the features at full
-    resolution by the same map, `whole` those by the finest map. `squeezed` and `near` add to the
-    matches that are there.
+    resolution by the same map, `whole` those by the finest map. `more` adds to the matches that are
+    there.
     """
 
     matcher: Refiner
@@ -122,30 +124,26 @@ class RefinedSearch(PairSearch):
         self.result = self._whole
         return self.result
 
-    def squeezed(self) -> MatchResult | None:
-        features, dense = self.matcher.features, self._refined_map
-        if features is None or dense is None:
+    def more(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
+        """As `PairSearch`, those of squeezed images and near epipolar lines; each part is refined
+        by itself. All go together: the matches near the lines of a single pose would agree with it,
+        right or wrong."""
+        features, result = self.matcher.features, self.result
+        if features is None or result is None or result.aligned is None:
             return None
-        return self._add(features.squeezed(self.image1, self.image2, dense))
-
-    def near(self, hypotheses: Sequence[TwoViews]) -> MatchResult | None:
-        """As `PairSearch`. The matches of all hypotheses go together: those near the lines of a
-        single pose would agree with it, right or wrong."""
-        features, dense = self.matcher.features, self._refined_map
-        if features is None or dense is None:
+        dense = result.correspondence_map
+        if dense is None:
             return None
-        return self._add(features.near(self.image1, self.image2, dense, hypotheses))
+        parts = in_threads(
+            self._aligned, features.more(self.image1, self.image2, dense, hypotheses)
+        )
+        aligned = Matches.joined([result.aligned, *(part for part, _ in parts)])
+        agreeing = Matches.joined([result.matches, *(part for _, part in parts)])
+        return self._keep(self._final(aligned, agreeing, dense))
 
     @cached_property
     def _whole(self) -> MatchResult:
         return self._refined(self.unrefined) or self.unrefined
-
-    @property
-    def _refined_map(self) -> CorrespondenceMap | None:
-        """The map of the matches that are there; None if they are not refined."""
-        if self.result is None or self.result.aligned is None:
-            return None
-        return self.result.correspondence_map
 
     def _keep(self, result: MatchResult | None) -> MatchResult | None:
         self.result = result or self.result
@@ -161,16 +159,6 @@ class RefinedSearch(PairSearch):
         if self.matcher.source not in ("auto", "map"):
             return None
         return self._final(*self._aligned(result.matches), dense)
-
-    def _add(self, parts: Sequence[Matches]) -> MatchResult | None:
-        """The refined matches that are there with further parts, each refined by itself."""
-        result = self.result
-        if not parts or result is None or result.aligned is None:
-            return None
-        refined = [self._aligned(matches) for matches in parts]
-        aligned = Matches.joined([result.aligned, *(part for part, _ in refined)])
-        agreeing = Matches.joined([result.matches, *(part for _, part in refined)])
-        return self._keep(self._final(aligned, agreeing, result.correspondence_map))
 
     def _aligned(
         self, matches: Matches, corner_radius: int = CORNER_RADIUS

@@ -5,7 +5,7 @@ import os
 import threading
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import PIL.Image
@@ -31,6 +31,15 @@ from dgc_pose.runtime.session import Session
 from dgc_pose.system.threads import in_threads
 
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
+
+
+class _Begun(NamedTuple):
+    """A map that is decoded to a level."""
+
+    source: MapFeatures
+    target: MapFeatures
+    level: int
+    state: np.ndarray  # (1, 3, h, w), the map and the mask logit
 
 
 class OnnxEngine:
@@ -60,6 +69,7 @@ class OnnxEngine:
         self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
         self._names = names["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
+        self._begun: _Begun | None = None  # the last map, which a finer one goes on from
 
     @cached_property
     def fingerprint(self) -> str:
@@ -85,8 +95,12 @@ class OnnxEngine:
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
 
     def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
-        state = self._start(source, target)
-        for level in range(COARSEST, LEVEL_SIZES.index(finest) - 1, -1):
+        last, begun = LEVEL_SIZES.index(finest), self._begun
+        if begun and begun.source is source and begun.target is target and begun.level >= last:
+            above, state = begun.level, begun.state
+        else:
+            above, state = COARSEST + 1, self._start(source, target)
+        for level in range(above - 1, last - 1, -1):
             previous = state if level == COARSEST else self._session(graphs.UPSAMPLE)(state)[0]
             features1, features2 = source.levels[level], target.levels[level]
             (warped,) = self._session(graphs.WARP)(features1, previous)
@@ -98,6 +112,7 @@ class OnnxEngine:
             cell = np.array([2 / columns, 2 / rows, 1], np.float32)[:, None, None]
             decoder = self._session(f"reg_{level}.onnx")
             (state,) = decoder(warped, features2, local[None], previous, cell[None])
+        self._begun = _Begun(source, target, last, state)
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2
         return DecodedMap(points, 1 / (1 + np.exp(-state[0, 2])), source.size)

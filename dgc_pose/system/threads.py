@@ -21,20 +21,26 @@ def slices(count: int, size: int) -> list[slice]:
     return [slice(i, i + size) for i in range(0, max(1, count), size)]
 
 
+class _Helper(threading.Thread):
+    """One of several threads of `in_threads`."""
+
+
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """`[work(item) for item in items]`, in as many threads as OpenCV uses.
 
     For work that spends its time outside of Python and depends on its item alone, so that the
     answer is the same for any number of threads. `cv2.setNumThreads` sets the number for both; the
-    default is the number of processors. At its end a process would wait for the threads of a
-    ThreadPoolExecutor.
+    default is the number of processors. Within such work a call goes item by item: the processors
+    have work already, and large pieces are done faster side by side than small ones. At its end a
+    process would wait for the threads of a ThreadPoolExecutor.
 
     Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
     the main thread, it is raised at once: results of work that has begun are discarded, and the
     rest is not begun.
     """
     count = min(cv2.getNumThreads(), len(items))
-    if count <= 1 and threading.current_thread() is not threading.main_thread():
+    current = threading.current_thread()
+    if isinstance(current, _Helper) or (count <= 1 and current is not threading.main_thread()):
         return [work(item) for item in items]  # signals are handled in the main thread alone
     results: dict[int, Result] = {}
     errors: dict[int, BaseException] = {}
@@ -51,7 +57,8 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
                 return
 
     # Daemons: the process may end while a library's call, which nothing can stop, goes on.
-    threads = [threading.Thread(target=run, daemon=True) for _ in range(max(count, 1))]
+    kind = _Helper if count > 1 else threading.Thread
+    threads = [kind(target=run, daemon=True) for _ in range(max(count, 1))]
     try:
         for thread in threads:
             thread.start()

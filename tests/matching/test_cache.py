@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.images.image import Image
+from dgc_pose.matching.cache import BoundedCache, LastImages
 
 
 def _cache(limit: int) -> BoundedCache[str, bytes]:
@@ -45,3 +47,18 @@ def test_of_many_each_that_is_missing_is_made_once(in_turn: bool) -> None:
     # With room for two: c drops a, which is made again for the last.
     assert sorted(made) == ["a", "a", "b", "c"]
     assert cache.held_bytes <= 25
+
+
+def test_what_is_computed_of_the_last_three_images_is_kept() -> None:
+    cache, images = LastImages(), [Image(np.zeros((2, 3, 3), np.uint8)) for _ in range(4)]
+    value = np.zeros(5)
+    for number in (0, 1, 0, 2, 1, 0):
+        for name in ("a", "b"):
+            assert cache.get((images[number], name), value.copy) is not value
+    assert (cache.made, cache.held_bytes) == (6, 6 * value.nbytes)
+    cache.get((images[3], "a"), value.copy)  # drops image 2, the least recently used
+    assert cache.held_bytes == 5 * value.nbytes
+    cache.get((images[0], "b"), value.copy)
+    assert cache.made == 7
+    cache.get((images[2], "a"), value.copy)
+    assert cache.made == 8

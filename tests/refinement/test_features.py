@@ -146,7 +146,7 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
     )
 
     features = FeatureMatches(engine)
-    near = features.near(first, second, guide, [true, wrong])
+    near = features.more(first, second, guide, [true, wrong])[4:]
     for matches, views in zip(near, (true, wrong), strict=True):
         points = camera.normalise(matches.points1), camera.normalise(matches.points2)
         off = dense_scene.K[0, 0] * sampson_distance(*points, views.E)
@@ -157,10 +157,10 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         for matches in near
     ]
     assert (errors[0] < 3).mean() > 2 * (errors[1] < 3).mean()
-    (alone,) = features.near(first, second, guide, [true])
+    (alone,) = features.more(first, second, guide, [true])[4:]
     np.testing.assert_array_equal(alone.points1, near[0].points1)
-    assert features.near(first, second, guide, []) == []
-    assert len(features.near(first, second, guide, 9 * [true])) == MOST_HYPOTHESES
+    assert len(features.more(first, second, guide, [])) == 4
+    assert len(features.more(first, second, guide, 9 * [true])) == 4 + MOST_HYPOTHESES
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -179,14 +179,13 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
     guide.matchability[:] = 0.0
     images = [Image(pixels) for pixels in pictures]
-    every = FeatureMatches(engine).squeezed(*images, guide)
-    assert len(every) == 8
+    every = FeatureMatches(engine).more(*images, guide, [])
+    assert len(every) == 4
     counts = []
     for matches in every:
         true = rescale(matches.points2, sizes[1], sizes[0])
         counts.append((np.abs(matches.points1 - true).max(1) < 4).sum())
-    # Factors 0.6 and 0.45, of each the axes, of each the pictures. The pictures become alike, too,
-    # if the squeezed one is squeezed along its other axis.
-    places = [(axis, 1 - narrowed), (1 - axis, narrowed)]
-    alike = [4 * factor + 2 * along + number for factor in (0, 1) for along, number in places]
+    # The axes, of each the pictures. The pictures become alike, too, if the squeezed one is
+    # squeezed along its other axis.
+    alike = [2 * along + number for along, number in ((axis, 1 - narrowed), (1 - axis, narrowed))]
     assert int(np.argmax(counts)) in alike and max(counts) > 200

@@ -102,13 +102,12 @@ _RIGHT = [_points((170, 260), y, 150, seed) for seed, y in ((1, (40, 110)), (2, 
 
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Features that match first on the left; in squeezed images, and near the lines of two
-    hypotheses, on the right, above and below."""
+    """Features that match first on the left, and then on the right, above and, with a second
+    hypothesis, below."""
     left = _points((60, 150), (40, 200), 250, 0)
     monkeypatch.setattr(FeatureMatches, "at_scale", lambda *arguments: left)
-    monkeypatch.setattr(FeatureMatches, "squeezed", lambda *arguments: _RIGHT)
     monkeypatch.setattr(
-        FeatureMatches, "near", lambda self, a, b, dense, views: _RIGHT[: len(views)]
+        FeatureMatches, "more", lambda self, a, b, dense, views: _RIGHT[: len(views)]
     )
 
 
@@ -121,14 +120,12 @@ def _rows(matches: Matches) -> set[tuple[float, ...]]:
 
 
 @pytest.mark.usefixtures("parts")
-@pytest.mark.parametrize("squeezed", [False, True])
 @pytest.mark.parametrize("min_aligned", [100, 10_000])
 def test_matches_of_a_search_join_the_first(
     images: tuple[Image, Image],
     engine: TorchEngine,
     monkeypatch: pytest.MonkeyPatch,
     min_aligned: int,
-    squeezed: bool,
 ) -> None:
     """Those that are aligned, if they are enough; else all that agree with their neighbours."""
     monkeypatch.setattr(refiner, "MIN_ALIGNED", min_aligned)
@@ -136,7 +133,7 @@ def test_matches_of_a_search_join_the_first(
     matcher.engine = engine
     search, other = (Refiner(matcher, "features").search(*images) for _ in range(2))
     first, _ = search.whole(), other.whole()
-    more = search.squeezed() if squeezed else search.near(_HYPOTHESES)
+    more = search.more(_HYPOTHESES)
     assert more is search.last and more.correspondence_map is first.correspondence_map
     assert more.aligned is not None and first.aligned is not None
     x, y = more.matches.points2.T
@@ -149,7 +146,7 @@ def test_matches_of_a_search_join_the_first(
     else:
         assert more.matches.error_px == 1.0 and len(more.matches) > 1.5 * len(first.matches)
         assert more.aligned.error_px == 0.5 and len(more.aligned) < len(more.matches)
-    above = other.near(_HYPOTHESES[:1])
+    above = other.more(_HYPOTHESES[:1])
     assert above is not None
     assert len(first.matches) < len(above.matches) < len(more.matches)
 
@@ -161,7 +158,7 @@ def test_a_search_without_features_has_no_more_matches(images: tuple[Image, Imag
             search.last  # noqa: B018
         assert search.quick() is None and search.fine() is None
         whole = search.whole()
-        assert search.squeezed() is None and search.near(_HYPOTHESES) is None
+        assert search.more(_HYPOTHESES) is None
         assert search.last is whole
 
 

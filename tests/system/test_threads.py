@@ -34,6 +34,20 @@ def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
     assert len(set(in_threads(lambda _: threading.get_ident(), range(3)))) == 1
 
 
+def test_work_within_the_work_is_done_in_turn() -> None:
+    cv2.setNumThreads(2)
+
+    def inner(_: int) -> int:
+        return threading.get_ident()
+
+    def outer(_: int) -> tuple[int, set[int]]:
+        return threading.get_ident(), set(in_threads(inner, range(3)))
+
+    assert all(within == {thread} for thread, within in in_threads(outer, range(2)))
+    alone = in_threads(lambda _: in_threads(inner, range(2)), range(1))
+    assert len(alone[0]) == 2  # by threads of its own
+
+
 def test_an_interrupt_does_not_wait_for_the_work() -> None:
     """As in a long call of a library, which handles no signal."""
     cv2.setNumThreads(2)
