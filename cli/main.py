@@ -50,7 +50,6 @@ SECTIONS = {
         "bench-synthetic": "Score maps on synthetic pairs.",
         "bench-dtu": "Repeat the paper's pose experiment on DTU.",
         "bench-reconstruct": "Score reconstructions on known cameras.",
-        "bench-speed": "Show where the time of a pair goes.",
         "dtu-pairs": "Make a pair list from DTU's calibration.",
     },
     "Training": {

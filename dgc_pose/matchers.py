@@ -124,7 +124,7 @@ def load_matcher(
     matching: how matches are selected from a dense map. refinement: of a network's matches; None
     for those of its map. Other matchers are never refined here; a `Refiner` around them does it.
     caches: to keep what is computed of an image from pair to pair; None to keep it of the last
-    images alone: for a network up to 0.7 GB, and memory of up to 1.5 GB for the whole process.
+    three images alone, for a network some 30 MB each beside their pixels.
 
     A network's matcher can be neither pickled nor deep-copied: each process loads its own.
 

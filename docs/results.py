@@ -1,4 +1,5 @@
-"""Write the tables of relative poses, in README.md and docs/results.md, from docs/results.csv.
+"""Write the tables of relative poses, in README.md and docs/results.md, from docs/results.csv; draw
+docs/speed.png from docs/speed.csv.
 
     python docs/results.py [RUNS]
 
@@ -13,7 +14,10 @@ import sys
 from datetime import date
 from pathlib import Path
 
+from dgc_pose.viz.figure import new_figure
+
 DOCS = Path(__file__).resolve().parent
+SPEED, PICTURE = DOCS / "speed.csv", DOCS / "speed.png"
 RESULTS, PAGES = DOCS / "results.csv", (DOCS.parent / "README.md", DOCS / "results.md")
 FIGURES = {
     **{name: f"{{{name}}}" for name in ("date", "pairs", "failures", "wrong")},
@@ -53,6 +57,23 @@ def table(place: re.Match[str]) -> str:
     return place[1] + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
+def draw_speed() -> None:
+    """A panel a list, in it a point a method: AUC@10 against the seconds of a pair."""
+    rows = read(SPEED)
+    lists = list(dict.fromkeys(row["list"] for row in rows))
+    figure = new_figure(4.6 * len(lists), 3.8)
+    for axes, name in zip(figure.subplots(1, len(lists)), lists, strict=True):
+        points = [row for row in rows if row["list"] == name]
+        for row in points:
+            x, y, ours = float(row["seconds"]), float(row["AUC@10"]), row["ours"] == "yes"
+            axes.plot(x, y, "o" if ours else "s", color="C0" if ours else "C1")
+            axes.annotate(row["method"], (x, y), (6, -4), textcoords="offset points")
+        axes.set(xlim=(0, None), title=name, xlabel="seconds a pair", ylabel="AUC@10 (%)")
+        axes.margins(0.2)
+        axes.grid(alpha=0.3)
+    figure.savefig(PICTURE, dpi=110)
+
+
 def main(runs: str | None = None) -> None:
     if runs is not None:
         rows = [measured(row, Path(runs, row["run"])) for row in read(RESULTS)]
@@ -60,6 +81,7 @@ def main(runs: str | None = None) -> None:
             writer = csv.DictWriter(stream, [*rows[0]], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
+    draw_speed()
     for page in PAGES:
         page.write_text(TABLE.sub(table, page.read_text(encoding="utf-8")), encoding="utf-8")
 

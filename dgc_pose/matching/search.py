@@ -13,7 +13,6 @@ temperature.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import cv2
 import numpy as np
@@ -85,16 +84,16 @@ def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
     if any(max(image.size) > LONGEST * min(image.size) for image in (image1, image2)):
         return None
     thumbnails = _Thumbnails(engine, image1, image2)
-    candidates = thumbnails.compared([(angle, 0) for angle in _ANGLES])
+    candidates = in_threads(thumbnails.compare, [(angle, 0) for angle in _ANGLES])
     upright = candidates[0]
     best, median = _lowest(candidates)
     if best.entropy > _CLEAR * median:
-        others = [(angle, octave) for octave in (1, -1) for angle in _FEWER_ANGLES]
-        candidates += thumbnails.compared(others)
+        others = [(angle, octave) for angle in _FEWER_ANGLES for octave in (1, -1)]
+        candidates += in_threads(thumbnails.compare, others)
         best, median = _lowest(candidates)
         if best.octave:  # the fields of view may differ by more
             others = [(angle, 2 * best.octave) for angle in _FEWER_ANGLES]
-            candidates += thumbnails.compared(others)
+            candidates += in_threads(thumbnails.compare, others)
             best, median = _lowest(candidates)
     if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
@@ -121,41 +120,31 @@ class _Thumbnails:
         self._sizes = (image1.size, image2.size)
         self._made: dict[tuple[int, int, int], _Thumbnail] = {}
 
-    def compared(self, motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
-        """A candidate for each angle and octave. The image of the smaller field of view is rotated,
-        and shrunk to the other's scale."""
-        sides = [
-            ((0, 0, octave), (1, angle, 0))
-            if octave >= 0
-            else ((1, 0, -octave), (0, -angle % 360, 0))
-            for angle, octave in motions
-        ]
-        missing = [key for key in dict.fromkeys(chain(*sides)) if key not in self._made]
-        self._made.update(zip(missing, in_threads(self._thumbnail, missing), strict=True))
-        return [
-            self._candidate(*motion, *(self._made[key] for key in keys))
-            for motion, keys in zip(motions, sides, strict=True)
-        ]
-
-    def _candidate(
-        self, angle_deg: int, octave: int, wide: _Thumbnail, narrow: _Thumbnail
-    ) -> _Candidate:
+    def compare(self, motion: tuple[int, int]) -> _Candidate:
+        """The candidate of an angle and an octave. The image of the smaller field of view is
+        rotated, and shrunk to the other's scale."""
+        angle_deg, octave = motion
+        small = 1 if octave >= 0 else 0
+        rotated = self._thumbnail(small, angle_deg if small == 1 else -angle_deg, 0)
+        wide = self._thumbnail(1 - small, 0, abs(octave))
         logarithms = matching_distribution(
-            wide.features, narrow.features, narrow.inside, self.engine.correlation_scales
+            wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
         )
-        return _Candidate(angle_deg, octave, wide, narrow, logarithms, mean_entropy(logarithms))
+        entropy = mean_entropy(logarithms)
+        return _Candidate(angle_deg, octave, wide, rotated, logarithms, entropy)
 
-    def _thumbnail(self, key: tuple[int, int, int]) -> _Thumbnail:
-        """The copy of an image, rotated by an angle, at an octave."""
-        image, angle_deg, octave = key
-        pixels = self._pixels[image]
-        size = (pixels.shape[1], pixels.shape[0])
-        scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
-        view = View.whole(size, float(angle_deg), scale)
-        columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
-        features = self.engine.native(view.cut(pixels), (columns, rows))
-        inside = view.inside(size, (columns, rows))
-        return _Thumbnail(self._sizes[image], size, view, features, inside)
+    def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
+        key = (image, angle_deg % 360, octave)
+        if key not in self._made:
+            pixels = self._pixels[image]
+            size = (pixels.shape[1], pixels.shape[0])
+            scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
+            view = View.whole(size, float(angle_deg % 360), scale)
+            columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
+            features = self.engine.native(view.cut(pixels), (columns, rows))
+            inside = view.inside(size, (columns, rows))
+            self._made[key] = _Thumbnail(self._sizes[image], size, view, features, inside)
+        return self._made[key]
 
 
 def matching_distribution(

@@ -132,11 +132,9 @@ class RefinedSearch(PairSearch):
         if features is None or result is None or result.aligned is None:
             return None
         dense = result.correspondence_map
-        if dense is None:
-            return None
-        parts = in_threads(
-            self._aligned, features.more(self.image1, self.image2, dense, hypotheses)
-        )
+        assert dense is not None  # by which features are matched
+        matches = features.more(self.image1, self.image2, dense, hypotheses)
+        parts = in_threads(self._aligned, matches)
         aligned = Matches.joined([result.aligned, *(part for part, _ in parts)])
         agreeing = Matches.joined([result.matches, *(part for _, part in parts)])
         return self._keep(self._final(aligned, agreeing, dense))

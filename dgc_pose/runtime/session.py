@@ -30,7 +30,6 @@ class Session:
         options.intra_op_num_threads = session_threads()
         options.inter_op_num_threads = 1
         options.log_severity_level = _QUIET
-        options.enable_cpu_mem_arena = False  # it would keep the most that any run has taken
         # Threads that wait for work must not take the processor from other processes.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # The values must outlive the session.
