@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 # - fine: more accurate matches by the map of the quick pass, for a pose that is certain
 # - match: all that `Matcher.match` does
 # - mirrored: a quick pass over image 1 and the mirror image of image 2, which may end the search
-# - more: matches of squeezed images and near the epipolar lines of the hypotheses, pooled with
-#   those that are there
+# - more: matches of squeezed images and near epipolar lines, pooled with those that are there
 Step = Literal["quick", "fine", "match", "mirrored", "more"]
 _STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("quick", "match", "mirrored"),

@@ -201,18 +201,15 @@ def _views(
     window2 = window_shown(points2, size2)
     angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
     factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
-
-    def encoded(
-        image: Image, window: tuple[Size, tuple[float, float]], turn: float, factor: float
-    ) -> _Encoded:
+    turned = (image1, window1, 0.0, factors[0]), (image2, window2, angle, factors[1])
+    views = []
+    for image, window, turn, factor in turned:
         # Before a rotation by other than quarter turns the image is resized: mostly it is shrunk.
         view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
         # Sides become the nearest multiples of 16, so the actual scale differs a little.
         columns, rows = (max(1, round(side * (factor / view.scale) / STRIDE)) for side in view.size)
-        return _Encoded(image, view, (columns, rows))
-
-    first = encoded(image1, window1, 0.0, factors[0])
-    return first, encoded(image2, window2, angle, factors[1])
+        views.append(_Encoded(image, view, (columns, rows)))
+    return views[0], views[1]
 
 
 def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tuple[float, float]:
