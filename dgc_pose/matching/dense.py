@@ -33,6 +33,7 @@ class DenseMatcher(Matcher):
     """
 
     engine: Engine
+    cache: ImageCache
 
     def __init__(
         self,

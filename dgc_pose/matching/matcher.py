@@ -187,8 +187,6 @@ class PairSearch:
     @cached_property
     def _textures(self) -> tuple[Texture, Texture]:
         cache = self.matcher.cache or LastImages()
-        made = [
-            ((image, "texture"), partial(texture, image)) for image in (self.image1, self.image2)
-        ]
+        made = [((i, "texture"), partial(texture, i)) for i in (self.image1, self.image2)]
         first, second = cache.get_all(made, in_turn=False)
         return first, second
