@@ -35,7 +35,8 @@ class MatcherCaches:
 
     Attributes:
         features: Features of the encoder at 240x240.
-        native: Features of the encoder at native resolution, for refinement.
+        native: Features of the encoder at native resolution, for refinement, and where images have
+            structure.
         key_points: Key points of a detector.
     """
 

@@ -14,7 +14,7 @@ import sys
 from datetime import date
 from pathlib import Path
 
-from dgc_pose.viz.figure import new_figure
+from dgc_pose.viz.figure import new_figure, save_figure
 
 DOCS = Path(__file__).resolve().parent
 SPEED, PICTURE = DOCS / "speed.csv", DOCS / "speed.png"
@@ -73,7 +73,7 @@ def draw_speed() -> None:
                 )
         axes.set(xlim=(0, None), title=name, xlabel="seconds a pair", ylabel="AUC@10 (%)")
         axes.grid(alpha=0.3)
-    figure.savefig(PICTURE, dpi=110)
+    save_figure(figure, PICTURE)
 
 
 def main(runs: str | None = None) -> None:

@@ -13,17 +13,18 @@ temperature.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import Size, cell_centres, rescale
 from dgc_pose.images.image import Image, resize_by
+from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
 from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, NativeFeatures
-from dgc_pose.system.threads import in_threads
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
 _ANGLES = range(0, 360, 30)  # degrees, at equal fields of view
@@ -84,16 +85,16 @@ def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
     if any(max(image.size) > LONGEST * min(image.size) for image in (image1, image2)):
         return None
     thumbnails = _Thumbnails(engine, image1, image2)
-    candidates = in_threads(thumbnails.compare, [(angle, 0) for angle in _ANGLES])
+    candidates = thumbnails.compared([(angle, 0) for angle in _ANGLES])
     upright = candidates[0]
     best, median = _lowest(candidates)
     if best.entropy > _CLEAR * median:
         others = [(angle, octave) for angle in _FEWER_ANGLES for octave in (1, -1)]
-        candidates += in_threads(thumbnails.compare, others)
+        candidates += thumbnails.compared(others)
         best, median = _lowest(candidates)
         if best.octave:  # the fields of view may differ by more
             others = [(angle, 2 * best.octave) for angle in _FEWER_ANGLES]
-            candidates += in_threads(thumbnails.compare, others)
+            candidates += thumbnails.compared(others)
             best, median = _lowest(candidates)
     if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
@@ -118,33 +119,41 @@ class _Thumbnails:
             for image in (image1, image2)
         ]
         self._sizes = (image1.size, image2.size)
-        self._made: dict[tuple[int, int, int], _Thumbnail] = {}
+        self._made: BoundedCache[tuple[int, int, int], _Thumbnail] = BoundedCache(lambda *_: 0)
 
-    def compare(self, motion: tuple[int, int]) -> _Candidate:
-        """The candidate of an angle and an octave. The image of the smaller field of view is
+    def compared(self, motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
+        """The candidate of each angle and octave. The image of the smaller field of view is
         rotated, and shrunk to the other's scale."""
-        angle_deg, octave = motion
-        small = 1 if octave >= 0 else 0
-        rotated = self._thumbnail(small, angle_deg if small == 1 else -angle_deg, 0)
-        wide = self._thumbnail(1 - small, 0, abs(octave))
+        keys = []
+        for angle_deg, octave in motions:
+            small, turn = (1, angle_deg) if octave >= 0 else (0, -angle_deg)
+            keys += [(1 - small, 0, abs(octave)), (small, turn % 360, 0)]
+        made = self._made.get_all(
+            [(key, partial(self._thumbnail, *key)) for key in keys],
+            in_turn=not self.engine.concurrent,
+        )
+        return [
+            self._candidate(*motion, wide, rotated)
+            for motion, wide, rotated in zip(motions, made[::2], made[1::2], strict=True)
+        ]
+
+    def _candidate(
+        self, angle_deg: int, octave: int, wide: _Thumbnail, rotated: _Thumbnail
+    ) -> _Candidate:
         logarithms = matching_distribution(
             wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
         )
-        entropy = mean_entropy(logarithms)
-        return _Candidate(angle_deg, octave, wide, rotated, logarithms, entropy)
+        return _Candidate(angle_deg, octave, wide, rotated, logarithms, mean_entropy(logarithms))
 
     def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
-        key = (image, angle_deg % 360, octave)
-        if key not in self._made:
-            pixels = self._pixels[image]
-            size = (pixels.shape[1], pixels.shape[0])
-            scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
-            view = View.whole(size, float(angle_deg % 360), scale)
-            columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
-            features = self.engine.native(view.cut(pixels), (columns, rows))
-            inside = view.inside(size, (columns, rows))
-            self._made[key] = _Thumbnail(self._sizes[image], size, view, features, inside)
-        return self._made[key]
+        pixels = self._pixels[image]
+        size = (pixels.shape[1], pixels.shape[0])
+        scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
+        view = View.whole(size, float(angle_deg), scale)
+        columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
+        features = self.engine.native(view.cut(pixels), (columns, rows))
+        inside = view.inside(size, (columns, rows))
+        return _Thumbnail(self._sizes[image], size, view, features, inside)
 
 
 def matching_distribution(

@@ -132,7 +132,8 @@ class RefinedSearch(PairSearch):
         if features is None or result is None or result.aligned is None:
             return None
         dense = result.correspondence_map
-        assert dense is not None  # by which features are matched
+        if dense is None:
+            return None
         matches = features.more(self.image1, self.image2, dense, hypotheses)
         parts = in_threads(self._aligned, matches)
         aligned = Matches.joined([result.aligned, *(part for part, _ in parts)])
