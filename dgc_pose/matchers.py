@@ -35,8 +35,7 @@ class MatcherCaches:
 
     Attributes:
         features: Features of the encoder at 240x240.
-        native: Features of the encoder at native resolution, for refinement, and where images have
-            structure.
+        native: Features of the encoder at native resolution, and textures, for refinement.
         key_points: Key points of a detector.
     """
 

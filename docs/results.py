@@ -64,13 +64,10 @@ def draw_speed() -> None:
     figure = new_figure(4.6 * len(lists), 3.8)
     for axes, name in zip(figure.subplots(1, len(lists)), lists, strict=True):
         axes.margins(0.2)
-        for row in rows:
-            if row["list"] == name:
-                place = float(row["seconds"]), float(row["AUC@10"])
-                axes.plot(*place, "o")
-                axes.annotate(
-                    row["method"], place, (0, -15), textcoords="offset points", ha="center"
-                )
+        for row in (row for row in rows if row["list"] == name):
+            place = float(row["seconds"]), float(row["AUC@10"])
+            axes.plot(*place, "o")
+            axes.annotate(row["method"], place, (0, -15), textcoords="offset points", ha="center")
         axes.set(xlim=(0, None), title=name, xlabel="seconds a pair", ylabel="AUC@10 (%)")
         axes.grid(alpha=0.3)
     save_figure(figure, PICTURE)

@@ -132,18 +132,14 @@ class _Thumbnails:
             [(key, partial(self._thumbnail, *key)) for key in keys],
             in_turn=not self.engine.concurrent,
         )
-        return [
-            self._candidate(*motion, wide, rotated)
-            for motion, wide, rotated in zip(motions, made[::2], made[1::2], strict=True)
-        ]
-
-    def _candidate(
-        self, angle_deg: int, octave: int, wide: _Thumbnail, rotated: _Thumbnail
-    ) -> _Candidate:
-        logarithms = matching_distribution(
-            wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
-        )
-        return _Candidate(angle_deg, octave, wide, rotated, logarithms, mean_entropy(logarithms))
+        candidates = []
+        for motion, wide, rotated in zip(motions, made[::2], made[1::2], strict=True):
+            logarithms = matching_distribution(
+                wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
+            )
+            entropy = mean_entropy(logarithms)
+            candidates.append(_Candidate(*motion, wide, rotated, logarithms, entropy))
+        return candidates
 
     def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
         pixels = self._pixels[image]
