@@ -201,7 +201,7 @@ def _may_change(
     Cameras that are not exact skip all but the whole: few matches determine a focal length less
     than many do, and epipolar lines that depend on it narrow nothing down.
     """
-    exact = not camera1.focal_std and not camera2.focal_std
+    exact = camera1.exact and camera2.exact
     if step == "quick":
         return exact
     if pose is None:

@@ -33,8 +33,9 @@ class PoseInputs:
     error_px: float  # expected error of a good match, pixels of the originals
     key_points: bool  # whether the matches are independent detections
     map_matches: Matches | None  # even sample of the map, float32; None without a map
-    # (2, 4, 3) float64, the fit of both cameras to this pair alone, once it is estimated: ln f and
-    # the principal point, pixels, and below their covariance. None without a pose.
+    # (2, 6, 5) float64, the fit of both cameras to this pair alone, once it is estimated: ln f, the
+    # principal point, pixels, two radial coefficients, and below their covariance. None without a
+    # pose.
     camera_fits: np.ndarray | None = None
 
 
@@ -179,7 +180,7 @@ def _read_pose_inputs(group: Any) -> PoseInputs:
             raise ValueError("numbers that are not finite")
         sample = Matches(points1, points2, scores, float(group.attrs["map_error_px"]))
     cameras = _array(group, "cameras") if "cameras" in group else None
-    if cameras is not None and not (cameras.shape == (2, 4, 3) and np.isfinite(cameras).all()):
+    if cameras is not None and not (cameras.shape == (2, 6, 5) and np.isfinite(cameras).all()):
         raise ValueError("no cameras of a pair")
     error_px = float(group.attrs["error_px"])
     if not error_px > 0:

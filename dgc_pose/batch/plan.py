@@ -16,7 +16,7 @@ from dgc_pose.errors import ArgumentName, InputError, reason, shortened
 from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import write_text
 
-_VERSION = 3
+_VERSION = 4
 _RESUME = ArgumentName("resume")
 
 
@@ -38,8 +38,8 @@ class Plan:
 
     @property
     def uncertain(self) -> bool:
-        """Whether a focal length is estimated from the pairs."""
-        return any(camera.focal_std > 0 for camera in self.cameras.values())
+        """Whether a focal length or a lens is estimated from the pairs."""
+        return any(not camera.exact for camera in self.cameras.values())
 
     @property
     def final_cameras(self) -> Mapping[str, Camera]:

@@ -1,8 +1,8 @@
 """The cameras of a folder, each pooled from the fits of all of its pairs.
 
-Each pair has fitted the focal lengths and the principal points of its own cameras, with a prior.
-The fits of one camera are pooled here: robustly, weighted by their covariances, and with the prior
-once instead of once a pair. Dozens of pairs determine the principal point, which one pair
+Each pair has fitted the focal lengths, principal points and lenses of its own cameras, with a
+prior. The fits of one camera are pooled here: robustly, weighted by their covariances, and with the
+prior once instead of once a pair. Dozens of pairs determine the principal point, which one pair
 hardly does.
 """
 
@@ -18,7 +18,9 @@ import numpy as np
 from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import RADIAL
 from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds
 from dgc_pose.files.outputs import write_text
 
 CAMERAS = "cameras.csv"
@@ -30,7 +32,8 @@ _MAX_STD_SHARE = 0.9  # of the prior: a wider fit of the focal length is left ou
 _FAR_CENTRE_STDS = 1.5  # principal points that differ by more are far apart
 _MIN_VARIANCE = 1e-9  # of the prior's: keeps an information finite
 _COLUMNS = (
-    *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px", "camera"),
+    *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px"),
+    *("lens_std", "camera"),
     *("model", "coefficients"),  # of the lens
 )
 
@@ -54,13 +57,13 @@ class CameraFit:
 
 
 def camera_fits(pose: RelativePose) -> np.ndarray | None:
-    """(2, 4, 3), see `PoseInputs.camera_fits`."""
+    """(2, 6, 5), see `PoseInputs.camera_fits`."""
     if pose.camera_covariance is None or pose.camera1 is None or pose.camera2 is None:
         return None
-    fits = np.empty((2, 4, 3))
+    fits = np.empty((2, 1 + SIZE, SIZE))
     for side, camera in enumerate((pose.camera1, pose.camera2)):
-        rows = slice(3 * side, 3 * side + 3)
-        fits[side, 0] = np.log(camera.focal), *camera.K[:2, 2]
+        rows = slice(SIZE * side, SIZE * (side + 1))
+        fits[side, 0] = _parameters(camera)
         fits[side, 1:] = pose.camera_covariance[rows, rows]
     return fits
 
@@ -75,7 +78,7 @@ def pool(
     """
     groups: dict[tuple[str, str], list[str]] = defaultdict(list)
     for name, camera in cameras.items():
-        if camera.focal_std > 0:
+        if not camera.exact:
             groups[_key(camera, name)].append(name)
     fits: dict[tuple[str, str], list[CameraFit]] = defaultdict(list)
     for row, matches in pairs:
@@ -84,15 +87,17 @@ def pool(
     pooled, listed = dict(cameras), []
     for key, names in groups.items():
         first = cameras[names[0]]
-        prior = np.array([first.focal_std, first.centre_std, first.centre_std])
-        sizes = {cameras[name].size for name in names}
-        known = 3 if first.centre_std > 0 and len(sizes) == 1 else 1
+        prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1])
+        if len({cameras[name].size for name in names}) > 1:
+            prior[1:3] = 0
+        open_ = np.flatnonzero(prior)  # what is fitted
         useful = [
-            CameraFit(fit.value[:known], fit.covariance[:known, :known], fit.weight)
+            CameraFit(fit.value[open_], fit.covariance[np.ix_(open_, open_)], fit.weight)
             for fit in fits[key]
-            if fit.covariance[0, 0] ** 0.5 < _MAX_STD_SHARE * prior[0] and fit.weight > 0
+            if _std(fit, open_[0]) < _MAX_STD_SHARE * prior[open_[0]] and fit.weight > 0
         ]
-        value, std = pooled_fit(useful, prior[:known], len(names))
+        value, std = np.zeros(SIZE), np.zeros(SIZE)
+        value[open_], std[open_] = pooled_fit(useful, prior[open_], len(names))
         for name in names:
             pooled[name] = _moved(cameras[name], value, std, fitted=bool(useful))
         listed.append(PooledCamera(tuple(names), pooled[names[0]], len(useful)))
@@ -105,7 +110,7 @@ def centre_moved(before: Mapping[str, Camera], after: Mapping[str, Camera]) -> b
     return any(
         np.abs(after[name].K[:2, 2] - camera.K[:2, 2]).max() > _FAR_CENTRE_STDS * camera.centre_std
         for name, camera in before.items()
-        if camera.focal_std > 0
+        if not camera.exact
     )
 
 
@@ -159,15 +164,25 @@ def pooled_fit(
 
 
 def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
-    """The camera with pooled differences from it, and their deviations."""
-    moved = replace(camera.with_focal(camera.focal * np.exp(value[0])), focal_std=float(std[0]))
-    if fitted:
+    """The camera with pooled differences (SIZE,) from it, and their deviations, 0 of what is not
+    fitted."""
+    deviations = value / [1, camera.focal, camera.focal, 1, 1]
+    moved = deviating(camera, deviations)
+    if fitted and std[0]:
         moved = replace(moved, focal_source="matches")
-    if len(value) > 1:
-        K = moved.K.copy()
-        K[:2, 2] += value[1:]
-        moved = replace(moved, K=K, centre_std=float(np.sqrt((std[1:] ** 2).mean())))
-    return moved
+    centre_std = float(np.sqrt((std[1:3] ** 2).mean())) or camera.centre_std
+    return replace(moved, focal_std=float(std[0]), centre_std=centre_std, lens_std=float(std[3]))
+
+
+def _parameters(camera: Camera) -> np.ndarray:
+    """(SIZE,): ln f, the principal point, pixels, and the radial coefficients, 0 without them."""
+    lens = camera.distortion
+    radial = (0.0, 0.0) if lens is None or lens.model != RADIAL else lens.coefficients
+    return np.array([np.log(camera.focal), *camera.K[:2, 2], *radial])
+
+
+def _std(fit: CameraFit, parameter: int) -> float:
+    return float(fit.covariance[parameter, parameter]) ** 0.5
 
 
 def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
@@ -178,7 +193,7 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
     for name, camera in cameras.items():
         K = camera.K
         numbers = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(camera.size or ("", "")))
-        stds = (camera.focal_std, camera.centre_std)
+        stds = (camera.focal_std, camera.centre_std, camera.lens_std)
         lens = camera.distortion
         of_lens = ("", "") if lens is None else (lens.model, " ".join(map(repr, lens.coefficients)))
         lines.writerow([name, *numbers, *stds, camera.identity or "", *of_lens])
@@ -200,8 +215,8 @@ def _fits_of(
     fits = {}
     for name, fit in zip((row.name1, row.name2), matches.pose_inputs.camera_fits, strict=True):
         camera = cameras[name]
-        if camera.focal_std > 0:
-            value = fit[0] - (np.log(camera.focal), *camera.K[:2, 2])
+        if not camera.exact:
+            value = fit[0] - _parameters(camera)
             weight = 1.0 if row.probability is None else row.probability
             fits[_key(camera, name)] = CameraFit(value, fit[1:], weight)
     return fits

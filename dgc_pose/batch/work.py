@@ -117,7 +117,7 @@ class Worker:
 
         def posed() -> tuple[PairRow, PairMatches]:
             camera1, camera2 = (self.job.cameras[name] for name in names)
-            if camera1.focal_std > 0 or camera2.focal_std > 0:
+            if not (camera1.exact and camera2.exact):
                 # As it will be when the pose is estimated again.
                 result = self.matcher.match(image1, image2)
                 return self._estimated(

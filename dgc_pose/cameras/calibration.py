@@ -4,7 +4,8 @@
 - `fx,fy,cx,cy` or nine numbers, split by commas or blanks, (0, 0) the centre of the top-left pixel;
 - a COLMAP camera `MODEL,width,height,parameters...`, (0.5, 0.5) there;
 - a file of one of the formats of `formats/recognise.py`, or the folder of a COLMAP model;
-- `FILE:PART`, a camera of a rig, such as `camchain.yaml:cam1`.
+- `FILE:PART`, a camera of a rig, such as `camchain.yaml:cam1`;
+- any of these but the first and `,lens`: the lens is not known, and is fitted.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ from dgc_pose.cameras.checks import checked_camera, times
 from dgc_pose.cameras.formats import colmap
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import Sharing, auto_camera, auto_cameras, with_orientation
+from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_camera, auto_cameras, with_orientation
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
     from dgc_pose.images.image import Image
 
+_LENS = ",lens"  # after a K whose lens is not known
 _SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
@@ -41,6 +43,7 @@ class KDetails:
     size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
     focal_std: float = 0.0  # relative, of the focal lengths
     centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
+    lens_std: float = 0.0  # of the radial coefficient of a camera without a lens, see `Camera`
 
 
 @dataclass(frozen=True)
@@ -169,6 +172,7 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
         camera,
         focal_std=details.focal_std or camera.focal_std,
         centre_std=details.centre_std or camera.centre_std,
+        lens_std=camera.lens_std if camera.distortion else details.lens_std or camera.lens_std,
     )
 
 
@@ -235,6 +239,8 @@ def read_calibration(
     if text is None or text in _SHARING:
         _require_K(details, name)
         return Calibration(name, auto=_SHARING.get(text or ""))
+    if text.endswith(_LENS) and not os.path.lexists(text):
+        text, details = text.removesuffix(_LENS), replace(details, lens_std=LENS_STD)
     head, _, part = text.rpartition(":")
     if os.path.lexists(text):
         head, part = text, ""
@@ -301,6 +307,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "warnings": camera.warnings,
         "focal_std": camera.focal_std,
         "centre_std_px": camera.centre_std,
+        "lens_std": camera.lens_std,
         "focal_source": camera.focal_source,
         "identity": camera.identity,
     }

@@ -34,6 +34,8 @@ class Camera:
         focal_std: Standard deviation of the logarithm of the focal lengths; 0: they are exact. The
             estimation fits the focal lengths of a camera with a deviation, with K as the prior.
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
+        lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
+            distortion; 0: the lens is known. The estimation fits it like the focal lengths.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
             image, or the matches.
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
@@ -46,6 +48,7 @@ class Camera:
     warnings: tuple[str, ...] = ()
     focal_std: float = 0.0
     centre_std: float = 0.0
+    lens_std: float = 0.0
     focal_source: FocalSource = "given"
     identity: str | None = None
 
@@ -53,9 +56,14 @@ class Camera:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
         if self.size is not None and not (self.size[0] > 0 and self.size[1] > 0):
             raise InputError(f"size must be positive, not {self.size[0]} x {self.size[1]}")
-        for name in ("focal_std", "centre_std"):
+        for name in ("focal_std", "centre_std", "lens_std"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
+
+    @property
+    def exact(self) -> bool:
+        """Whether the focal lengths and the lens are known exactly."""
+        return not (self.focal_std or self.lens_std)
 
     @property
     def focal(self) -> float:

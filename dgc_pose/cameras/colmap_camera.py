@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.errors import InputError
+from dgc_pose.geometry.radial import distorted, undistorted
 
 if TYPE_CHECKING:
     import pycolmap
@@ -19,6 +20,7 @@ _MAX_ROUND_TRIP_ERROR = 1e-5
 _MOST_SKEW, _MOST_FOCAL_DIFFERENCE = 1e-5, 1e-6
 # The models without a lens, for which pycolmap need not be imported.
 _PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", "cy"]}
+RADIAL = "RADIAL"  # of two coefficients, computed without pycolmap
 # A model of one focal length as one of two, and the number of its coefficients.
 _TWO_FOCALS = {
     "SIMPLE_RADIAL": ("OPENCV", 4),
@@ -45,11 +47,14 @@ class Distortion:
     coefficients: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        camera = _model(self.model)
-        expected = len(camera.extra_params_idxs())
+        if self.model == RADIAL and len(self.coefficients) == 2:
+            names, expected = "", 2
+        else:
+            camera = _model(self.model)
+            names, expected = camera.params_info, len(camera.extra_params_idxs())
         if len(self.coefficients) != expected:
             raise InputError(
-                f"{self.model} takes {expected} coefficients ({camera.params_info}), "
+                f"{self.model} takes {expected} coefficients ({names}), "
                 f"not {len(self.coefficients)}"
             )
         if not np.isfinite(self.coefficients).all():
@@ -61,12 +66,16 @@ class Distortion:
         NaN if the model has no inverse there: for rays at 90 degrees or more from the axis, and for
         points beyond the radius at which the distorted radius stops growing.
         """
+        if self.model == RADIAL:
+            return undistorted(np.asarray(points, np.float64), self.coefficients)
         ideal = np.asarray(self._camera().cam_from_img(np.ascontiguousarray(points)))
         undone = np.abs(self.apply(ideal) - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP_ERROR
         return np.where(undone[:, None], ideal, np.nan)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Normalised points (N, 2) float64, x / z and y / z, with the distortion."""
+        if self.model == RADIAL:
+            return distorted(np.asarray(points, np.float64), self.coefficients)
         return np.asarray(
             self._camera().img_from_cam(np.column_stack([points, np.ones(len(points))]))
         )

@@ -1,12 +1,12 @@
 """The camera of an image without a K: a focal length with its deviation, by EXIF data or the size.
 
-The principal point is the middle of the image, whose pixels are as stored: an EXIF orientation
-changes nothing.
+The principal point is the middle of the image, and the lens is not known.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 Sharing = Literal["files", "shared", "two"]
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
 SIZE_STD = 0.45  # deviation of their logarithm
+# Deviations of the first radial coefficient of a lens: of photographs, and of action cameras.
+LENS_STD, _ACTION_LENS_STD = 0.1, 0.3
+_ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
 
@@ -111,6 +114,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         warnings=tuple(warnings),
         focal_std=std,
         centre_std=float(np.hypot(CENTRE_STD * longer, margin / math.sqrt(12))),
+        lens_std=_ACTION_LENS_STD if _ACTION.search(f"{exif.make} {exif.model}") else LENS_STD,
         focal_source=source,
         identity={"files": identity, "shared": "shared", "two": None}[sharing],
     )

@@ -8,7 +8,7 @@ import numpy as np
 from dgc_pose.batch.pooling import KNOWN_FOCAL_STD
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
@@ -84,15 +84,15 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 
 
 def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
-    """A camera with its size as COLMAP's: PINHOLE, or the model of its distortion; SIMPLE_RADIAL
-    where the focal length is not exact, since the lens is not known either then.
+    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
+    where the lens is not known.
 
     Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
     """
     assert camera.size is not None
     lens = camera.distortion
-    if lens is None and camera.focal_std > 0 and camera.K[0, 0] == camera.K[1, 1]:
-        lens = Distortion("SIMPLE_RADIAL", (0.0,))
+    if lens is None and camera.lens_std > 0:
+        lens = Distortion(RADIAL, (0.0, 0.0))
     try:
         model, parameters = colmap_parameters(camera.K, lens)
     except InputError as error:
@@ -113,7 +113,7 @@ def _write_images(
         camera = colmap_camera(cameras[name], name)
         std, identity = cameras[name].focal_std, cameras[name].identity
         camera.has_prior_focal_length = std < KNOWN_FOCAL_STD
-        alone = name if std > 0 and identity is None else None
+        alone = name if not cameras[name].exact and identity is None else None
         size = (camera.width, camera.height)
         key = (alone, camera.model.name, *size, *camera.params.tolist())
         if key not in camera_ids:

@@ -3,8 +3,8 @@ matches contradict those of exact ones.
 
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
 unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
-Cauchy loss of the Sampson errors, as of independent matches, plus half the squares of the
-deviations over their standard deviations, so that the least is the most probable.
+Cauchy loss of the Sampson errors over the number of matches that err alike, plus half the squares
+of the deviations over their standard deviations, so that the least is the most probable.
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
@@ -25,6 +25,8 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_spread import (
+    FOCALS,
+    SIZE,
     CameraSpread,
     deviated,
     deviating,
@@ -33,7 +35,7 @@ from dgc_pose.estimation.camera_spread import (
 )
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
-from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, error_scale
+from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -89,7 +91,7 @@ class JointFit:
     spread: CameraSpread
 
     def deviations(self, pose: JointPose) -> np.ndarray:
-        """(6,) of both cameras, see `CameraSpread`."""
+        """(2 * SIZE,) of both cameras, see `CameraSpread`."""
         return self.spread.basis @ pose.z
 
     def cost(self, pose: JointPose) -> float:
@@ -97,7 +99,7 @@ class JointFit:
         deviations: what starts are compared by."""
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
-        return float(EFFICIENT**2 * squares.sum() + pose.z @ pose.z) / 2
+        return float(EFFICIENT**2 * squares.sum() / ALIKE + pose.z @ pose.z) / 2
 
     def inliers_in_front(self, pose: JointPose) -> np.ndarray:
         """(N,) bool, matches below the threshold and in front of both cameras."""
@@ -125,7 +127,7 @@ class JointFit:
 
     def _minimised(self, pose: JointPose, scale: float, iterations: int) -> JointPose:
         """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        inverse_variance = (EFFICIENT / scale) ** 2
+        inverse_variance = (EFFICIENT / scale) ** 2 / ALIKE
         prior = np.diag([*np.zeros(5), *np.ones(len(self.spread))])
         damping, cost = 1e-4, self._loss(pose, scale)
         for _ in range(iterations):
@@ -139,7 +141,7 @@ class JointFit:
             while damping < 1e6:
                 damped = hessian + damping * np.diag(np.diag(hessian))
                 step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
-                change = np.abs((self.spread.basis @ step[5:])[[0, 3]]).max(initial=0)
+                change = np.abs((self.spread.basis @ step[5:])[FOCALS]).max(initial=0)
                 step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
                 t = pose.t + tangent @ step[3:5]
                 candidate = JointPose(
@@ -157,14 +159,14 @@ class JointFit:
 
     def _loss(self, pose: JointPose, scale: float) -> float:
         squares = np.log1p((self._errors(pose) / scale) ** 2).sum()
-        return float(EFFICIENT**2 * squares + pose.z @ pose.z) / 2
+        return float(EFFICIENT**2 * squares / ALIKE + pose.z @ pose.z) / 2
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
-        if any(self.problem.lenses):
+        if self.spread.bends(self.problem):
             points1, points2 = self._points(pose)
             E = essential_from_pose(pose.R, pose.t)
-            growth = np.exp(self.deviations(pose)[[0, 3]].mean())
+            growth = np.exp(self.deviations(pose)[FOCALS].mean())
             return np.nan_to_num(sampson_distance(points1, points2, E) * growth, nan=np.inf)
         A1, A2 = self._normalisers(pose)
         F = A2.T @ essential_from_pose(pose.R, pose.t) @ A1
@@ -180,13 +182,13 @@ class JointFit:
         """The points (N, 2) of both images as the deviating cameras normalise them."""
         problem, deviations = self.problem, self.deviations(pose)
         return (
-            deviated(problem.points1, problem.lenses[0], deviations[:3]),
-            deviated(problem.points2, problem.lenses[1], deviations[3:]),
+            deviated(problem.points1, problem.lenses[0], deviations[:SIZE]),
+            deviated(problem.points2, problem.lenses[1], deviations[SIZE:]),
         )
 
     def _normalisers(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
         deviations = self.deviations(pose)
-        return normaliser(deviations[:3]), normaliser(deviations[3:])
+        return normaliser(deviations[:SIZE]), normaliser(deviations[SIZE:])
 
 
 def cameras_fitted_to(
@@ -205,14 +207,14 @@ def cameras_fitted_to(
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
     pose = min(in_threads(joint.fitted, best), key=joint.cost)
     deviations = joint.deviations(pose)
-    return pose, deviating(camera1, deviations[:3]), deviating(camera2, deviations[3:])
+    return pose, deviating(camera1, deviations[:SIZE]), deviating(camera2, deviations[SIZE:])
 
 
 def _starts(
     problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions
 ) -> list[JointPose | None]:
     """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
-    stds = np.array([np.linalg.norm(spread.basis[row]) for row in (0, 3)])
+    stds = np.array([np.linalg.norm(spread.basis[row]) for row in FOCALS])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
@@ -241,7 +243,7 @@ def solved_start(
     fails, and if a focal length is exact."""
     if spread.shared_focal:
         result = essential_and_focal(draw(problem, seed), options, seed)
-    elif spread.basis[[0, 3]].any(axis=1).all():
+    elif spread.basis[FOCALS].any(axis=1).all():
         result = essential_and_focals(draw(problem, seed), options, seed)
     else:
         return None
@@ -263,8 +265,8 @@ def _start(
     problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, log_factors: np.ndarray
 ) -> JointPose | None:
     pose = Hypothesis.of_essential(_rescaled(problem, log_factors), E)
-    deviations = np.zeros(6)
-    deviations[[0, 3]] = log_factors
+    deviations = np.zeros(2 * SIZE)
+    deviations[FOCALS] = log_factors
     z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)
 
@@ -299,7 +301,7 @@ def check_focals(
             return None
     pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
-    fitted1, fitted2 = deviating(loose1, deviations[:3]), deviating(loose2, deviations[3:])
+    fitted1, fitted2 = deviating(loose1, deviations[:SIZE]), deviating(loose2, deviations[SIZE:])
     fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
     refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
     covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))

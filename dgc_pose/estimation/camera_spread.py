@@ -1,9 +1,10 @@
-"""How far two cameras may be from their K: the focal lengths and principal points, as a Gaussian;
-and the derivatives of Sampson errors by the pose and by these deviations.
+"""How far two cameras may be from their K and lens: the focal lengths, principal points and radial
+coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose and by these.
 
-The deviations of one camera are k = ln(f / f of K) and the shift (x, y) of its principal point over
-the focal length of K. Points that K normalised are normalised by A of `normaliser` to what the
-camera makes of them, so that F = A2^T E A1.
+The deviations of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
+the focal length of K, and what is added to the coefficients (c, d) of its lens (`geometry.radial`),
+which are 0 of a pinhole. Of two exact pinholes but for K, points that K normalised are normalised
+by A of `normaliser` to what the camera makes of them, so that F = A2^T E A1.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
+from dgc_pose.geometry.radial import undistorted, undistorted_slopes
 
 _BY_LOG_FOCAL = np.diag([-1.0, -1.0, 0.0])  # derivative of A by k, times A^-1
 _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
@@ -24,26 +26,23 @@ _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 @dataclass(frozen=True, eq=False)
 class CameraSpread:
-    """The deviations (k1, x1, y1, k2, x2, y2) of two cameras are `basis` times a standard normal
-    vector (M,)."""
+    """The deviations (k1, x1, y1, c1, d1, k2, ..., d2) of two cameras are `basis` times a standard
+    normal vector (M,)."""
 
-    basis: np.ndarray  # (6, M); no columns: both K are exact
+    basis: np.ndarray  # (10, M); no columns: both cameras are exact
 
     @classmethod
     def of(cls, camera1: Camera, camera2: Camera) -> CameraSpread:
         """The spread of two cameras' standard deviations. One camera that took both images, by its
-        `identity`, has one focal length, and one principal point unless the images' sizes differ.
+        `identity`, has one focal length and lens, and one principal point unless the images' sizes
+        differ.
         """
         same = camera1.identity is not None and camera1.identity == camera2.identity
         columns = []
-        for axis in range(3):
-            sides = [
-                camera.focal_std if axis == 0 else camera.centre_std / camera.focal
-                for camera in (camera1, camera2)
-            ]
-            column = np.zeros((6, 2))
-            column[axis, 0], column[3 + axis, 1] = sides
-            if same and (axis == 0 or camera1.size == camera2.size):
+        for axis, sides in enumerate(zip(*map(deviation_stds, (camera1, camera2)), strict=True)):
+            column = np.zeros((2 * SIZE, 2))
+            column[axis, 0], column[SIZE + axis, 1] = sides
+            if same and (axis in (0, 3, 4) or camera1.size == camera2.size):
                 column = column.sum(axis=1, keepdims=True)
             columns.append(column)
         basis = np.hstack(columns)
@@ -55,63 +54,94 @@ class CameraSpread:
     @property
     def shared_focal(self) -> bool:
         """Whether both cameras are off by the same factor."""
-        focal = self.basis[[0, 3]]
+        focal = self.basis[FOCALS]
         return bool((focal[0] == focal[1]).all() and focal.any())
 
+    def bends(self, problem: TwoViewProblem) -> bool:
+        """Whether a lens is there or unknown, so that A of `normaliser` does not suffice."""
+        return any(problem.lenses) or bool(self.basis[[3, 4, 8, 9]].any())
 
-EXACT = CameraSpread(np.zeros((6, 0)))
-_AS_NORMALISED = np.zeros(6)
+
+SIZE = 5  # deviations of a camera
+FOCALS, LENSES = [0, SIZE], [3, SIZE + 3]  # the rows of ln f and c
+EXACT = CameraSpread(np.zeros((2 * SIZE, 0)))
+_AS_NORMALISED = np.zeros(2 * SIZE)
+_SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
+
+
+def deviation_stds(camera: Camera) -> tuple[float, ...]:
+    """The standard deviations (SIZE,) of a camera's deviations."""
+    centre = camera.centre_std / camera.focal
+    return (
+        *(camera.focal_std, centre, centre),
+        *(camera.lens_std, _SECOND_LENS_STD * camera.lens_std),
+    )
 
 
 def normaliser(deviations: np.ndarray) -> np.ndarray:
-    """A (3, 3) of the deviations (3,) of a camera."""
+    """A (3, 3) of the deviations (5,) of a camera without a lens."""
     shrink = math.exp(-deviations[0])
-    x, y = deviations[1:]
+    x, y = deviations[1:3]
     return np.array([[shrink, 0, -x * shrink], [0, shrink, -y * shrink], [0, 0, 1]])
 
 
 def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
-    """The derivatives (3, 3) of A by the three deviations (3,)."""
+    """The derivatives (3, 3) of A by the deviations (5,); 0 by that of the lens."""
     A = normaliser(deviations)
     by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
     by_x[0, 2] = by_y[1, 2] = -A[0, 0]
-    return [_BY_LOG_FOCAL @ A, by_x, by_y]
+    return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3))]
 
 
 def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
-    """Normalised points (N, 2) as a camera with deviations (3,) from its K normalises
+    """Normalised points (N, 2) as a camera with deviations (5,) from its K and lens normalises
     them; NaN where its distortion cannot be undone."""
-    if lens is None:
-        return (points - deviations[1:]) * math.exp(-deviations[0])
-    seen = (lens.apply(points) - deviations[1:]) * math.exp(-deviations[0])
-    return lens.undo(seen)
+    moved = _moved(points, lens, deviations)
+    if lens is None or lens.model == RADIAL:
+        return undistorted(moved, _coefficients(lens) + deviations[3:])
+    return lens.undo(moved)
 
 
 def deviated_slopes(
     points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
 ) -> np.ndarray:
-    """The derivatives (N, 2, 3) of `deviated` by the deviations."""
-    seen = points if lens is None else lens.apply(points)
-    shrink = math.exp(-deviations[0])
-    moved = (seen - deviations[1:]) * shrink
-    by_seen = np.broadcast_to(np.eye(2), (len(points), 2, 2))
-    if lens is not None:
+    """The derivatives (N, 2, 5) of `deviated` by the deviations."""
+    moved = _moved(points, lens, deviations)
+    if lens is None or lens.model == RADIAL:
+        coefficients = _coefficients(lens) + deviations[3:]
+        by_seen, by_lens = undistorted_slopes(undistorted(moved, coefficients), coefficients)
+    else:
         ahead, behind = (
             [lens.undo(moved + s * a) for a in np.eye(2)] for s in (_SLOPE_STEP, -_SLOPE_STEP)
         )
         by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
-    return np.concatenate([-by_seen @ moved[:, :, None], -shrink * by_seen], axis=2)
+        by_lens = np.zeros((len(points), 2, 2))
+    by_centre = -math.exp(-deviations[0]) * by_seen
+    return np.concatenate([-by_seen @ moved[:, :, None], by_centre, by_lens], axis=2)
+
+
+def _moved(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
+    """Normalised points (N, 2) as the lens shows them and the deviating K normalises them."""
+    seen = points if lens is None else lens.apply(points)
+    return (seen - deviations[1:3]) * math.exp(-deviations[0])
+
+
+def _coefficients(lens: Distortion | None) -> np.ndarray:
+    return np.zeros(2) if lens is None else np.array(lens.coefficients)
 
 
 def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
-    """The camera with deviations (3,) from its K; its standard deviations stay."""
+    """The camera with deviations (5,) from its K and lens; its standard deviations stay."""
     if not deviations.any():
         return camera
+    lens = camera.distortion
+    if deviations[3:].any():
+        lens = Distortion(RADIAL, tuple((_coefficients(lens) + deviations[3:]).tolist()))
     K = camera.K.copy()
     K[0, 2] += deviations[1] * K[0, 0]
     K[1, 2] += deviations[2] * K[1, 1]
     K[:2, :2] *= math.exp(deviations[0])
-    return replace(camera, K=K)
+    return replace(camera, K=K, distortion=lens)
 
 
 def error_slopes(
@@ -124,10 +154,10 @@ def error_slopes(
     """Signed Sampson errors (N,), their derivatives (N, 5 + M), and a basis (3, 2).
 
     The parameters are a rotation vector w, R becoming exp([w]x) R, two coordinates of t along the
-    columns of the basis, which are perpendicular to t, and those of `spread`. deviations: (6,) of
+    columns of the basis, which are perpendicular to t, and those of `spread`. deviations: (10,) of
     the cameras from those that normalised the problem; the errors are in the problem's unit.
     """
-    if len(spread) and any(problem.lenses):
+    if len(spread) and spread.bends(problem):
         return _lens_slopes(problem, R, t, spread, deviations)
     tangent = np.linalg.svd(t[None])[2][1:].T
     E = essential_from_pose(R, t)
@@ -135,10 +165,10 @@ def error_slopes(
     of_pose += [essential_from_pose(R, axis) for axis in tangent.T]
     F, changes = E, of_pose
     if len(spread):
-        A1, A2 = normaliser(deviations[:3]), normaliser(deviations[3:])
+        A1, A2 = normaliser(deviations[:SIZE]), normaliser(deviations[SIZE:])
         F, changes = A2.T @ E @ A1, [A2.T @ change @ A1 for change in of_pose]
-        of_cameras = [A2.T @ E @ change for change in normaliser_slopes(deviations[:3])]
-        of_cameras += [change.T @ E @ A1 for change in normaliser_slopes(deviations[3:])]
+        of_cameras = [A2.T @ E @ change for change in normaliser_slopes(deviations[:SIZE])]
+        of_cameras += [change.T @ E @ A1 for change in normaliser_slopes(deviations[SIZE:])]
         changes += list(np.tensordot(spread.basis.T, of_cameras, axes=1))
     algebraic, squared1, squared2 = epipolar_terms(problem.points1, problem.points2, F)
     squared = np.maximum(squared1 + squared2, np.finfo(float).tiny)  # 0 at the epipoles
@@ -162,8 +192,8 @@ def _lens_slopes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `error_slopes`, of cameras with lenses: deviations move each point in another way."""
     sides = (
-        (problem.points1, problem.lenses[0], deviations[:3]),
-        (problem.points2, problem.lenses[1], deviations[3:]),
+        (problem.points1, problem.lenses[0], deviations[:SIZE]),
+        (problem.points2, problem.lenses[1], deviations[SIZE:]),
     )
     points1, points2 = (deviated(*side) for side in sides)
     moved = replace(problem, points1=points1, points2=points2)
@@ -180,7 +210,7 @@ def _lens_slopes(
         for by_point, side in zip((by_point1, by_point2), sides, strict=True)
     ]
     of_cameras = np.hstack(by_side)
-    of_cameras[:, [0, 3]] += error[:, None] / 2  # of the growth
+    of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth
     slopes = np.hstack([of_pose, of_cameras @ spread.basis])
-    growth = np.exp(deviations[[0, 3]].mean())
+    growth = np.exp(deviations[FOCALS].mean())
     return np.nan_to_num(error * growth), np.nan_to_num(slopes * growth), tangent

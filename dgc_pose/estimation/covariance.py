@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.estimation.camera_spread import EXACT, CameraSpread, error_slopes
-from dgc_pose.estimation.hypothesis import EFFICIENT, Hypothesis, pose_error_scale
+from dgc_pose.estimation.camera_spread import EXACT, FOCALS, LENSES, CameraSpread, error_slopes
+from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, pose_error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 
@@ -31,12 +31,19 @@ class Covariance:
     """The covariance of a pose and of the deviations of its cameras."""
 
     pose: np.ndarray  # (6, 6), rad^2, of rank 5: see `pose_covariance`
-    cameras: np.ndarray  # (6, 6) of (k1, x1, y1, k2, x2, y2), see `CameraSpread`; 0 of exact ones
+    cameras: np.ndarray  # (10, 10), see `CameraSpread`; 0 of exact ones
 
     @property
     def focal_stds(self) -> tuple[float, float]:
         """Standard deviations of ln f of both cameras."""
-        return math.sqrt(self.cameras[0, 0]), math.sqrt(self.cameras[3, 3])
+        first, second = np.sqrt(np.diag(self.cameras)[FOCALS]).tolist()
+        return first, second
+
+    @property
+    def lens_stds(self) -> tuple[float, float]:
+        """Standard deviations of the first radial coefficient of both cameras."""
+        first, second = np.sqrt(np.diag(self.cameras)[LENSES]).tolist()
+        return first, second
 
     @property
     def focal_90_percent(self) -> float | None:
@@ -73,7 +80,7 @@ def pose_covariance(
     terms = np.column_stack([information.reshape(-1, count**2), gradients])
     total = information.sum(0)
     prior = np.zeros((count, count))
-    variance = (scale / EFFICIENT) ** 2  # of a match: the information is in its unit
+    variance = ALIKE * (scale / EFFICIENT) ** 2  # of a match: the information is in its unit
     if count > 5:
         prior[5:, 5:] = variance * np.eye(len(spread))
         total = total + prior

@@ -17,6 +17,9 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
 _DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
 EFFICIENT = 2.385  # Cauchy loss of 95 % efficiency on Gaussian noise, in standard deviations
+# Neighbouring matches err alike: so many are worth one that errs by itself, where they are weighed
+# against a prior. See docs/experiments.md.
+ALIKE = 10.0
 _MIN_SCALE = 0.02  # of the threshold: matches are not trusted to be more accurate than that
 
 

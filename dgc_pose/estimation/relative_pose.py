@@ -130,7 +130,8 @@ def assess(
         # A threshold in pixels is that of the matches, not of the map.
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, *cameras, map_options)
-    kind = match_kind(key_points=problem.key_points, with_map=bool(map_problem), fitted=fitted)
+    of_focal = fitted and any(camera.focal_std for camera in stated)
+    kind = match_kind(key_points=problem.key_points, with_map=bool(map_problem), fitted=of_focal)
     logistic = shipped_models().by_kind.get(kind)
     others = competitors(problem, first, runs, plane, options)
     hypotheses = compared(problem, first, others, map_problem, options)
@@ -221,13 +222,16 @@ def _second_motion(
 
 
 def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
-    """A fitted camera with the standard deviation that is left; an exact one as it is."""
-    if not camera.focal_std:
+    """A fitted camera with the standard deviations that are left; an exact one as it is."""
+    if camera.focal_std:
+        camera = replace(camera, focal_source="matches")
+    if camera.exact or covariance is None:
         return camera
-    std = camera.focal_std
-    if covariance is not None:
-        std = calibrated_focal_std(covariance.focal_stds[number])
-    return replace(camera, focal_std=std, focal_source="matches")
+    return replace(
+        camera,
+        focal_std=calibrated_focal_std(covariance.focal_stds[number]),
+        lens_std=covariance.lens_stds[number],
+    )
 
 
 def _result(
@@ -296,9 +300,9 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
 
 
 def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -> np.ndarray:
-    """The calibrated covariance (6, 6) of fitted cameras, see `RelativePose`."""
+    """The calibrated covariance (10, 10) of fitted cameras, see `RelativePose`."""
     unit = []
     for camera, std in zip(cameras, covariance.focal_stds, strict=True):
         factor = calibrated_focal_std(std) / std if std else 1.0
-        unit += [factor, factor * camera.focal, factor * camera.focal]
+        unit += [factor, factor * camera.focal, factor * camera.focal, factor, factor]
     return covariance.cameras * np.outer(unit, unit)

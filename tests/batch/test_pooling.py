@@ -13,7 +13,7 @@ from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 
-PRIOR, CENTRE = 0.4, 5.0
+PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
 SIZE = (100, 80)
 K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
 
@@ -71,17 +71,23 @@ def test_scatter_widens() -> None:
 
 def _camera(identity: str | None) -> Camera:
     return Camera(
-        K, SIZE, focal_std=PRIOR, centre_std=CENTRE, focal_source="size", identity=identity
+        K,
+        SIZE,
+        focal_std=PRIOR,
+        centre_std=CENTRE,
+        lens_std=LENS,
+        focal_source="size",
+        identity=identity,
     )
 
 
 def _pair(
     name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01
 ) -> tuple[PairRow, PairMatches]:
-    """A pair that tells focal lengths and the principal point (51.5, 39.5), each alone."""
-    fit = np.zeros((2, 4, 3))
-    fit[:, 0] = [(np.log(focal), 51.5, 39.5) for focal in (focal1, focal2)]
-    fit[:, 1:] = np.diag([std**2, 0.25, 0.25])
+    """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
+    fit = np.zeros((2, 6, 5))
+    fit[:, 0] = [(np.log(focal), 51.5, 39.5, 0.05, -0.1) for focal in (focal1, focal2)]
+    fit[:, 1:] = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4])
     row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
     return row, replace(NO_MATCHES, pose_inputs=PoseInputs(0.5, False, None, fit))
 
@@ -89,7 +95,7 @@ def _pair(
 def test_each_camera_has_its_pairs() -> None:
     """One of two images, one of an image alone, one that no pair tells, and one that is exact."""
     cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
-    cameras["e"] = replace(_camera("y"), focal_std=0.0, focal_source="given")
+    cameras["e"] = replace(_camera("y"), focal_std=0.0, lens_std=0.0, focal_source="given")
     failed = _pair("a", "c", 500, 500)
     pairs = [
         _pair("a", "b", 121, 121),
@@ -107,6 +113,10 @@ def test_each_camera_has_its_pairs() -> None:
     assert pooled["a"].focal_std < 0.011 and pooled["a"].focal_source == "matches"
     np.testing.assert_allclose(pooled["a"].K[:2, 2], (51.5, 39.5), atol=0.05)
     assert pooled["a"].centre_std < 0.6
+    lens = pooled["a"].distortion
+    assert lens is not None and lens.model == "RADIAL" and pooled["a"].lens_std < 0.011
+    np.testing.assert_allclose(lens.coefficients, (0.05, -0.1), rtol=0.01)
+    assert pooled["d"].distortion is None and pooled["d"].lens_std == LENS
     assert (pooled["d"].focal, pooled["d"].focal_std) == (110, PRIOR)
     assert pooled["d"].focal_source == "size" and pooled["d"].centre_std == CENTRE
     assert pooled["e"] is cameras["e"]
@@ -135,7 +145,7 @@ def test_the_cameras_are_read_back(tmp_path: Path) -> None:
     cameras = {
         'a "1", 2.png': _camera("x"),
         "b/c.png": replace(_camera(None), focal_std=1 / 3),
-        "d.png": replace(_camera("y"), distortion=lens),
+        "d.png": replace(_camera("y"), distortion=lens, lens_std=0.0),
     }
     write_cameras(tmp_path, cameras)
     again = read_calibration(str(tmp_path / "cameras.csv")).by_name
@@ -145,4 +155,4 @@ def test_the_cameras_are_read_back(tmp_path: Path) -> None:
         assert again[name].distortion == camera.distortion
         assert again[name].size == SIZE and again[name].identity == camera.identity
         assert again[name].focal_std == camera.focal_std
-        assert again[name].centre_std == CENTRE
+        assert (again[name].centre_std, again[name].lens_std) == (CENTRE, camera.lens_std)

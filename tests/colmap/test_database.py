@@ -57,14 +57,14 @@ def test_images_of_one_camera_share_it(
 ) -> None:
     """Those that have a focal length of their own, not known, do not, though it is the same."""
     K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
-    one = Camera(K, (100, 80), focal_std=std, identity=identity)
+    one = Camera(K, (100, 80), focal_std=std, lens_std=std, identity=identity)
     cameras, path = dict.fromkeys(NAMES, one), tmp_path / "database.db"
     write_database(path, NAMES, cameras, SharedMatches({}, {}), {})
     with pycolmap.Database.open(path) as database:
         stored = database.read_all_cameras()
     assert len(stored) == count and all(camera.has_prior_focal_length for camera in stored)
     # The lens of a camera that is not known may be one with distortion.
-    expected = ("SIMPLE_RADIAL", [110, 50, 40, 0]) if std else ("PINHOLE", [110, 110, 50, 40])
+    expected = ("RADIAL", [110, 50, 40, 0, 0]) if std else ("PINHOLE", [110, 110, 50, 40])
     assert (stored[0].model.name, stored[0].params.tolist()) == expected
 
 

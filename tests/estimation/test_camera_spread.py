@@ -12,6 +12,7 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.estimation.camera_spread import (
     EXACT,
+    SIZE,
     CameraSpread,
     deviated,
     deviating,
@@ -22,10 +23,15 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from two_view import normalised_problem, two_view_scene
 
-BASIS = np.random.default_rng(3).standard_normal((6, 4)) * 0.02
-DEVIATIONS = np.array([0.1, 0.01, -0.02, -0.2, 0.03, 0.01])
-LENSES = [None, Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("SIMPLE_FISHEYE")]
-SHIFT = np.array([0.04, -0.01, 0.02])  # of one camera
+BASIS = np.random.default_rng(3).standard_normal((2 * SIZE, 4)) * 0.02
+BASIS[[3, 4, 8, 9]] = 0  # the lenses are known
+DEVIATIONS = np.array([0.1, 0.01, -0.02, 0, 0, -0.2, 0.03, 0.01, 0, 0])
+RADIAL = Distortion("RADIAL", (-0.1, 0.05))
+LENSES = [
+    *(None, Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("SIMPLE_FISHEYE")),
+    RADIAL,
+]
+SHIFT = np.array([0.04, -0.01, 0.02, 0, 0])  # of one camera
 SCENE = two_view_scene(outliers=0.0)
 
 
@@ -50,18 +56,33 @@ def test_the_slopes_are_the_differences_of_the_errors(lens):
         np.testing.assert_allclose(slopes[:, k], expected, atol=1e-6 if lens is None else 2e-4)
 
 
+@pytest.mark.parametrize("lens", [None, RADIAL])
+def test_the_slopes_by_the_coefficients_of_a_lens(lens):
+    basis = np.random.default_rng(4).standard_normal((2 * SIZE, 3)) * 0.02
+    deviations = DEVIATIONS + 0.03 * np.isin(np.arange(2 * SIZE), [3, 4, 8])
+    scene = two_view_scene("skew", count=50, outliers=0.0)
+    problem, spread = replace(scene.problem(), lenses=(lens, lens)), CameraSpread(basis)
+    _, slopes, _ = error_slopes(problem, scene.R, scene.t, spread, deviations)
+    for k in range(3):
+        ahead, behind = (
+            error_slopes(problem, scene.R, scene.t, spread, deviations + step * basis[:, k])[0]
+            for step in (1e-5, -1e-5)
+        )
+        np.testing.assert_allclose(slopes[:, 5 + k], (ahead - behind) / 2e-5, atol=1e-6)
+
+
 def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
     """Up to the unit, which stays that of the cameras before."""
     scene = two_view_scene("skew", count=50, outliers=0.0)
     problem = scene.problem()
     errors, _, _ = error_slopes(problem, scene.R, scene.t, CameraSpread(BASIS), DEVIATIONS)
-    A1, A2 = normaliser(DEVIATIONS[:3]), normaliser(DEVIATIONS[3:])
+    A1, A2 = normaliser(DEVIATIONS[:SIZE]), normaliser(DEVIATIONS[SIZE:])
     F = A2.T @ essential_from_pose(scene.R, scene.t) @ A1
     expected = sampson_distance(problem.points1, problem.points2, F)
     np.testing.assert_allclose(np.abs(errors), expected, atol=1e-14)
     for points, camera, part in (
-        (scene.points1, scene.cameras[0], DEVIATIONS[:3]),
-        (scene.points2, scene.cameras[1], DEVIATIONS[3:]),
+        (scene.points1, scene.cameras[0], DEVIATIONS[:SIZE]),
+        (scene.points2, scene.cameras[1], DEVIATIONS[SIZE:]),
     ):
         A = normaliser(part)
         ideal = camera.normalise(points) @ A[:2, :2].T + A[:2, 2]
@@ -70,21 +91,22 @@ def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
 
 
 @pytest.mark.parametrize(
-    ("identity", "same_size", "columns"), [("a", True, 3), ("a", False, 5), (None, True, 6)]
+    ("identity", "same_size", "columns"), [("a", True, 5), ("a", False, 7), (None, True, 10)]
 )
 def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, same_size, columns):
     camera1, camera2 = two_view_scene(same_camera=True).cameras
     camera1, camera2 = (
-        replace(camera, focal_std=0.3, centre_std=17.0, identity=identity)
+        replace(camera, focal_std=0.3, centre_std=17.0, lens_std=0.1, identity=identity)
         for camera in (camera1, camera2 if same_size else replace(camera2, size=(1200, 1600)))
     )
     spread = CameraSpread.of(camera1, camera2)
     assert len(spread) == columns
     covariance = spread.basis @ spread.basis.T
-    np.testing.assert_allclose(covariance[0, 3], 0.09 if identity else 0)
-    np.testing.assert_allclose(covariance[1, 4] > 0, identity is not None and same_size)
+    np.testing.assert_allclose(covariance[0, SIZE], 0.09 if identity else 0)
+    np.testing.assert_allclose(covariance[3, SIZE + 3], 0.01 if identity else 0)
+    np.testing.assert_allclose(covariance[1, SIZE + 1] > 0, identity is not None and same_size)
     shift = 17.0 / camera1.focal
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.3, shift, shift, 0.3, shift, shift])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), 2 * [0.3, shift, shift, 0.1, 0.2])
     assert spread.shared_focal == (identity is not None)
 
 
@@ -119,7 +141,7 @@ def test_points_are_what_the_deviating_camera_makes_of_the_pixels(lens):
 @pytest.mark.parametrize("lens", LENSES)
 def test_a_focal_length_within_its_deviation_is_fitted(lens):
     cameras, _, matches = through(lens, focal_std=0.05, identity="x")
-    wrong = [deviating(camera, np.array([0.05, 0, 0])) for camera in cameras]
+    wrong = [deviating(camera, np.array([0.05, 0, 0, 0, 0])) for camera in cameras]
     pose = estimate_pose(matches, *wrong)
-    assert pose.camera1.focal_std < 0.02
+    assert pose.camera1.focal_std < 0.04
     assert pose.camera1.focal == pytest.approx(cameras[0].focal, rel=3 * pose.camera1.focal_std)

@@ -115,6 +115,7 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         lens,
         focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
+        lens_std=float(data.get("lens_std") or 0),
         identity=None if identity is None else str(identity),
     )
 
@@ -179,7 +180,7 @@ def _rig_camera(data: Mapping[str, Any]) -> Camera:
 
 def read_table(text: str, path: Path) -> FileCameras:
     """The cameras of a .csv with the columns name, fx, fy, cx, cy, and optionally width, height,
-    focal_std, centre_std_px, camera, equal for images of one camera, and those of a lens.
+    focal_std, centre_std_px, lens_std, camera, equal for images of one camera, and those of a lens.
 
     Raises InputError, with the path and line, also for a name with two cameras.
     """
